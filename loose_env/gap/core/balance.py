@@ -90,6 +90,7 @@ class Balance:
 
     def __init__(self, machine: NominalModel, motion: Motion) -> None:
         self.motion, self.machine = motion, machine
+        self._sensed: dict[tuple[str, str, str], list[Array]] = {}
         self._batches: dict[tuple[object, ...], tuple[Batch, list[Array]]] = {}
         self.position, self.speed = motion.stacked("position"), motion.stacked("speed")
         self.acceleration = motion.stacked("acceleration")
@@ -170,18 +171,18 @@ class Balance:
                 off = own - effect.read(run.time, {column: own}, values)[column]
                 wave = np.fft.rfft(np.concatenate([off, off[::-1]]))
             parts.append([np.fft.irfft((1j * turn) ** k * wave)[: len(own)] for k in range(3)])
+        moved = [np.concatenate([part[k] for part in parts]) for k in range(3)]
         states = []
-        for k, known in enumerate((self.position, self.speed, self.acceleration)):
-            moved = known.copy()
-            moved[:, joint] += np.concatenate([part[k] for part in parts])
-            states.append(moved)
+        for known, more in zip((self.position, self.speed, self.acceleration), moved, strict=True):
+            states.append(known.copy())
+            states[-1][:, joint] += more
         needed, given = self._forces(
             self._nominal, self.commands, (states[0], states[1], states[2])
         )
         return Forces(
             smooth=needed - given - (self.needed - self.given),
             dry=np.zeros_like(needed),
-            readings=self.readings.moved(*states),
+            readings=self.readings.turned(joint, moved),
             operator=np.zeros_like(self.operator),
         )
 
@@ -192,6 +193,7 @@ class Balance:
     def _change(
         self, model: mujoco.MjModel | None, commands: Array, effect: Effect | None, values: Array
     ) -> Forces:
+        felt = self.readings.nothing
         if model is None and commands is self.commands:
             needed, given = self.needed.copy(), self.given
         elif model is None:
@@ -199,7 +201,7 @@ class Balance:
         elif commands is self.commands and _same_forces(model, self._nominal):
             needed, given = self.needed.copy(), self.given
         elif model.nv > self.needed.shape[1]:
-            needed, given = self._with_hidden_joint(model, commands)
+            needed, given, felt = self._with_hidden_joint(model, commands, effect)
         else:
             needed, given = self._forces(model, commands)
         dry = np.zeros_like(needed)
@@ -233,7 +235,7 @@ class Balance:
         return Forces(
             smooth=needed - (self.needed - self.given),
             dry=dry,
-            readings=self.readings.change(model, effect, values),
+            readings=self.readings.change(model, effect, values) + felt,
             operator=operator,
         )
 
@@ -338,8 +340,10 @@ class Balance:
                 found[order, :, joint] = change.mean(axis=0) / (1.0 if order == 0 else _NUDGE)
         return found
 
-    def _with_hidden_joint(self, model: mujoco.MjModel, commands: Array) -> tuple[Array, Array]:
-        """Forces of a model with one more joint, which moves as its spring lets it.
+    def _with_hidden_joint(
+        self, model: mujoco.MjModel, commands: Array, effect: Effect | None
+    ) -> tuple[Array, Array, Array]:
+        """Forces and readings of a model with one more joint, which moves as its spring lets it.
 
         The joint's own motion is the response of its mean inertia, damping and stiffness to the
         force that the measured motion puts on it, run by run in the frequency domain.
@@ -358,7 +362,26 @@ class Balance:
             for k in range(3)
         ]
         needed, given = self._forces(model, commands, hidden.states(*moved_))
-        return needed[:, hidden.seen].copy(), given[:, hidden.seen].copy()
+        seen = self._hidden_readings(model, effect, hidden, moved_)
+        return needed[:, hidden.seen].copy(), given[:, hidden.seen].copy(), seen
+
+    def _hidden_readings(
+        self, model: mujoco.MjModel, effect: Effect | None, hidden: _Hidden, moved: list[Array]
+    ) -> Array:
+        """Change of inertial readings by the motion of a hidden joint, to first order (T, R)."""
+        if effect is None or not any(axis >= 0 for _, axis in self.motion.sensors):
+            return self.readings.nothing
+        key = (effect.kind, effect.where, effect.variant)
+        if key not in self._sensed:
+            zero, one = np.zeros(len(self.position)), np.ones(len(self.position))
+            still = self.readings.of(model, *hidden.states(zero, zero, zero))
+            sides = ((_NUDGE * one, zero, zero), (zero, _NUDGE * one, zero), (zero, zero, one))
+            self._sensed[key] = [
+                (self.readings.of(model, *hidden.states(*side)) - still) / size
+                for side, size in zip(sides, (_NUDGE, _NUDGE, 1.0), strict=True)
+            ]
+        found = zip(self._sensed[key], moved, strict=True)
+        return np.asarray(sum(slope * part[:, None] for slope, part in found))
 
     def _hidden(self, model: mujoco.MjModel, commands: Array) -> _Hidden:
         """Force on the one more joint of a model, and how its own motion changes all forces."""
@@ -460,19 +483,24 @@ class Balance:
         joints = len(self.machine.joints)
         if joint >= joints:
             return self.readings.noise(joint - joints, frequency)
-        own = self.operator if operator is None else operator
-        turn = 2 * np.pi * frequency
-        position, speed, torque = self.motion.noise
-        known = 1 / position**2 + (turn[:, None] / speed) ** 2
-        # not the difference of stiffness and inertia, which vanishes where a pendulum swings
-        gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
-        gain = gain + (own[1, joint] * turn[:, None]) ** 2
-        total = np.sum(gain / known, axis=1) + 1e-300
+        torque = self.motion.noise[2]
+        total = np.sum(self.noise_of(joint, frequency, operator), axis=1) + 1e-300
         if floor:
             total = total + (_MODEL * self.machine.load_scales[joint]) ** 2
         if np.isfinite(torque[joint]):
             total = total + torque[joint] ** 2
         return np.asarray(np.sqrt(total))
+
+    def noise_of(self, joint: int, frequency: Array, operator: Array | None = None) -> Array:
+        """Variance of a joint's balance by the noise of each joint's motion (F, joints)."""
+        own = self.operator if operator is None else operator
+        turn = 2 * np.pi * frequency
+        position, speed, _ = self.motion.noise
+        known = 1 / position**2 + (turn[:, None] / speed) ** 2
+        # not the difference of stiffness and inertia, which vanishes where a pendulum swings
+        gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
+        gain = gain + (own[1, joint] * turn[:, None]) ** 2
+        return np.asarray(gain / known)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

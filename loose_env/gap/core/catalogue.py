@@ -31,10 +31,16 @@ _LADDER = 1.7
 """Ratio of neighbouring sizes of a law: about two widths of its coefficient."""
 _LOOKED_AT = 1000
 """Samples in which an effect looks for its starts."""
+_REACHED = 0.7
+"""Lowest limit of a drive over the force that the motion took by the nominal model."""
 _ALIKE = 1e-3
 """Part of a column that the columns before it lack, over the whole, for it to be told from them."""
 _LINEAR = 0.05
 """Largest relative deviation of a column over a range of sizes, for an effect to be linear."""
+
+
+Late = tuple[int, float] | None
+"""Joint and delay, or none."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,6 +59,8 @@ class Column:
     """Smallest coefficient."""
     high: float
     """Largest coefficient."""
+    late: Late = None
+    """Joint whose positions are read late, and by how much [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,6 +243,8 @@ def terms_of(
     contacts: Iterable[str] = tuple(CONTACTS),
 ) -> list[Term]:
     """Terms of an effect of one shape: one for each contact where it has dry friction."""
+    if isinstance(effect, DriveLimit) and axes[0][0] < _reached(balance, effect):
+        return []
     forces = [balance.forces(effect, np.array(values)) for values in axes]
     if not all(np.isfinite(f.smooth).all() for f in forces):
         return []
@@ -252,6 +262,14 @@ def terms_of(
         if columns:
             found.append(Term(effect, own_axes, contact, law, columns))
     return found
+
+
+def _reached(balance: Balance, effect: DriveLimit) -> float:
+    """Force of an actuator that the motion took: its limit cannot be far below."""
+    machine = balance.machine
+    joint = machine.joint_number(machine.actuated_joint[effect.where])
+    gear = abs(float(machine.model.actuator_gear[machine.actuators.index(effect.where), 0])) or 1.0
+    return _REACHED * float(np.percentile(np.abs(balance.needed[:, joint]), 99)) / gear
 
 
 def _independent(columns: Sequence[Column]) -> list[int]:
@@ -280,10 +298,11 @@ def _column(
 ) -> Column:
     """Column with the prior and the bounds of its coefficient."""
     if law:
-        width = LAW_WIDTH
+        width, joint = LAW_WIDTH, balance.encoders.get(effect.where)
+        late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
         return Column(
-            change=change, operator=operator, centre=1.0, spread=width, low=1 - 2.3 * width,
-            high=1 + 2.3 * width,
+            late=late, change=change, operator=operator, centre=1.0, spread=width,
+            low=1 - 2.3 * width, high=1 + 2.3 * width,
         )  # fmt: skip
     readings = np.sqrt(np.mean(balance.readings.foretold**2, axis=0))
     typical = np.maximum(np.concatenate([balance.machine.load_scales, readings]), 1e-9)

@@ -106,6 +106,8 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
     for names, weight in zip(near, weights, strict=True):
         for name in names:
             chances[name] = chances.get(name, 0.0) + float(weight)
+    after = held_out_rms(selection, fit)
+    open_ = _unexplained(selection, after)
     covariance = _covariance(selection, fit)
     place = {k: i for i, k in enumerate(fit.numbers)}
     findings = []
@@ -133,7 +135,11 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
                 probability=chance, confusable=tuple(sorted(alike - {term.name})),
                 z=z, by_run=by_run, by_stretch=by_stretch,
-                named=chance >= NAMED and z > _Z and held,
+                # what leaves most of its channel as it was is beside something that nothing is
+                named=chance >= NAMED
+                and z > _Z
+                and held
+                and not open_[_main(selection, fit, term)],
             )
         )  # fmt: skip
     members = {term.name for term in fit.terms}
@@ -142,7 +148,7 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
         reverse=True,
     )
     rivals = [r for r in rivals if r[0] > _RIVAL]
-    joints = tuple(_verdicts(selection, fit, findings, rivals))
+    joints = tuple(_verdicts(selection, findings, rivals, after))
     return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=tuple(rivals))
 
 
@@ -288,15 +294,34 @@ def _covariance(selection: Selection, fit: SetFit) -> Array:
     return np.asarray(laplace * np.outer(wider, wider) + np.diag(missed**2))
 
 
+def _unexplained(selection: Selection, after: Array) -> NDArray[np.bool_]:
+    """Channels of which most is left (C,)."""
+    channels = selection.evidence.channels
+    before = np.array([np.sqrt(c.power.sum() / c.count.sum()) for c in channels])
+    share = 1 - (after / before) ** 2
+    return np.asarray((after > _LARGE) & (share < _EXPLAINED) & (before > _LARGE))
+
+
+def _main(selection: Selection, fit: SetFit, term: Term) -> int:
+    """Channel that shows most of an effect."""
+    values = dict(zip(fit.numbers.tolist(), fit.values.tolist(), strict=True))
+    sizes = []
+    for channel in selection.evidence.channels:
+        own = [k for k, n in enumerate(channel.columns) if n in selection.evidence.columns_of(term)]
+        x = np.array([values[int(channel.columns[k])] for k in own])
+        sizes.append(float(np.mean((channel.rows[:, own] @ x) ** 2)) if own else 0.0)
+    return int(np.argmax(sizes))
+
+
 def _verdicts(
     selection: Selection,
-    fit: SetFit,
     findings: Sequence[Finding],
     rivals: Sequence[tuple[float, str, str]],
+    after: Array,
 ) -> Iterable[JointVerdict]:
     """One verdict for each joint that the evidence has a channel of."""
     machine = selection.evidence.balance.machine
-    after = held_out_rms(selection, fit)
+    unexplained = _unexplained(selection, after)
     for k, channel in enumerate(selection.evidence.channels):
         joint = selection.evidence.balance.channels[channel.joint]
         places = {joint.removeprefix("sensor.").split(".")[0]}
@@ -309,8 +334,7 @@ def _verdicts(
             f.term.effect.kind for f in findings if not f.named and f.term.effect.where in places
         ]
         before = float(np.sqrt(channel.power.sum() / channel.count.sum()))
-        share = 1 - (after[k] / before) ** 2
-        if after[k] > _LARGE and share < _EXPLAINED and before > _LARGE:
+        if unexplained[k]:
             verdict: Verdict = "unexplained"
         elif named:
             verdict = "named"

@@ -1,7 +1,7 @@
 """Evidence: residual and columns whitened into cells of channel, band and stretch.
 
-A cell holds the Gram matrix of its columns in noise standard deviations. Every set of effects,
-every held-out part and every question of identifiability is then a small linear problem.
+A cell holds rows of its columns in noise standard deviations. Every set of effects, every held-out
+part and every question of identifiability is then a small linear problem in their Gram matrices.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.core.balance import USUAL, Balance
-from loose_env.gap.core.catalogue import Term, moves_at
+from loose_env.gap.core.catalogue import Late, Term, moves_at
 from loose_env.gap.core.tolerances import Nuisance
 from loose_env.typing import Array
 
@@ -64,26 +64,35 @@ class Channel:
     """Relative change of each cell's noise by a coefficient of one of each column (C, K)."""
     held: Array
     """Relative change of the stiffness by which the drive holds the joint, by each column (K,)."""
-    gain: Array
-    """Share of the foretold reading that each column is (K,); 0 of a joint."""
-    noisy: Array
-    """Part of each cell's noise that is that of the foretold reading (C,)."""
+    beside: Array
+    """Part of `growth` that no operator has: of foretold readings, and of late positions (C, K)."""
     blanked: float
     """Share of the time that is left out: rest, and knocks."""
-    gram: Array = field(init=False)
-    """Gram matrices (C, K, K)."""
+    first: NDArray[np.intp] = field(init=False)
+    """First row of each cell (C,)."""
     slope: Array = field(init=False)
     """Products with the residual (C, K)."""
+    square: Array = field(init=False)
+    """Products of each column with itself (C, K)."""
     power: Array = field(init=False)
     """Residual sums of squares (C,)."""
 
     def __post_init__(self) -> None:
         """Sum products over each cell."""
-        cells = range(len(self.count))
-        parts = [(self.rows[self.cell == c], self.residual[self.cell == c]) for c in cells]
-        self.gram = np.stack([x.T @ x for x, _ in parts])
-        self.slope = np.stack([x.T @ y for x, y in parts])
-        self.power = np.array([y @ y for _, y in parts])
+        self.first = np.searchsorted(self.cell, np.arange(len(self.count)))
+        self.slope = self.by_cell(self.rows * self.residual[:, None])
+        self.square = self.by_cell(self.rows**2)
+        self.power = self.by_cell(self.residual**2)
+
+    def by_cell(self, values: Array) -> Array:
+        """Sums of rows over each cell."""
+        return np.asarray(np.add.reduceat(values, self.first, axis=0))
+
+    def products(self, weight: Array, left: NDArray[np.intp], right: NDArray[np.intp]) -> Array:
+        """Weighted products of some columns of its own with others, summed over cells."""
+        own = self.rows[:, left] * weight[self.cell][:, None]
+        return np.asarray(own.T @ (self.rows if len(right) == len(self.columns) else
+                                   self.rows[:, right]))  # fmt: skip
 
 
 @dataclass(eq=False, kw_only=True)
@@ -119,9 +128,25 @@ class Evidence:
     nuisances: tuple[Nuisance, ...]
     """The tolerances."""
 
+    _products: dict[tuple[int, ...], list[tuple[NDArray[np.intp], Array]]] = field(
+        default_factory=dict, init=False
+    )
+
     def columns_of(self, term: Term) -> tuple[int, ...]:
         """Columns of a term."""
         return self.places[id(term)]
+
+    def products_of(self, columns: tuple[int, ...]) -> list[tuple[NDArray[np.intp], Array]]:
+        """Products of a term's columns in each channel: which it has, and their cells' sums."""
+        if columns not in self._products:
+            found = []
+            for channel in self.channels:
+                at = [np.flatnonzero(channel.columns == k) for k in columns]
+                place = np.array([i for i, own in enumerate(at) if len(own)], dtype=int)
+                rows = channel.rows[:, [int(own[0]) for own in at if len(own)]]
+                found.append((place, channel.by_cell(rows[:, :, None] * rows[:, None, :])))
+            self._products[columns] = found
+        return self._products[columns]
 
 
 def whiten(
@@ -134,8 +159,9 @@ def whiten(
     wide = [n.change for n in tolerances] + [c.change for c in columns]
     wide = [_padded(balance, change) for change in wide]
     operators = np.stack([n.operator for n in tolerances] + [c.operator for c in columns])
+    late = [None] * free + [c.late for c in columns]
     channels = [
-        _channel(balance, joint, wide, free, operators)
+        _channel(balance, joint, wide, free, operators, late)
         for joint in range(len(balance.channels))
         if _compared(balance, joint)
     ]
@@ -201,13 +227,17 @@ def append(evidence: Evidence, term: Term) -> None:
             wide = [term.columns[k].change for k in own]
             rows = _rows(evidence.balance, channel.joint, wide).whitened
             channel.columns = np.concatenate([channel.columns, [numbers[k] for k in own]])
-            _grow(channel, rows[:, :-1])
+            new = rows[:, :-1]
+            slope = channel.by_cell(new * channel.residual[:, None])
+            channel.rows = _widened(channel.rows, new)
+            channel.slope = _widened(channel.slope, slope)
+            channel.square = _widened(channel.square, channel.by_cell(new**2))
             more = np.stack([term.columns[k].operator for k in own])
-            gain = _gains(evidence.balance, channel.joint, wide)
-            growth = _growth(evidence.balance, channel.joint, channel.turn, more)
-            growth += np.outer(channel.noisy, gain)
+            late = [term.columns[k].late for k in own]
+            beside = _beside(evidence.balance, channel.joint, channel.turn, wide, late)
+            growth = _growth(evidence.balance, channel.joint, channel.turn, more) + beside
             channel.growth = np.hstack([channel.growth, growth])
-            channel.gain = np.append(channel.gain, gain)
+            channel.beside = np.hstack([channel.beside, beside])
             channel.held = np.append(channel.held, _held(evidence.balance, channel.joint, more))
     for name in ("centre", "low", "high"):
         grown = [getattr(c, name) for c in term.columns]
@@ -219,26 +249,18 @@ def append(evidence: Evidence, term: Term) -> None:
     evidence.operators = np.concatenate([evidence.operators, changes])
 
 
-def _grow(channel: Channel, more: Array) -> None:
-    """Add the products of the last columns, into room for more than are there."""
-    cells, room = channel.gram.shape[:2]
-    whole = len(channel.columns)
-    known = whole - more.shape[1]
-    if whole > room:
-        size = int(1.3 * whole) + 32
-        gram, slope = np.zeros((cells, size, size)), np.zeros((cells, size))
-        gram[:, :known, :known] = channel.gram[:, :known, :known]
-        slope[:, :known] = channel.slope[:, :known]
-        rows = np.zeros((len(channel.rows), size))
-        rows[:, :known] = channel.rows[:, :known]
-        channel.gram, channel.slope, channel.rows = gram, slope, rows
-    channel.rows[:, known:whole] = more
-    for c in range(cells):
-        own = channel.cell == c
-        cross = channel.rows[own, :whole].T @ more[own]
-        channel.gram[c, :whole, known:whole] = cross
-        channel.gram[c, known:whole, :whole] = cross.T
-        channel.slope[c, known:whole] = more[own].T @ channel.residual[own]
+def _widened(known: Array, more: Array) -> Array:
+    """Append columns, into spare room behind an array where it has some."""
+    rows, width = known.shape
+    whole = width + more.shape[1]
+    base = known.base
+    spare = base is not None and base.ndim == 2 and base.shape[1] >= whole and base.shape[0] == rows
+    if not spare:
+        base = np.empty((rows, int(1.2 * whole) + 32))
+        base[:, :width] = known
+    assert base is not None
+    base[:, width:whole] = more
+    return np.asarray(base[:, :whole])
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,16 +274,13 @@ class _Rows:
 
 
 def _channel(
-    balance: Balance, joint: int, wide: list[Array], free: int, operators: Array
+    balance: Balance, joint: int, wide: list[Array], free: int, operators: Array, late: list[Late]
 ) -> Channel:
     """Whiten one joint's balance."""
     felt = [k for k, change in enumerate(wide) if k < free or np.any(change[:, joint])]
     found = _rows(balance, joint, [wide[k] for k in felt])
     weight = weight_of(balance, joint)
-    gain, noisy = (
-        _gains(balance, joint, [wide[k] for k in felt]),
-        _noisy(balance, joint, found.turn),
-    )
+    beside = _beside(balance, joint, found.turn, [wide[k] for k in felt], [late[k] for k in felt])
     return Channel(
         joint=joint,
         columns=np.array(felt),
@@ -272,10 +291,9 @@ def _channel(
         stretch=found.stretch,
         run=found.run,
         turn=found.turn,
-        growth=_growth(balance, joint, found.turn, operators[felt]) + np.outer(noisy, gain),
+        growth=_growth(balance, joint, found.turn, operators[felt]) + beside,
         held=_held(balance, joint, operators[felt]),
-        gain=gain,
-        noisy=noisy,
+        beside=beside,
         blanked=float(np.mean(weight < 0.5)),
     )
 
@@ -369,13 +387,25 @@ def _gains(balance: Balance, channel: int, wide: Sequence[Array]) -> Array:
     return np.array([float(foretold @ column[:, channel]) for column in wide]) / whole
 
 
-def _noisy(balance: Balance, channel: int, turn: Array) -> Array:
-    """Part of a reading's noise that is that of the foretold one (C,); 0 of a joint."""
-    number = channel - len(balance.machine.joints)
-    if number < 0:
-        return np.zeros(len(turn))
-    foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
-    return np.asarray(foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2)
+def _beside(
+    balance: Balance, channel: int, turn: Array, wide: Sequence[Array], late: Sequence[Late]
+) -> Array:
+    """Relative change of a channel's noise by what no operator has (C, K).
+
+    Of a reading, the noise of the foretold one; of a joint whose positions are late, the part of
+    the shift that is in phase.
+    """
+    number, found = channel - len(balance.machine.joints), np.zeros((len(turn), len(wide)))
+    if number >= 0:
+        foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
+        noisy = foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2
+        return np.outer(noisy, _gains(balance, channel, wide))
+    for k, own in enumerate(late):
+        if own is not None:
+            of_joint = balance.noise_of(channel, turn / (2 * np.pi))[:, own[0]]
+            share = of_joint / balance.noise(channel, turn / (2 * np.pi), floor=False) ** 2
+            found[:, k] = share * (np.cos(turn * own[1]) - 1)
+    return found
 
 
 def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Array:
@@ -476,9 +506,9 @@ def _felt(channels: list[Channel], free: int) -> Array:
     for channel in channels:
         excess = np.maximum(channel.power - channel.count, 0) / (2 + 0.02 * channel.count)
         weight = 1 / (1 + 0.02 * excess)
-        own = channel.columns < free
+        own = np.flatnonzero(channel.columns < free)
         at = channel.columns[own]
-        total[np.ix_(at, at)] += np.tensordot(weight, channel.gram[:, own][:, :, own], 1)
+        total[np.ix_(at, at)] += channel.products(weight, own, own)
     values, vectors = np.linalg.eigh(total)
     return np.asarray(vectors[:, values > _FELT])
 
@@ -493,7 +523,9 @@ def _combine(channel: Channel, mixed: Array, free: int) -> None:
     channel.growth = np.hstack(
         [channel.growth[:, own] @ mixed[channel.columns[own]], channel.growth[:, ~own]]
     )
-    channel.gain = np.append(channel.gain[own] @ mixed[channel.columns[own]], channel.gain[~own])
+    channel.beside = np.hstack(
+        [channel.beside[:, own] @ mixed[channel.columns[own]], channel.beside[:, ~own]]
+    )
     channel.held = np.append(channel.held[own] @ mixed[channel.columns[own]], channel.held[~own])
     channel.columns = np.concatenate([np.arange(kept), others - free + kept])
     channel.__post_init__()

@@ -82,7 +82,8 @@ def _effects(selection: Selection) -> tuple[VisibleEffect, ...]:
     """Every effect that the catalogue has for this recording."""
     evidence, kept = selection.evidence, selection.evidence.tolerances
     form = selection.whole(selection.rich)
-    data = form.normal - np.diag(evidence.precision)  # without the priors of the effects
+    every = np.arange(len(evidence.precision))
+    data = form.block(every) - np.diag(evidence.precision)  # without the priors of the effects
     inverse = np.linalg.inv(data[:kept, :kept] + np.eye(kept))
     beyond = data - data[:, :kept] @ inverse @ data[:kept]
     groups: dict[tuple[str, str], list[_Shown]] = {}

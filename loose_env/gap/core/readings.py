@@ -28,6 +28,7 @@ class Readings:
 
     def __init__(self, model: mujoco.MjModel, motion: Motion) -> None:
         self.motion, self.model = motion, model
+        self._turned: dict[int, list[Array]] = {}
         names = dict.fromkeys(name for name, _ in motion.sensors)
         self._sensors = [
             (name, [k for k, (n, _) in enumerate(motion.sensors) if n == name]) for name in names
@@ -73,9 +74,23 @@ class Readings:
         position, speed, acceleration = self._states
         return self._along(self.model, position, speed, acceleration + more) - self.foretold
 
-    def moved(self, q: Array, v: Array, a: Array) -> Array:
-        """Change of the readings by another motion (T, R)."""
-        return self._along(self.model, q, v, a) - self.foretold if self.names else self.nothing
+    def of(self, model: mujoco.MjModel, q: Array, v: Array, a: Array) -> Array:
+        """Readings of a model along a motion of all its joints (T, R)."""
+        return self._along(model, q, v, a)
+
+    def turned(self, joint: int, moved: list[Array]) -> Array:
+        """Change of the readings by another motion of one joint, to first order (T, R)."""
+        if not self.names:
+            return self.nothing
+        if joint not in self._turned:
+            slopes = []
+            for order in range(3):
+                states = [x.copy() for x in self._states]
+                states[order][:, joint] += _NUDGE
+                slopes.append((self._along(self.model, *states) - self.foretold) / _NUDGE)
+            self._turned[joint] = slopes
+        pairs = zip(self._turned[joint], moved, strict=True)
+        return np.asarray(sum(slope * part[:, None] for slope, part in pairs))
 
     def noise(self, reading: int, frequency: Array) -> Array:
         """Standard deviation of a reading less the foretold one (F,)."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import lgamma, log
 
@@ -49,8 +49,8 @@ _SETTLED, _SECANTS = 2, 4
 """Sets of a step that are relinearised, and how often."""
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
-_MISSED = (0.0, 0.06, 0.25, 1.0)
-"""Squared shares of the tolerance of laws that are tried: a factor of two apart."""
+_MISSED = (0.0, *(2.0**-k for k in range(7, -1, -1)))
+"""Squared shares of the tolerance of laws that are tried."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
 """Relative steps in which shapes are refined."""
 
@@ -233,15 +233,15 @@ class Selection:
         for k, (channel, part) in enumerate(zip(evidence.channels, parts, strict=True)):
             own, count = values[part.at], channel.count
             missed = part.missed * own
-            power, lawless = np.stack([np.outer(x, x).ravel() for x in (own, missed)]) @ part.gram.T
-            power += channel.power - 2 * part.slope @ own
+            left = channel.residual[:, None] * [1.0, 0.0] - part.rows @ np.stack([own, missed], 1)
+            power, lawless = channel.by_cell(left**2).T
             # the turn of a friction differs in any band
             among = np.bincount(channel.stretch, lawless) / np.bincount(channel.stretch, count)
             lawless = np.maximum(lawless, count * among[channel.stretch])
             bands, at = self._bands[k]
             now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
-            ratio += channel.noisy * ((1 + float(part.gain @ own)) ** 2 - 1)
+            ratio += (1 + part.beside @ own) ** 2 - 1
             held = max(1.0 + float(part.held @ own), 0.0) ** 2
             scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
             excess = np.maximum((power - count * ratio) / scale, -count)
@@ -260,11 +260,14 @@ class Selection:
             self.evidence.channels[channel].count, self.values[channel], self.used[channel],
         )  # fmt: skip
         chance = np.minimum(np.maximum(excess, 0.0), np.sqrt(2 * count))
+        # a law is missed in the same way in every stretch
+        repeats = len(np.unique(self.evidence.channels[channel].stretch))
         tried = []
         for share in _MISSED if np.any(lawless) else _MISSED[:1]:
             wide = share * lawless
             beyond = np.maximum(excess - wide, chance)
-            costs = values * np.log1p(beyond / values) + few(count) * np.log1p(wide / count)
+            costs = values * np.log1p(beyond / values)
+            costs += few(count) * np.log1p(wide / count) / repeats
             tried.append((beyond, wide / count, costs))
         return min(tried, key=lambda one: float(one[2][used].sum()))
 
@@ -275,41 +278,17 @@ class Selection:
 
         Around a fitted set its noise is that of the set's operator.
         """
-        evidence = self.evidence
-        normal = np.diag(evidence.precision)
-        slope = evidence.precision * evidence.centre
-        growths, holds, noises = [], [], []
-        for k, channel in enumerate(evidence.channels):
-            weight = self.weights(k, powers[k])
-            at = channel.columns
-            known = len(at)
-            cells, room = channel.gram.shape[:2]  # with room to grow: a slice of it would be copied
-            whole = (weight @ channel.gram.reshape(cells, -1)).reshape(room, room)
-            normal[np.ix_(at, at)] += whole[:known, :known]
-            slope[at] += weight @ channel.slope[:, :known]
-            growth = np.zeros((len(weight), len(slope)))
-            growth[:, at] = channel.growth
-            growths.append(growth)
-            held = np.zeros(len(slope))
-            held[at] = channel.held
-            holds.append(np.tile(held, (len(weight), 1)))
-            # what a candidate explains leaves noise to be guarded
-            noises.append(weight * np.minimum(channel.count, powers[k]))
-        growth, hold, noise = map(np.concatenate, (growths, holds, noises))
-        form = _Form(normal, slope, growth, hold, noise)
-        if fit is None:
-            return form
-        more, along = _of_operator(form, fit.numbers, fit.values, slice(None))
-        return replace(form, around=(normal + more, slope + along))
+        return _Form(self, powers, fit)
 
     def predicted(self, form: _Form, terms: Sequence[Term]) -> float:
         """Total of a set at fixed weights; infinite where a coefficient is out of bounds."""
         evidence, at = self.evidence, self.columns(terms)
-        normal, slope = form.normal[np.ix_(at, at)], form.slope[at]
+        normal, slope = form.block(at), form.slope[at]
         try:
             half, values, determinant = _solved(normal, slope)
-            more, along = _of_operator(form, at, values, at)
-            if np.any(more) or np.any(along):
+            noise = form.of_operator(at, values)
+            if noise.acts:
+                more, along = noise.between(at, at), noise.along(at)
                 half, values, determinant = _solved(normal + more, slope + along)
         except np.linalg.LinAlgError:
             return np.inf
@@ -324,12 +303,12 @@ class Selection:
         self, form: _Form, terms: Sequence[Term], pool: Iterable[Term]
     ) -> list[tuple[float, Term]]:
         """Gain of each candidate beside a set at fixed weights, the largest first."""
-        normal, slope = form.around or (form.normal, form.slope)
         evidence, at = self.evidence, self.columns(terms)
-        inverse = np.linalg.inv(normal[np.ix_(at, at)])
-        spread = inverse @ normal[at]
-        left = slope - normal[:, at] @ (inverse @ slope[at])
-        own = np.maximum(np.diag(normal) - np.sum(normal[at] * spread, axis=0), 1e-300)
+        beside, slope = form.near(at)
+        inverse = np.linalg.inv(beside[:, at])
+        spread = inverse @ beside
+        left = slope - beside.T @ (inverse @ slope[at])
+        own = np.maximum(form.diagonal - np.sum(beside * spread, axis=0), 1e-300)
         precision, centre = evidence.precision, evidence.centre
         gains = left**2 / own + np.log(precision / own) - precision * centre**2
         near = _near_bounds(left / own, evidence, slice(None))
@@ -339,7 +318,7 @@ class Selection:
             if len(new) == 1 and near[new[0]]:
                 gain = float(gains[new[0]])
             elif len(new) > 1:
-                several = normal[np.ix_(new, new)] - normal[np.ix_(new, at)] @ spread[:, new]
+                several = form.around(new) - beside[:, new].T @ spread[:, new]
                 values = np.linalg.solve(several, left[new])
                 if not np.all(_near_bounds(values, evidence, new)):
                     continue
@@ -395,6 +374,7 @@ class Selection:
                 for more in single
                 if not {t.effect.kind for t in own} & {t.effect.kind for t in more}
             }
+            form.cover(k for own in wider.values() for k in self.columns(own))
             order = sorted(wider.values(), key=lambda s: self.predicted(form, s))
             level = order[:_KEPT]
             ranked += level
@@ -527,6 +507,7 @@ class Selection:
         chosen: dict[int, Sequence[Array]] = {}
         for powers in weightings:
             form = self.whole(powers)
+            form.cover(k for own in sets for k in self.columns(own))
             likely = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
             for total, k in likely:
                 if np.isfinite(total):
@@ -623,26 +604,111 @@ def _values(channel: Channel, noisy: float) -> Array:
     return np.asarray(least + min(noisy, 1.0) * (most - least))
 
 
-@dataclass(frozen=True, eq=False)
+class _Noise:
+    """What the noise of a fitted operator adds to the quadratic form."""
+
+    def __init__(self, form: _Form, at: NDArray[np.intp], values: Array) -> None:
+        growth, held = form.growth, form.held
+        moved, less = growth[:, at] @ values, held[:, at] @ values
+        guard = form.noise * (np.minimum(moved, less) < -1e-12)
+        noisy = form.noise * np.where((moved > 0) & (guard == 0), 1 + moved, 0.0)
+        self.acts = bool(guard.any() or noisy.any())
+        some = np.flatnonzero(guard)
+        self._guard, self._some = guard[some], some
+        self._by_hold = (less < np.minimum(moved, 0.0))[some, None]
+        self._growth, self._held, self._noisy = growth, held, noisy
+
+    def _scale(self, at: NDArray[np.intp] | slice) -> Array:
+        rows = self._some
+        return np.where(self._by_hold, self._held[rows][:, at], self._growth[rows][:, at])
+
+    def between(self, left: NDArray[np.intp], right: NDArray[np.intp] | slice) -> Array:
+        """Part of the normal matrix between some columns and others."""
+        return np.asarray((self._scale(left).T * self._guard) @ self._scale(right))
+
+    def diagonal(self) -> Array:
+        """Its diagonal (K,)."""
+        return np.asarray(self._guard @ self._scale(slice(None)) ** 2)
+
+    def along(self, at: NDArray[np.intp] | slice) -> Array:
+        """Part of the slope."""
+        return np.asarray(self._guard @ self._scale(at) + self._noisy @ self._growth[:, at])
+
+
 class _Form:
-    normal: Array
-    slope: Array
-    growth: Array
-    held: Array
-    noise: Array
-    around: tuple[Array, Array] | None = None
+    """Quadratic form of all columns at fixed weights; its matrix is made where it is asked for."""
 
+    def __init__(self, selection: Selection, powers: Sequence[Array], fit: SetFit | None) -> None:
+        self._evidence = evidence = selection.evidence
+        count = len(evidence.precision)
+        self._weights = [selection.weights(k, p) for k, p in enumerate(powers)]
+        self.slope = evidence.precision * evidence.centre
+        self.diagonal = evidence.precision.copy()
+        growths, holds, noises = [], [], []
+        for channel, weight, power in zip(evidence.channels, self._weights, powers, strict=True):
+            at = channel.columns
+            self.slope[at] += weight @ channel.slope
+            self.diagonal[at] += weight @ channel.square
+            growth, held = np.zeros((2, len(weight), count))
+            growth[:, at], held[:, at] = channel.growth, channel.held
+            growths.append(growth)
+            holds.append(held)
+            # what a candidate explains leaves noise to be guarded
+            noises.append(weight * np.minimum(channel.count, power))
+        self.growth, self.held, self.noise = map(np.concatenate, (growths, holds, noises))
+        self._covered: tuple[NDArray[np.intp], Array] | None = None
+        self._fit_noise = None if fit is None else _Noise(self, fit.numbers, fit.values)
+        if self._fit_noise is not None:
+            self.diagonal += self._fit_noise.diagonal()
 
-def _of_operator(
-    form: _Form, at: NDArray[np.intp], values: Array, among: NDArray[np.intp] | slice
-) -> tuple[Array, Array]:
-    """What the noise of a fitted operator adds to some columns of a form: normal and slope."""
-    moved, held = form.growth[:, at] @ values, form.held[:, at] @ values
-    guard = form.noise * (np.minimum(moved, held) < -1e-12)
-    scale = np.where((held < np.minimum(moved, 0.0))[:, None], form.held[:, among],
-                     form.growth[:, among])  # fmt: skip
-    noisy = form.noise * np.where((moved > 0) & (guard == 0), 1 + moved, 0.0)
-    return (scale.T * guard) @ scale, guard @ scale + noisy @ form.growth[:, among]
+    def of_operator(self, at: NDArray[np.intp], values: Array) -> _Noise:
+        """What the noise of an operator adds."""
+        return _Noise(self, at, values)
+
+    def near(self, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Normal matrix between some columns and all, and slope, around the fitted set."""
+        normal, slope = self._between(at, np.arange(len(self.slope))), self.slope
+        if self._fit_noise is not None:
+            normal = normal + self._fit_noise.between(at, slice(None))
+            slope = slope + self._fit_noise.along(slice(None))
+        return normal, slope
+
+    def around(self, at: Sequence[int]) -> Array:
+        """Normal matrix of the columns of a term around the fitted set."""
+        columns = np.array(at)
+        found = np.diag(self._evidence.precision[columns])
+        parts = zip(self._evidence.products_of(tuple(at)), self._weights, strict=True)
+        for (place, products), weight in parts:
+            found[np.ix_(place, place)] += np.tensordot(weight, products, 1)
+        return (
+            found if self._fit_noise is None else found + self._fit_noise.between(columns, columns)
+        )
+
+    def cover(self, columns: Iterable[int]) -> None:
+        """Make the matrix of columns that are asked for soon."""
+        at = np.unique(np.fromiter(columns, dtype=int))
+        self._covered = at, self._between(at, at)
+
+    def block(self, at: NDArray[np.intp]) -> Array:
+        """Normal matrix of some columns."""
+        if self._covered is not None:
+            known, matrix = self._covered
+            place = np.searchsorted(known, at)
+            if len(known) and np.array_equal(known[np.minimum(place, len(known) - 1)], at):
+                return np.asarray(matrix[np.ix_(place, place)])
+        return self._between(at, at)
+
+    def _between(self, left: NDArray[np.intp], right: NDArray[np.intp]) -> Array:
+        precision = self._evidence.precision
+        found = np.where(left[:, None] == right, precision[left][:, None], 0.0)
+        for channel, weight in zip(self._evidence.channels, self._weights, strict=True):
+            place = np.full(len(precision), -1)
+            place[channel.columns] = np.arange(len(channel.columns))
+            one, other = place[left], place[right]
+            rows, columns = np.flatnonzero(one >= 0), np.flatnonzero(other >= 0)
+            if len(rows) and len(columns):
+                found[np.ix_(rows, columns)] += channel.products(weight, one[rows], other[columns])
+        return found
 
 
 def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
@@ -658,11 +724,12 @@ def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
 class _Part:
     at: NDArray[np.intp]
     grid: tuple[NDArray[np.intp], ...]
+    rows: Array
     gram: Array
     slope: Array
     growth: Array
     held: Array
-    gain: Array
+    beside: Array
     missed: Array
 
 
@@ -673,17 +740,19 @@ def _part(channel: Channel, numbers: NDArray[np.intp], inexact: Array) -> _Part:
     own = lookup[numbers]
     at = np.flatnonzero(own >= 0)
     local = own[at]
-    cells, width = channel.gram.shape[:2]
-    flat = (local[:, None] * width + local).ravel()
-    gram = np.take(channel.gram.reshape(cells, -1), flat, axis=1)
+    rows = np.ascontiguousarray(channel.rows[:, local])
+    ends = [*channel.first[1:], len(rows)]
+    cells = (rows[a:b] for a, b in zip(channel.first, ends, strict=True))
+    gram = np.stack([own.T @ own for own in cells]).reshape(len(ends), -1)
     return _Part(
         at,
         np.ix_(at, at),
+        rows,
         gram,
         channel.slope[:, local],
         channel.growth[:, local],
         channel.held[local],
-        channel.gain[local],
+        channel.beside[:, local],
         inexact[numbers[at]],
     )
 

@@ -441,9 +441,10 @@ class Visibility:
                 neutral = 0.0 if name in ("x", "y", "z", "zero", "offset") else 1.0
                 off = float(np.broadcast_to(getattr(arm.factors, name), n)[j]) - neutral
                 width = TOLERANCES[name]
-                # of the true figures: one of the model less that of the arm, changed in sign
-                lows.append(min(off - width, 0.0))
-                highs.append(max(off + width, 0.0))
+                # a figure of the model less that of the arm; forces along a motion change in sign
+                ends = (off - width, off + width) if self.balance else (-off - width, width - off)
+                lows.append(min(ends[0], 0.0))
+                highs.append(max(ends[1], 0.0))
         if self.setup.form == SERVO:
             step = 0.02 * self.setup.sample
             late = np.broadcast_to(arm.factors.shift, n)
