@@ -303,11 +303,12 @@ class Questions:
         for channel in evidence.channels:
             at, weight = channel.columns, self._weight(evidence, channel)
             among = np.flatnonzero(np.isin(at, own))
-            missed = evidence.inexact[at[among]] ** 2 * channel.gram[:, among, among]
+            missed = evidence.inexact[at[among]] ** 2 * channel.square[:, among]
             weight = weight * channel.count / (channel.count + missed.sum(axis=1))
             for run in _moving(evidence.balance, channel):
-                cells = channel.run == run
-                found[run][np.ix_(at, at)] += np.tensordot(weight[cells], channel.gram[cells], 1)
+                every = np.arange(len(at))
+                own_cells = weight * (channel.run == run)
+                found[run][np.ix_(at, at)] += channel.products(own_cells, every, every)
         return found
 
     def _weight(self, evidence: Evidence, channel: Channel) -> Array:
