@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -10,21 +10,27 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from loose_env.arms import files_of
-from loose_env.cli.command import one_of, refuse
+from loose_env.cli.command import kept, one_of, refuse, settled
 from loose_env.cli.console import KEPT, Console, OnRecording, Outcome, Output, OutputFolder
 from loose_env.cli.recordings import check_first
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap import (
     TARGETS,
     ExportSettings,
     GapSettings,
+    GapSolution,
+    NextMotion,
+    NextMotionSettings,
     check_gap,
+    choose_next,
     export_result,
     join_recordings,
+    next_motion_lines,
     note_source,
     read_effects,
     read_source,
     solve_gap,
+    summary_of,
     write_export,
     write_gap,
 )
@@ -67,6 +73,12 @@ class Gap(GapSettings, OnRecording):
     output of an earlier run.
 
         loose gap arm-gap arm-2 --out arm-gap-2
+
+    With --next also the motion that best separates what the runs do not tell apart:
+    next_motion.csv and next_motion.parquet, its commands; next_motion.json, what it is expected to
+    tell and how it was chosen. Run it on the machine, twice, and analyse both together.
+
+        loose gap arm --out arm-gap --next
     """
 
     more: Positional[tuple[Path, ...]] = ()
@@ -83,6 +95,10 @@ class Gap(GapSettings, OnRecording):
     rerun: Annotated[Path | None, arg(metavar="FILE.rrd")] = None
     """Also write measured, nominal and corrected motion for the Rerun viewer (extra rerun); an
     existing file is replaced."""
+    next: bool = False
+    """Also write the motion that best separates what these runs do not tell apart."""
+    next_motion: OmitArgPrefixes[Annotated[NextMotionSettings, kept(NextMotionSettings)]]
+    """Next motion (--next)."""
 
     def run(self, console: Console) -> Outcome:
         """Name what the model lacks and write it down."""
@@ -91,6 +107,7 @@ class Gap(GapSettings, OnRecording):
         if self.out is None:
             refuse("loose gap", "--out DIR must be given, or --check")
         _check_rerun(self.rerun)
+        wanted = settled(self.next_motion)
         folder = OutputFolder(self.out, "gap", reads=self.model)
         sources = [
             read_source(path, KEPT, model=self.model) for path in self._recordings(folder.path)
@@ -101,12 +118,15 @@ class Gap(GapSettings, OnRecording):
             for file in self.effects:
                 read_effects(file)
             found = solve_gap(recording, self._settings, preflight=preflight, say=console.say)
+            motion, planned = None, list[str]()
+            if self.next:
+                found, motion, planned = _next(found, wanted, console)
             note_source(place, recording, self.model)
         # Known as this command's own even if it is cut short while it copies.
         home = recording.model_path.parent
         folder.note(folder.path / f.relative_to(home) for f in files_of(recording.model_path))
         page = partial(write_gap_report, say=console.say)
-        written = write_gap(folder.path, found, report=page, say=console.say)
+        written = write_gap(folder.path, found, report=page, next_motion=motion, say=console.say)
         if self.rerun is not None:
             console.say("writing the motion for Rerun")
             file = write_rerun(self.rerun.resolve(), found)
@@ -116,7 +136,7 @@ class Gap(GapSettings, OnRecording):
         if self.rerun is not None and str(self.rerun.resolve()) not in shown:
             shown.append(str(self.rerun))
         result = found.result
-        lines = [gap_text(result, warnings=False), f"written: {', '.join(shown)}"]
+        lines = [gap_text(result, warnings=False), *planned, f"written: {', '.join(shown)}"]
         return Outcome(text="\n".join(lines), json=result.to_json, warnings=result.warnings)
 
     @property
@@ -126,8 +146,8 @@ class Gap(GapSettings, OnRecording):
 
     def _checked(self, console: Console) -> Outcome:
         """Say what the recordings could show."""
-        if self.out is not None or self.rerun is not None:
-            raise InvalidSetting("--check writes nothing; leave out --out and --rerun")
+        if self.out is not None or self.rerun is not None or self.next:
+            raise InvalidSetting("--check writes nothing; leave out --out, --rerun and --next")
         if self.more:
             raise InvalidSetting("--check looks at one recording; leave out the others")
         recording = read_source(self.recording, KEPT, model=self.model)
@@ -157,6 +177,21 @@ class Gap(GapSettings, OnRecording):
                     f"{path}"
                 )
         return paths
+
+
+def _next(
+    found: GapSolution, settings: NextMotionSettings, console: Console
+) -> tuple[GapSolution, NextMotion | None, list[str]]:
+    """Choose the next motion, and say why there is none; the result does not depend on it."""
+    try:
+        motion = choose_next(found.answer, found.corrected, settings, say=console.say)
+    except InvalidData as error:
+        words = (*found.result.warnings, f"no next motion: {error}")
+        found = replace(found, result=replace(found.result, warnings=words))
+        return found, None, ["next motion: none, for the reason in the warnings"]
+    if motion is None:
+        return found, None, ["next motion: none; nothing is left that a motion would tell"]
+    return found, motion, next_motion_lines(summary_of(motion))
 
 
 def _check_rerun(file: Path | None) -> None:

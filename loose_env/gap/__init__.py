@@ -1,7 +1,7 @@
 """Model error: find, identify and correct the physical effects that a simulation lacks.
 
-Data flow: model -> runs -> simulator -> core -> output -> explain, session; experiment_design is
-beside the core, for `Gap-v0`.
+Data flow: model -> runs -> simulator -> core -> output -> planned_motion -> next_motion -> explain,
+session; experiment_design is beside the core, for `Gap-v0` and the next motion.
 """
 
 from loose_env.gap.core.find import Answer, find_gap
@@ -47,6 +47,16 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.parameter import Parameter
+from loose_env.gap.next_motion import (
+    NEXT_MOTION,
+    NextMotion,
+    NextMotionSummary,
+    choose_next,
+    next_motion_lines,
+    read_next_motion,
+    summary_of,
+    write_next_motion,
+)
 from loose_env.gap.output.advice import how_to_see, how_to_separate
 from loose_env.gap.output.corrected_model import write_model
 from loose_env.gap.output.result import (
@@ -70,10 +80,12 @@ from loose_env.gap.output.targets.export import (
     write_export,
 )
 from loose_env.gap.output.targets.source import Export
+from loose_env.gap.planned_motion import NextMotionSettings
 from loose_env.gap.session import GapSession
 from loose_env.gap.settings import GapSettings
 
 __all__ = [
+    "NEXT_MOTION",
     "TARGETS",
     "Answer",
     "BankSettings",
@@ -100,6 +112,9 @@ __all__ = [
     "MotionCheck",
     "MotionSignatures",
     "NamedEffect",
+    "NextMotion",
+    "NextMotionSettings",
+    "NextMotionSummary",
     "Outlook",
     "Overlay",
     "Parameter",
@@ -119,6 +134,7 @@ __all__ = [
     "brief_library",
     "check_gap",
     "check_motion",
+    "choose_next",
     "explain_gap",
     "export_result",
     "find_gap",
@@ -126,12 +142,14 @@ __all__ = [
     "how_to_separate",
     "join_recordings",
     "motion_library",
+    "next_motion_lines",
     "note_source",
     "outlook",
     "pair_gains",
     "pulled_words",
     "rays_of",
     "read_effects",
+    "read_next_motion",
     "read_result",
     "read_servo_arm",
     "read_source",
@@ -139,7 +157,9 @@ __all__ = [
     "scaled_to_fit",
     "signature_bank",
     "solve_gap",
+    "summary_of",
     "write_export",
     "write_gap",
     "write_model",
+    "write_next_motion",
 ]

@@ -33,6 +33,7 @@ from loose_env.gap.core.selection import neighbours
 from loose_env.gap.model.effects.link_inertia import payload_notes
 from loose_env.gap.model.element_names import naming_notes
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.next_motion import NEXT_MOTION, NextMotion, write_next_motion
 from loose_env.gap.output.advice import how_to_see, how_to_separate
 from loose_env.gap.output.corrected_model import correction_code, model_notes, step_for, write_model
 from loose_env.gap.output.result import (
@@ -226,6 +227,7 @@ def write_gap(
     solution: GapSolution,
     *,
     report: Report = lambda *_: None,
+    next_motion: NextMotion | None = None,
     say: Say = lambda _: None,
 ) -> list[Path]:
     """Write ``model.xml``, the files it needs, a report and ``result.json``, the result last.
@@ -238,6 +240,8 @@ def write_gap(
         The finished comparison.
     report : callable
         Writes the report (`loose_env.report.write_gap_report`); none by default.
+    next_motion : NextMotion, optional
+        Written as ``next_motion.csv``, ``.parquet`` and ``.json``.
     say : callable
         Receives progress messages, line by line.
 
@@ -255,6 +259,8 @@ def write_gap(
     machine = solution.answer.selection.evidence.balance.machine
     # An earlier result must not stand beside a later model if this run is cut short.
     place.joinpath("result.json").unlink(missing_ok=True)
+    for ending in ("json", "csv", "parquet"):
+        place.joinpath(f"{NEXT_MOTION}.{ending}").unlink(missing_ok=True)
     say("writing model, result and report")
     models = write_model(
         place / "model.xml",
@@ -265,8 +271,9 @@ def write_gap(
         notes=model_notes(result.effects, pulled_words(result)),
     )
     page = report(place, solution)
+    motions = [] if next_motion is None else write_next_motion(place, next_motion)
     file = result.write(place / "result.json")
-    return [*models, *([] if page is None else [page]), file]
+    return [*models, *([] if page is None else [page]), *motions, file]
 
 
 def pulled_words(result: GapResult) -> list[str]:

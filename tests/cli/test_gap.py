@@ -121,6 +121,7 @@ def test_mistakes_end_in_one_line_and_write_nothing(
         (words(recording, out, "--rerun", str(tmp_path / "motion.mp4")), "ends with .rrd"),
         (["gap", first, first, "--out", str(out)], "given twice"),
         (["gap", model, "--out", str(out)], "give it as --model"),
+        (words(recording, out, "--next", "--next-max-speed-rad-s", "nan"), "next-max-speed-rad-s"),
     ):
         assert reason in refused(capsys, command)
         assert not out.exists(), command
