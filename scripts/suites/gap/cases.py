@@ -426,8 +426,7 @@ class Visibility:
     def _tolerances(self) -> tuple[Array, Array, Array]:
         """Changes of the features by every figure of the model, and how far each may go."""
         arm = self.setup.arm
-        n, exact = arm.figures.joints, self.setup.world in ("exact", "shaken")
-        names = list(TOLERANCES)[: 6 if exact else len(TOLERANCES)]
+        n, names = arm.figures.joints, list(TOLERANCES)
         if self.balance:
             names = [name for name in names if name not in ("kp", "kv")]
         if self.setup.form != TORQUE:
@@ -441,11 +440,12 @@ class Visibility:
                 columns.append((self._moved(motion, moved) - self._base) / step)
                 neutral = 0.0 if name in ("x", "y", "z", "zero", "offset") else 1.0
                 off = float(np.broadcast_to(getattr(arm.factors, name), n)[j]) - neutral
-                width = 0.03 if exact else TOLERANCES[name]
-                # of the true figures: one of the model less that of the arm, changed in sign
-                lows.append(min(off - width, 0.0))
-                highs.append(max(off + width, 0.0))
-        if self.setup.form == SERVO and not exact:
+                width = TOLERANCES[name]
+                # a figure of the model less that of the arm; forces along a motion change in sign
+                ends = (off - width, off + width) if self.balance else (-off - width, width - off)
+                lows.append(min(ends[0], 0.0))
+                highs.append(max(ends[1], 0.0))
+        if self.setup.form == SERVO:
             step = 0.02 * self.setup.sample
             late = np.broadcast_to(arm.factors.shift, n)
             moved = dataclasses.replace(arm.factors, shift=late + step)
@@ -820,7 +820,7 @@ def truth_of(case: Case) -> dict[str, Any]:
         "link_side": setup.arm.link_side, "servo": setup.arm.servo,
         "straight": setup.straight, "coupled_wrist": setup.arm.coupling, "garbage": setup.garbage,
         "ignored": list(setup.ignored), "neutral": neutral, "effects": effects,
-        "tolerances": 0.03 if setup.world in ("exact", "shaken") else TOLERANCES,
+        "tolerances": TOLERANCES,
         "factors": factors,
         "noise": {
             "position": setup.noise.reading.tolist(), "velocity": setup.noise.velocity.tolist(),
