@@ -728,6 +728,11 @@ def comparable(part: str, found: Mapping[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def only_comparable(part: str, *, exact: bool) -> bool:
+    """Whether a part is compared only as far as any processor agrees."""
+    return part in CARRIED and not exact and not rounds_alike()
+
+
 def compare(part: str, now: Mapping[str, Any], *, exact: bool = False) -> list[str]:
     """Differences between the kept figures of a part and those of now.
 
@@ -736,7 +741,7 @@ def compare(part: str, now: Mapping[str, Any], *, exact: bool = False) -> list[s
     need not give (`comparable`).
     """
     before = kept(part)["found"]
-    if not exact and part in CARRIED and not rounds_alike():
+    if only_comparable(part, exact=exact):
         before, now = comparable(part, before), comparable(part, now)
     if part == "gap":
         before = {name: each for name, each in before.items() if name in now}
@@ -820,8 +825,9 @@ def main(words: Sequence[str] | None = None) -> int:
             continue
         found = compare(part, now, exact=options.exact)
         differ |= bool(found)
-        part_of = part in CARRIED and not options.exact and not rounds_alike()
-        limited = ", as far as a processor that rounds otherwise can say" if part_of else ""
+        limited = ""
+        if only_comparable(part, exact=options.exact):
+            limited = ", as far as a processor that rounds otherwise can say"
         print(f"{part}: {f'{len(found)} differences' if found else 'same'}{limited} "
               f"({seconds:.0f} CPU s)")  # fmt: skip
         print("".join(f"  {line}\n" for line in found[:20]), end="", flush=True)

@@ -440,11 +440,10 @@ class Visibility:
                 columns.append((self._moved(motion, moved) - self._base) / step)
                 neutral = 0.0 if name in ("x", "y", "z", "zero", "offset") else 1.0
                 off = float(np.broadcast_to(getattr(arm.factors, name), n)[j]) - neutral
-                width = TOLERANCES[name]
                 # a figure of the model less that of the arm; forces along a motion change in sign
-                ends = (off - width, off + width) if self.balance else (-off - width, width - off)
-                lows.append(min(ends[0], 0.0))
-                highs.append(max(ends[1], 0.0))
+                middle = off if self.balance else -off
+                lows.append(min(middle - TOLERANCES[name], 0.0))
+                highs.append(max(middle + TOLERANCES[name], 0.0))
         if self.setup.form == SERVO:
             step = 0.02 * self.setup.sample
             late = np.broadcast_to(arm.factors.shift, n)
