@@ -87,6 +87,31 @@ class Forces:
         return np.hstack([self.smooth + self.dry * direction, self.readings])
 
 
+class Change:
+    """Change of the balance along the motion, of the channels that it reaches.
+
+    In single precision: a hundred columns of an hour's motion would not fit otherwise.
+    """
+
+    def __init__(self, whole: Array) -> None:
+        self.shape = whole.shape
+        reached = np.flatnonzero(np.any(whole, axis=0))
+        self._series = {int(k): whole[:, k].astype(np.float32) for k in reached}
+
+    def reaches(self, channel: int) -> bool:
+        """Whether a channel changes."""
+        return channel in self._series
+
+    def at(self, channel: int) -> Array:
+        """Change of one channel (T,)."""
+        found = self._series.get(channel)
+        return np.zeros(self.shape[0]) if found is None else found.astype(float)
+
+    def whole(self) -> Array:
+        """Change of all channels that it was made of (T, C)."""
+        return np.stack([self.at(k) for k in range(self.shape[1])], axis=1)
+
+
 class Balance:
     """Force balance of a machine along a measured motion."""
 

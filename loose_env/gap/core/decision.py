@@ -194,7 +194,7 @@ def decide_simulated(
         ends = np.stack(_simulated_ends(best, number))
         sure = not term.effect.interval_includes_null(ends.min(axis=0), ends.max(axis=0))
         by_run, by_stretch = (float(g[number]) for g in gains)
-        held = max(by_run, by_stretch) >= HELD_OUT and min(by_run, by_stretch) > CONTRADICTED
+        held = min(by_run, by_stretch) >= HELD_OUT
         chance = min(chances[term.name], 1.0)
         findings.append(
             Finding(

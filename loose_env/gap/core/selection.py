@@ -435,7 +435,7 @@ class Selection:
         exact = balance.forces(term.effect, values).with_contact(
             balance.directions[term.contact or USUAL]
         )
-        off = exact - sum(s * c.change for s, c in zip(shares, term.columns, strict=True))
+        off = exact - sum(s * c.change.whole() for s, c in zip(shares, term.columns, strict=True))
         lost = 0.0
         for k, channel in enumerate(self.evidence.channels):
             if np.any(off[:, channel.joint]):
