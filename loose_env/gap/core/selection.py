@@ -621,8 +621,9 @@ class _Noise:
         self._growth, self._held, self._noisy = growth, held, noisy
 
     def _scale(self, at: NDArray[np.intp] | slice) -> Array:
-        rows = self._some
-        return np.where(self._by_hold, self._held[rows][:, at], self._growth[rows][:, at])
+        # cells and columns at once: all columns of some cells are many times as many
+        own = (self._some, slice(None)) if isinstance(at, slice) else np.ix_(self._some, at)
+        return np.where(self._by_hold, self._held[own], self._growth[own])
 
     def between(self, left: NDArray[np.intp], right: NDArray[np.intp] | slice) -> Array:
         """Part of the normal matrix between some columns and others."""
