@@ -248,8 +248,7 @@ class Selection:
             beyond, wide, costs = self._explained(k, excess, lawless)
             seen = count + np.where(excess < 0, excess, beyond + wide * self.values[k])
             found.append((seen, count + excess, costs))
-        powers, left, costs_ = zip(*found, strict=True)
-        return powers, left, costs_
+        return tuple(f[0] for f in found), tuple(f[1] for f in found), tuple(f[2] for f in found)
 
     def _explained(self, channel: int, excess: Array, lawless: Array) -> tuple[Array, Array, Array]:
         """Discrepancy of each cell beyond what laws miss, what they miss over noise, and costs.
@@ -676,11 +675,11 @@ class _Form:
             slope = slope + self._fit_noise.along(slice(None))
         return normal, slope
 
-    def around(self, at: Sequence[int]) -> Array:
+    def around(self, columns: NDArray[np.intp]) -> Array:
         """Normal matrix of the columns of a term around the fitted set."""
-        columns = np.array(at)
         found = np.diag(self._evidence.precision[columns])
-        parts = zip(self._evidence.products_of(tuple(at)), self._weights, strict=True)
+        own = self._evidence.products_of(tuple(columns.tolist()))
+        parts = zip(own, self._weights, strict=True)
         for (place, products), weight in parts:
             found[np.ix_(place, place)] += np.tensordot(weight, products, 1)
         return (
