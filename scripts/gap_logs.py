@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from loose_env.gap import find_gap
-from loose_env.gap import GapSettings
 from loose_env.recording import read_recording
 
 
@@ -17,7 +16,7 @@ def main() -> None:
     """Print effects, verdicts and CPU time of each recording named on the command line."""
     for folder in map(Path, sys.argv[1:]):
         start = time.process_time()
-        answer = find_gap(read_recording(folder), GapSettings(threads=1), say=lambda x: print("   ..",x,f"{time.process_time()-start:.0f}",flush=True))
+        answer = find_gap(read_recording(folder))
         decision = answer.decision
         evidence = answer.selection.evidence
         motion = evidence.balance.motion
