@@ -43,10 +43,9 @@ from loose_env.gap.explain import (
     write_gap,
 )
 from loose_env.gap.joined_runs import join_recordings, note_source, read_source
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import Effect, Parameter
 from loose_env.gap.model.effects.catalogue import read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.parameter import Parameter
 from loose_env.gap.next_motion import (
     NEXT_MOTION,
     NextMotion,

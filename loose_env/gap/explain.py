@@ -30,9 +30,9 @@ from loose_env.gap.core.residual import (
     simulated_errors,
 )
 from loose_env.gap.core.selection import neighbours
-from loose_env.gap.model.effects.link_inertia import payload_notes
-from loose_env.gap.model.element_names import naming_notes
+from loose_env.gap.model.effects.inertia import payload_notes
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import naming_notes
 from loose_env.gap.next_motion import NEXT_MOTION, NextMotion, write_next_motion
 from loose_env.gap.output.advice import how_to_see, how_to_separate
 from loose_env.gap.output.corrected_model import correction_code, model_notes, step_for, write_model

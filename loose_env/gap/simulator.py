@@ -1,8 +1,7 @@
 """Simulated sensor values of measured runs under many hypotheses at once, on a thread pool.
 
 A hypothesis is a list of effects with their values. Its predictions are sensor values at the
-samples of the run, channel by channel. The step is chosen for the nominal model; a joint that
-comes to rest or a spring that oscillates within a few steps needs finer ones.
+samples of the run, channel by channel.
 
 A step is simulated with the mean of a command over it. An accelerometer reads the instantaneous
 value: a servo's acceleration jumps with every command. A delayed one reads the value at an earlier
@@ -12,7 +11,7 @@ time, between two steps.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import Effect, Readings
-from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, is_position_or_speed
+from loose_env.gap.model.effects.sensors import column_of, is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import SETTLE, Channel, Trial, steady_activations
@@ -36,25 +35,6 @@ from loose_env.gap.torque_terms import (
     with_terms,
 )
 from loose_env.typing import Array
-
-
-def stepped(trial: Trial, machine: NominalModel, effects: Iterable[Effect]) -> Trial:
-    """Align a run with the steps needed by a hypothesis of these effects."""
-    if machine.uniform_steps or not any(effect.needs_fine_steps for effect in effects):
-        return trial.coarser(machine.merged_steps)
-    return (
-        trial.coarser(machine.merged_steps // 2)
-        if machine.merged_steps > 1
-        else trial.finer(machine.substeps)
-    )
-
-
-def step_with(machine: NominalModel, effects: Iterable[Effect]) -> float:
-    """Time step for a model with these effects, at most that of the machine [s]."""
-    step = machine.time_step
-    needs_fine_steps = any(effect.needs_fine_steps for effect in effects)
-    return step / machine.substeps if needs_fine_steps and machine.merged_steps == 1 else step
-
 
 PARTS = 2
 """Parts of a step where commands change within it: a mean moves the speed rightly, and the place
@@ -194,7 +174,7 @@ class _Slot:
     number: int
     """Index of the run."""
     trial: Trial
-    """The run, aligned with the simulated steps."""
+    """The run."""
     parts: int
     """Number of substeps of each step of the run."""
 
@@ -222,8 +202,7 @@ class Simulator:
         for key, hypothesis in motions.items():
             parts = PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
             models: dict[tuple[float, bool], mujoco.MjModel] = {}
-            for t, laid_out in enumerate(self.trials):
-                trial = stepped(laid_out, self.machine, hypothesis.stepping)
+            for t, trial in enumerate(self.trials):
                 which = trial.step, trial.form == "free"
                 if which not in models:
                     step = trial.step / parts

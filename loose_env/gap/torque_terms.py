@@ -22,8 +22,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.gap.model.driven_effect import DrivenEffect
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import DrivenEffect, Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array

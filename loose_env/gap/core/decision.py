@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loose_env.gap.core.catalogue import Term
 from loose_env.gap.core.exact import ExactFit
 from loose_env.gap.core.selection import Selection, Set, SetFit, neighbours
-from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.model.effect import free_of, values_of
 from loose_env.typing import Array
 
 Verdict = Literal["named", "not needed", "cannot tell", "unexplained"]

@@ -12,8 +12,8 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
+from loose_env.gap.model.effect import Parameter
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 _BEYOND = 1.02
@@ -80,7 +80,6 @@ class NominalParameters:
                 low=1 - wide,
                 high=1 + wide,
                 scale=self.tolerance,
-                centre=1.0,
                 spread=_SPREAD,
             )
             for entry in self.entries

@@ -14,11 +14,10 @@ import numpy as np
 
 from loose_env.arms import files_of
 from loose_env.errors import InvalidData
-from loose_env.gap.model.driven_effect import DrivenEffect
+from loose_env.gap.model.effect import DrivenEffect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, set_step
 from loose_env.gap.output.result import NamedEffect
-from loose_env.gap.simulator import step_with
 from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
@@ -35,16 +34,12 @@ def corrected_spec(
 ) -> mujoco.MjSpec:
     """Build the nominal model with all effects that MJCF can express.
 
-    The time step is the one these effects need. Keyframes keep the positions of the model's own
-    joints; coordinates added by an effect are zero.
+    The time step is that of the nominal model unless one is given. Keyframes keep the positions of
+    the model's own joints; coordinates added by an effect are zero.
     """
-    spec = machine.spec.copy()
+    spec = machine.fresh()
     if step is not None:
         set_step(spec, step)
-    elif machine.step > 0:
-        set_step(spec, step_with(machine, hypothesis.effects))
-    if machine.integrator is not None:
-        spec.option.integrator = machine.integrator
     hypothesis.export(spec)
     _keep_keyframes(spec, machine)
     return spec
@@ -56,7 +51,7 @@ def step_for(machine: NominalModel, hypothesis: Hypothesis) -> float:
     A filter that is much shorter than a step makes a Runge-Kutta method diverge, and MJCF delays
     commands from step to step.
     """
-    step = step_with(machine, hypothesis.effects)
+    step = machine.time_step
     late = [
         float(value)
         for effect, values in hypothesis.pairs
