@@ -477,11 +477,16 @@ class JointEffect(Effect):
         return int(self.machine.model.joint(self.where).dofadr[0])
 
     @property
+    def turns(self) -> bool:
+        """Whether the joint is a hinge; else a slide."""
+        return self.machine.turns(self.where)
+
+    @property
     def torque_unit(self) -> str:
         """Unit of the joint's driving force."""
-        return "N·m" if self.machine.turns(self.where) else "N"
+        return "N·m" if self.turns else "N"
 
     @property
     def angle_unit(self) -> str:
         """Unit of the joint's coordinate."""
-        return "rad" if self.machine.turns(self.where) else "m"
+        return "rad" if self.turns else "m"

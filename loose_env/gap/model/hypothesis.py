@@ -55,11 +55,6 @@ class Hypothesis:
         """Effects with their values."""
         return tuple(zip(self.effects, self.values, strict=True))
 
-    @property
-    def of_model(self) -> Hypothesis:
-        """The same without the initial states, which belong to the runs."""
-        return replace(self, position=None, speed=None)
-
     def with_effects(self, pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
         """Copy with other effects and values, and the same nuisance parameters."""
         effects, values = tuple(e for e, _ in pairs), tuple(v for _, v in pairs)

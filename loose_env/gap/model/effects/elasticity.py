@@ -26,9 +26,7 @@ from loose_env.gap.model.effects.mjcf import (
     keep_from_touching,
     keep_motor_side,
     make_it_stick,
-    move_children,
-    move_geoms,
-    move_sites,
+    move_beyond,
     set_inertial,
     set_stops,
     steiner,
@@ -127,7 +125,7 @@ class SplitJoint(JointEffect):
         keep_motor_side(machine, spec, self.where, self.carried)
         return add_extra_joint(
             spec.body(machine.body_of(self.where)), added_name(spec, self.where, self.kind),
-            turns=machine.turns(self.where), axis=machine.model.jnt_axis[number],
+            turns=self.turns, axis=machine.model.jnt_axis[number],
             pos=machine.model.jnt_pos[number], stiffness=stiffness, damping=damping,
         )  # fmt: skip
 
@@ -199,7 +197,7 @@ class Backlash(SplitJoint):
     def parameters(self) -> tuple[Parameter, ...]:
         """Clearance, stiffness of the stops, damping ratio on them, friction beyond the play."""
         load, length = self.load, 1.0
-        if not self.machine.turns(self.where):
+        if not self.turns:
             # a lone slide has no reach, but it travels
             length = max(reach_of(self.machine), _TRAVEL_S * self.speed)
         play = (
@@ -547,9 +545,7 @@ class LinkFlexibility(LinkEffect, SpringEffect):
         near, far = parts(whole, start, end, share)
         old, here = spec.body(self.where), start + share * (end - start)
         new = old.add_body(name=name, pos=here)
-        move_children(self.machine, spec, old, new, self._along)
-        move_sites(self.machine, spec, old, new, self._along)
-        move_geoms(spec, old, new, self._along)
+        move_beyond(self.machine, spec, old, new, self._along)
         set_inertial(self.machine, spec, self.where, near)
         place = far.centre - here
         set_inertial(self.machine, spec, name, Inertial(far.mass, place, far.tensor))

@@ -10,7 +10,6 @@ cogging or gear teeth. Springs across a joint are cables, hoses, balancers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import atan2, hypot, pi
 from typing import ClassVar
 
@@ -20,9 +19,8 @@ from scipy.signal import lombscargle
 
 from loose_env.gap.model.effect import START_SPEED, DrivenEffect, JointEffect, Parameter
 from loose_env.gap.model.effects.mjcf import (
-    add_cogging,
     add_constant,
-    add_limited_damper,
+    add_passive,
     added_name,
     angle_unit,
     make_it_stick,
@@ -30,28 +28,24 @@ from loose_env.gap.model.effects.mjcf import (
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-_MOVING = 0.05
-"""Speed over the largest from which a joint surely moves."""
 
-
-class _AddedValue(JointEffect):
-    """A value added to one attribute of a joint, negative down to a total of zero."""
+class _Resistance(JointEffect):
+    """A force against the motion by a power of the speed, added to that of the model."""
 
     null_values = (0.0,)
     name: ClassVar[str]
     """Name of the parameter."""
+    power: ClassVar[int]
+    """Power of the speed."""
     most: ClassVar[float]
-    """Largest value over the usual one."""
+    """Largest value added, over the one that gives the typical torque at the typical speed."""
+    shares: ClassVar[tuple[float, ...]]
+    """Values from which fits start, over that one."""
 
     @property
     def usual(self) -> float:
-        """Value that gives the typical torque."""
-        raise NotImplementedError
-
-    @property
-    def unit(self) -> str:
-        """Unit of the value."""
-        raise NotImplementedError
+        """Value that gives the typical torque at the typical speed."""
+        return self.load / self.speed**self.power
 
     @property
     def nominal(self) -> float:
@@ -60,42 +54,23 @@ class _AddedValue(JointEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Added value."""
-        usual, own = self.usual, self.nominal
-        return (
-            Parameter(
-                name=self.name, unit=self.unit, low=0.0 - own, high=own + self.most * usual,
-                scale=0.1 * usual,
-            ),
-        )  # fmt: skip
+        """Added value; negative down to a total of zero."""
+        angle, nominal, usual = self.angle_unit, self.nominal, self.usual
+        unit = self.torque_unit + ("", f"·s/{angle}", f"·s²/{angle}²")[self.power]
+        low, high = 0.0 - nominal, nominal + self.most * usual
+        return (Parameter(name=self.name, unit=unit, low=low, high=high, scale=0.1 * usual),)
 
-    def regressor(self, speed: Array, acceleration: Array) -> Array:
-        """Torque along a motion (T,) for a value of one."""
-        raise NotImplementedError
-
-    def propose(
-        self, angle: Array, speed: Array, acceleration: Array, torque: Array
-    ) -> tuple[tuple[float, ...], ...]:
-        """Propose a start by regression of torque on what the value multiplies."""
-        rate = _fitted_rate(self.regressor(speed, acceleration), torque)
-        return ((self.parameters[0].clipped(rate),),)
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a weak and a strong one."""
+        return tuple((share * self.usual,) for share in self.shares)
 
 
-class ViscousFriction(_AddedValue):
+class ViscousFriction(_Resistance):
     """Viscous damping added to that of the model; negative down to a total of zero."""
 
     kind = "viscous_friction"
-    name, most = "damping", 50.0
-
-    @property
-    def usual(self) -> float:
-        """Damping that gives the typical torque at the typical speed."""
-        return self.load / self.speed
-
-    @property
-    def unit(self) -> str:
-        """Torque per speed."""
-        return f"{self.torque_unit}·s/{self.angle_unit}"
+    name, power, most, shares = "damping", 1, 50.0, (0.05, 0.3)
 
     @property
     def nominal(self) -> float:
@@ -109,8 +84,7 @@ class ViscousFriction(_AddedValue):
         The damping of a model is often set for a stable simulation, ten times the machine's:
         removing half of it shows that, where it matters.
         """
-        starts: tuple[tuple[float, ...], ...] = ((0.05 * self.usual,), (0.3 * self.usual,))
-        much = 0.5 * self.nominal
+        starts, much = super().starts, 0.5 * self.nominal
         return (*starts, (-much,)) if much > starts[-1][0] else starts
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
@@ -126,12 +100,8 @@ class ViscousFriction(_AddedValue):
             damping[0] += added
         joint.damping = damping
 
-    def regressor(self, speed: Array, acceleration: Array) -> Array:
-        """Speed."""
-        return speed
 
-
-class CoulombFriction(_AddedValue):
+class CoulombFriction(_Resistance):
     """Coulomb friction added to that of the model; negative down to a total of zero.
 
     MuJoCo's own friction creeps: with its default impedance, 0.9, a joint that is held against 10
@@ -141,27 +111,12 @@ class CoulombFriction(_AddedValue):
 
     kind = "coulomb_friction"
     needs_fine_steps = True
-    name, most = "torque", 20.0
-
-    @property
-    def usual(self) -> float:
-        """Typical torque."""
-        return self.load
-
-    @property
-    def unit(self) -> str:
-        """Torque."""
-        return self.torque_unit
+    name, power, most, shares = "torque", 0, 20.0, (0.03, 0.2)
 
     @property
     def nominal(self) -> float:
         """Friction of the model."""
         return float(self.machine.model.dof_frictionloss[self._dof])
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a thirtieth and a fifth of the typical torque."""
-        return ((0.03 * self.load,), (0.2 * self.load,))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's friction loss."""
@@ -171,31 +126,12 @@ class CoulombFriction(_AddedValue):
         joint.frictionloss = max(joint.frictionloss + float(values[0]), 0.0)
         make_it_stick(joint, spec.option.timestep)
 
-    def regressor(self, speed: Array, acceleration: Array) -> Array:
-        """Direction of motion, without rest."""
-        return _direction(speed)
 
-
-class QuadraticDrag(_AddedValue):
+class QuadraticDrag(_Resistance):
     """Quadratic drag -c v |v|: second coefficient of MuJoCo's damping polynomial."""
 
     kind = "quadratic_drag"
-    name, most = "drag", 50.0
-
-    @property
-    def usual(self) -> float:
-        """Drag that gives the typical torque at the typical speed."""
-        return self.load / self.speed**2
-
-    @property
-    def unit(self) -> str:
-        """Torque per speed squared."""
-        return f"{self.torque_unit}·s²/{self.angle_unit}²"
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: 5 % and 30 % of the typical torque at the typical speed."""
-        return ((0.05 * self.usual,), (0.3 * self.usual,))
+    name, power, most, shares = "drag", 2, 50.0, (0.05, 0.3)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's damping polynomial."""
@@ -204,51 +140,36 @@ class QuadraticDrag(_AddedValue):
         damping[1] += float(values[0])
         joint.damping = damping
 
-    def regressor(self, speed: Array, acceleration: Array) -> Array:
-        """Speed squared, with its sign."""
-        return speed * np.abs(speed)
 
-
-class RotorInertia(_AddedValue):
+class RotorInertia(JointEffect):
     """Rotor inertia added to that of the model; negative down to a total of zero."""
 
     kind = "rotor_inertia"
     exact_law = True
-    name, most = "inertia", 100.0  # the gear's ratio squared
-
-    @property
-    def usual(self) -> float:
-        """Inertia that the joint moves."""
-        return self.machine.inertia(self.where)
-
-    @property
-    def unit(self) -> str:
-        """Inertia or mass."""
-        return "kg·m²" if self.machine.turns(self.where) else "kg"
-
-    @property
-    def nominal(self) -> float:
-        """Rotor inertia of the model."""
-        return float(self.machine.model.dof_armature[self._dof])
+    null_values = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Added inertia."""
-        return (replace(super().parameters[0], usual=10 * self.usual),)
+        """Added inertia; ten times what the joint moves is usual: the gear's ratio squared."""
+        moved, unit = self.machine.inertia(self.where), "kg·m²" if self.turns else "kg"
+        low = -float(self.machine.model.dof_armature[self._dof])
+        return (
+            Parameter(
+                name="inertia", unit=unit, low=low, high=100 * moved, scale=0.1 * moved,
+                usual=10 * moved,
+            ),
+        )  # fmt: skip
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: a fifth of the inertia that the joint moves, and the same again."""
-        return ((0.2 * self.usual,), (1.0 * self.usual,))
+        moved = self.machine.inertia(self.where)
+        return ((0.2 * moved,), (1.0 * moved,))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's armature."""
         joint = spec.joint(self.where)
         joint.armature = max(joint.armature + float(values[0]), 0.0)
-
-    def regressor(self, speed: Array, acceleration: Array) -> Array:
-        """Acceleration."""
-        return acceleration
 
 
 class AsymmetricFriction(JointEffect):
@@ -290,17 +211,6 @@ class AsymmetricFriction(JointEffect):
         make_it_stick(joint, spec.option.timestep)
         name = added_name(spec, self.where, self.kind)
         add_constant(spec, self.where, name, 0.5 * (backward - forward))
-
-    def propose(
-        self, angle: Array, speed: Array, acceleration: Array, torque: Array
-    ) -> tuple[tuple[float, ...], ...]:
-        """Propose a start by the mean torque in either direction, without rest."""
-        least = _MOVING * np.nanmax(np.abs(speed), initial=0.0)
-        ahead, back = torque[speed > least], torque[speed < -least]
-        if not (np.isfinite(ahead).any() and np.isfinite(back).any()):
-            return ()
-        sides = self.parameters
-        return ((sides[0].clipped(np.nanmean(ahead)), sides[1].clipped(-np.nanmean(back))),)
 
 
 _KNOTS = (0.19, 1.58)
@@ -355,18 +265,8 @@ class StribeckFriction(JointEffect):
         fall = max(ratio - 1, 1e-6) * torque
         for number, (slope, end) in enumerate(_PIECES):
             name = added_name(spec, self.where, f"{self.kind}_{number}")
-            add_limited_damper(
-                spec, self.where, name, damping=-fall * slope / speed, limit=fall * abs(slope) * end
-            )
-
-    def propose(
-        self, angle: Array, speed: Array, acceleration: Array, torque: Array
-    ) -> tuple[tuple[float, ...], ...]:
-        """Propose a start by regression of torque on direction of motion."""
-        rate = _fitted_rate(_direction(speed), torque)
-        if rate <= 0:
-            return ()
-        return ((self.parameters[0].clipped(rate), 1.6, START_SPEED * self.speed),)
+            bias, limit = (0.0, 0.0, fall * slope / speed), fall * abs(slope) * end
+            add_passive(spec, self.where, name, bias=bias, limit=limit)
 
 
 _TRACE = 1e-9
@@ -488,7 +388,7 @@ class TorqueRipple(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Amplitude, periods per turn or per metre, phase."""
         load, one = self.load, 1.0 / self._rate
-        unit = "1/turn" if self.machine.turns(self.where) else "1/m"
+        unit = "1/turn" if self.turns else "1/m"
         return (
             Parameter(
                 name="amplitude", unit=self.torque_unit, low=0.0, high=10 * load, scale=0.1 * load
@@ -500,25 +400,25 @@ class TorqueRipple(JointEffect):
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts with a few numbers of periods; only `propose` can cover all of them."""
-        lone = 1.0 if self.machine.turns(self.where) else 1 / 0.1
+        lone = 1.0 if self.turns else 1 / 0.1
         return tuple(
             (0.1 * self.load, n * lone, phase) for n in (2.0, 6.0) for phase in (0.0, pi / 2)
         )
 
     @property
     def _most(self) -> float:
-        return _MOST_PERIODS if self.machine.turns(self.where) else 1 / 1e-3
+        return _MOST_PERIODS if self.turns else 1 / 1e-3
 
     @property
     def _rate(self) -> float:
         """Phase per unit of position of one period per turn or per metre [1, rad/m]."""
-        return 1.0 if self.machine.turns(self.where) else 2 * pi
+        return 1.0 if self.turns else 2 * pi
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add an actuator without input, with the ripple as its cogging."""
         name = added_name(spec, self.where, self.kind)
         amplitude, periods, phase = (float(v) for v in values)
-        add_cogging(spec, self.where, name, [amplitude, self._rate * periods, phase])
+        add_passive(spec, self.where, name, cogging=(amplitude, self._rate * periods, phase))
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
@@ -600,7 +500,7 @@ class JointSpring(JointEffect):
         if self.machine.model.jnt_limited[number]:
             low, high = self.machine.model.jnt_range[number]
             return float(low), float(high)
-        half = pi / 2 if self.machine.turns(self.where) else 0.5
+        half = pi / 2 if self.turns else 0.5
         return -half, half
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
@@ -620,25 +520,11 @@ class JointSpring(JointEffect):
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
         """Propose a start by regression of torque on angle; its zero is the equilibrium."""
-        stiffness, reference = self.parameters
-        rate = _fitted_rate(angle, torque)
+        good = np.isfinite(angle) & np.isfinite(torque)
+        if good.sum() < 3 or not np.ptp(angle[good]):
+            return ()
+        rate, at_zero = np.polyfit(angle[good], torque[good], 1)
         if rate <= 0:
             return ()
-        rests = float(np.nanmean(angle) - np.nanmean(torque) / rate)
-        return ((stiffness.clipped(rate), reference.clipped(rests)),)
-
-
-def _direction(speed: Array) -> Array:
-    """Direction of motion (T,); NaN at rest."""
-    moving = np.abs(speed) > _MOVING * np.nanmax(np.abs(speed), initial=0.0)
-    return np.where(moving, np.sign(speed), np.nan)
-
-
-def _fitted_rate(regressor: Array, torque: Array) -> float:
-    """Least-squares coefficient of a regressor (T,) in a torque (T,), with intercept."""
-    good = np.isfinite(regressor) & np.isfinite(torque)
-    if good.sum() < 3:
-        return 0.0
-    x = regressor[good] - regressor[good].mean()
-    power = float(x @ x)
-    return float(x @ (torque[good] - torque[good].mean())) / power if power > 0 else 0.0
+        stiffness, reference = self.parameters
+        return ((stiffness.clipped(rate), reference.clipped(-at_zero / rate)),)

@@ -72,34 +72,24 @@ def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
     return name
 
 
-def add_cogging(spec: mujoco.MjSpec, joint: str, name: str, cogging: Sequence[float]) -> None:
-    """Add a torque that is periodic in a joint's angle."""
-    _drive(spec, joint, name, cogging=list(np.asarray(cogging, dtype=float)))
-
-
 def add_constant(spec: mujoco.MjSpec, joint: str, name: str, torque: float) -> None:
     """Add a constant torque [N·m] or force [N] on a joint."""
-    drive = _drive(spec, joint, name)
-    drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    drive.biasprm = [torque, *np.zeros(9)]
+    add_passive(spec, joint, name, bias=(torque, 0.0, 0.0))
 
 
-def add_limited_damper(
-    spec: mujoco.MjSpec, joint: str, name: str, *, damping: float, limit: float
+def add_passive(
+    spec: mujoco.MjSpec,
+    joint: str,
+    name: str,
+    *,
+    bias: Sequence[float] = (),
+    limit: float = 0.0,
+    cogging: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> None:
-    """Add a torque proportional to a joint's speed, up to a limit."""
-    drive = _drive(spec, joint, name)
-    drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    drive.biasprm = [0.0, 0.0, -damping, *np.zeros(7)]
-    drive.forcelimited, drive.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
-
-
-def _drive(
-    spec: mujoco.MjSpec, joint: str, name: str, *, cogging: Sequence[float] = (0.0, 0.0, 0.0)
-) -> mujoco.MjsActuator:
     """Add an actuator to a joint, after the model's own ones and without a command.
 
-    It is a motor with its terminals open: only motors can be without an input.
+    Its torque is affine in the joint's coordinate and speed, up to a limit, or periodic in the
+    coordinate. It is a motor with its terminals open: only motors can be without an input.
     """
     drive = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     # The model's defaults do not apply to this one.
@@ -109,12 +99,13 @@ def _drive(
     drive.damping, drive.armature = np.zeros_like(drive.damping), 0.0
     drive.delay, drive.nsample = 0.0, 0
     drive.set_to_dcmotor(
-        motorconst=[1.0, 0.0],
-        resistance=_OPEN_CIRCUIT,
-        cogging=list(cogging),
+        motorconst=[1.0, 0.0], resistance=_OPEN_CIRCUIT, cogging=list(cogging),
         ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
-    )
-    return drive
+    )  # fmt: skip
+    if bias:
+        drive.biastype, drive.biasprm = mujoco.mjtBias.mjBIAS_AFFINE, [*bias, *np.zeros(7)]
+    if limit:
+        drive.forcelimited, drive.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
 
 
 def make_it_stick(joint: mujoco.MjsJoint | mujoco.MjsTendon, step: float) -> None:
@@ -193,16 +184,6 @@ def steiner(mass: float, lever: Array) -> Array:
     array([18., 18.,  0.])
     """
     return mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-
-
-def last_joints(machine: NominalModel) -> tuple[str, ...]:
-    """List joints that are the last of their body, behind which one can be added."""
-    bodies = [int(b) for b in machine.model.jnt_bodyid]
-    return tuple(
-        name
-        for k, name in enumerate(machine.joints)
-        if k + 1 == len(bodies) or bodies[k + 1] != bodies[k]
-    )
 
 
 def add_extra_joint(
@@ -293,27 +274,58 @@ def joint_inertia(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
     return float(mass_matrix(model, data)[dof, dof]), float(model.dof_invweight0[dof])
 
 
-def move_children(
+def move_beyond(
     machine: NominalModel,
     spec: mujoco.MjSpec,
     old: mujoco.MjsBody,
     new: mujoco.MjsBody,
     along: Array,
 ) -> None:
-    """Move the bodies on the far side of ``new`` from ``old`` to it, with subtrees.
+    """Move what lies on the far side of ``new`` from ``old`` to it: bodies, sites and geoms.
+
+    Geoms in frames stay.
+    """
+    here, model = np.array(new.pos), machine.model
+
+    def beyond(place: Array) -> bool:
+        return bool((place - here) @ along >= -_ROUNDING)
+
+    moving = []
+    for child in list(old.bodies):
+        place, turn = _pose(machine, child)
+        if child.name != new.name and beyond(place):
+            moving.append((child.name, place - here, turn))
+    if moving:
+        _move_bodies(spec, new, moving)
+    known = {model.site(s).name for s in range(model.nsite)}
+    for site in list(old.sites):
+        place, turn = np.array(site.pos), np.array(site.quat)
+        if site.name in known:  # with frames and angles resolved
+            number = model.site(site.name).id
+            place, turn = model.site_pos[number], model.site_quat[number]
+        if beyond(place):
+            moved = new.add_site()
+            _move(spec, site, moved, {"pos": place - here, "quat": turn})
+            moved.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    for geom in list(old.geoms):
+        ends = np.array(geom.fromto).reshape(2, 3)
+        spanned = bool(np.isfinite(ends).all())
+        place = ends.mean(axis=0) if spanned else np.array(geom.pos)
+        if geom.frame is None and beyond(place):
+            placed = {"pos": place - here, "quat": geom.quat}
+            placed = {"fromto": (ends - here).ravel()} if spanned else placed
+            _move(spec, geom, new.add_geom(), placed)
+
+
+def _move_bodies(
+    spec: mujoco.MjSpec, new: mujoco.MjsBody, moving: Sequence[tuple[str, Array, Array | None]]
+) -> None:
+    """Move bodies with their subtrees: name, position and quaternion of each.
 
     MuJoCo cannot move a body within a spec; a copy of it is attached instead. References by name,
     actuators and sensors among them, keep their order: the names are released before the originals
     are deleted and reassigned to the copies.
     """
-    here = np.array(new.pos)
-    moving = []
-    for child in list(old.bodies):
-        place, turn = _pose(machine, child)
-        if child.name != new.name and (place - here) @ along >= -_ROUNDING:
-            moving.append((child.name, place - here, turn))
-    if not moving:
-        return
     copy = spec.copy()
     for several in (
         copy.actuators, copy.sensors, copy.equalities, copy.tendons, copy.keys, copy.excludes,
@@ -336,42 +348,6 @@ def move_children(
             moved.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         for element in _elements(moved):
             element.name = element.name.removeprefix(prefix)
-
-
-def move_sites(
-    machine: NominalModel,
-    spec: mujoco.MjSpec,
-    old: mujoco.MjsBody,
-    new: mujoco.MjsBody,
-    along: Array,
-) -> None:
-    """Move the sites on the far side of ``new`` from ``old`` to it."""
-    here = np.array(new.pos)
-    known = {machine.model.site(s).name for s in range(machine.model.nsite)}
-    for site in list(old.sites):
-        place, turn = np.array(site.pos), np.array(site.quat)
-        if site.name in known:  # with frames and angles resolved
-            number = machine.model.site(site.name).id
-            place, turn = machine.model.site_pos[number], machine.model.site_quat[number]
-        if (place - here) @ along >= -_ROUNDING:
-            moved = new.add_site()
-            _move(spec, site, moved, {"pos": place - here, "quat": turn})
-            moved.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-
-
-def move_geoms(spec: mujoco.MjSpec, old: mujoco.MjsBody, new: mujoco.MjsBody, along: Array) -> None:
-    """Move the geoms beyond ``new`` from ``old`` to it; those in frames stay."""
-    here = np.array(new.pos)
-    for geom in list(old.geoms):
-        ends = np.array(geom.fromto).reshape(2, 3)
-        spanned = bool(np.isfinite(ends).all())
-        place = ends.mean(axis=0) if spanned else np.array(geom.pos)
-        if geom.frame is not None or (place - here) @ along < -_ROUNDING:
-            continue
-        if spanned:
-            _move(spec, geom, new.add_geom(), {"fromto": (ends - here).ravel()})
-        else:
-            _move(spec, geom, new.add_geom(), {"pos": place - here, "quat": geom.quat})
 
 
 def insert_first(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:

@@ -349,7 +349,7 @@ class EncoderOffset(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Offset: reading minus truth."""
-        if self.machine.turns(self.where):
+        if self.turns:
             return (Parameter(name="offset", unit="rad", low=-1.0, high=1.0, scale=0.02),)
         return (Parameter(name="offset", unit="m", low=-0.3, high=0.3, scale=0.005),)
 
