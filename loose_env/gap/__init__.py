@@ -58,6 +58,8 @@ from loose_env.gap.next_motion import (
 )
 from loose_env.gap.output.advice import how_to_see, how_to_separate
 from loose_env.gap.output.corrected_model import write_model
+from loose_env.gap.output.export import TARGETS, export_result, write_export
+from loose_env.gap.output.export_source import Export, ExportSettings
 from loose_env.gap.output.result import (
     ChannelVerdict,
     EffectLocation,
@@ -72,13 +74,6 @@ from loose_env.gap.output.result import (
     VisibleEffect,
     read_result,
 )
-from loose_env.gap.output.targets.export import (
-    TARGETS,
-    ExportSettings,
-    export_result,
-    write_export,
-)
-from loose_env.gap.output.targets.source import Export
 from loose_env.gap.planned_motion import NextMotionSettings
 from loose_env.gap.session import GapSession
 from loose_env.gap.settings import GapSettings

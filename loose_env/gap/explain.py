@@ -29,7 +29,7 @@ from loose_env.gap.core.residual import (
     responses,
     simulated_errors,
 )
-from loose_env.gap.core.selection import neighbours
+from loose_env.gap.core.selection import Selection, SetFit, neighbours
 from loose_env.gap.model.effects.inertia import payload_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import naming_notes
@@ -171,8 +171,8 @@ def solve_gap(
         nominal = selection.solve(())
         before, after = left_by(selection, nominal), left_by(selection, fit)
         gap = Gap(
-            before=_pooled(answer, held_out_rms(selection, nominal)),
-            after=_pooled(answer, held_out_rms(selection, fit)),
+            before=pooled_rms(selection, nominal),
+            after=pooled_rms(selection, fit),
             by_channel=_by_channel(answer),
             by_quantity=force_errors(answer, before, after) | simulated_errors(answer, corrected),
         )
@@ -292,10 +292,10 @@ def _verdict(answer: Answer) -> Verdict:
     return "no_gap" if words <= {"not needed"} else "unexplained"
 
 
-def _pooled(answer: Answer, by_channel: Array) -> float:
-    """Root mean square over the values of all channels."""
-    counts = np.array([c.count.sum() for c in answer.selection.evidence.channels])
-    return float(np.sqrt(np.sum(counts * by_channel**2) / counts.sum()))
+def pooled_rms(selection: Selection, fit: SetFit) -> float:
+    """Held-out residual of a fitted set over the values of all channels."""
+    counts = np.array([c.count.sum() for c in selection.evidence.channels])
+    return float(np.sqrt(np.sum(counts * held_out_rms(selection, fit) ** 2) / counts.sum()))
 
 
 def _by_channel(answer: Answer) -> dict[str, tuple[float, float]]:

@@ -446,7 +446,7 @@ class Simulator:
                 values = effect.command(clock[:count], values, own)
             controls[k, :count, : values.shape[1]] = values
             controls[k, count:] = controls[k, count - 1]  # a shorter run ends there
-            batch.act[k] = steady_activations(slot.model, controls[k, 0], slot.trial.step / parts)
+            batch.act[k] = steady_activations(slot.model, controls[k, 0])
         diverged = np.zeros(len(slots), dtype=bool)
         resting = np.array([slot.trial.resting for slot in slots])
         if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time

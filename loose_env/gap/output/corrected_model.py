@@ -6,7 +6,7 @@ The file loads in any MuJoCo without this package, and lists at its head what wa
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -230,23 +230,12 @@ def model_notes(named: Sequence[NamedEffect], pulled: Sequence[str]) -> list[str
     notes = ["Corrected by loose gap."]
     if named:
         notes.append("Added to the nominal model:")
-        notes += [
-            _words(each.kind, each.where, each.parameters, each.units, each.in_model)
-            for each in named
-        ]
+        for each in named:
+            place = "" if each.in_model else " (not in model.xml: see result.json, code)"
+            notes.append(f"{each.kind} at {each.where}: {each.values_in_words()}{place}")
     else:
         notes.append("No effect was added to the nominal model.")
     if pulled:
         notes.append("Not changed, though the data pull them out of their tolerances:")
         notes += pulled
     return notes
-
-
-def _words(
-    kind: str, where: str, values: Mapping[str, float], units: Mapping[str, str], in_model: bool
-) -> str:
-    numbers = ", ".join(
-        f"{name} {value:.4g} {units.get(name, '')}".rstrip() for name, value in values.items()
-    )
-    place = "" if in_model else " (not in model.xml: see result.json, code)"
-    return f"{kind} at {where}: {numbers}{place}"
