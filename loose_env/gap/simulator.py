@@ -414,7 +414,6 @@ class Simulator:
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:
         """Key of the motion: hypotheses that differ in readings alone share it."""
-        starts = (hypothesis.position, hypothesis.speed)
         return (
             hypothesis.factors.tobytes(),
             tuple(map(id, hypothesis.stepped_as)),
@@ -423,7 +422,6 @@ class Simulator:
                 for effect, values in hypothesis.pairs
                 if effect.moves or effect.sensor_delay(values) is not None
             ),
-            *(None if start is None else start.tobytes() for start in starts),
         )
 
     def _simulate(self, slots: list[_Slot]) -> list[Array]:
@@ -495,19 +493,13 @@ class Simulator:
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         qpos, qvel = batch.qpos, batch.qvel
         for k, slot in enumerate(slots):
-            trial, hypothesis = slot.trial, slot.hypothesis
             at = [slot.model.joint(name) for name in self.machine.joints]
             places = [int(j.qposadr[0]) for j in at]
             dofs = [int(j.dofadr[0]) for j in at]
-            position, speed = trial.position, trial.speed
-            if hypothesis.position is not None:
-                position = position + hypothesis.position[slot.number]
-            if hypothesis.speed is not None:
-                speed = speed + hypothesis.speed[slot.number]
             qpos[k] = slot.model.qpos0
-            qpos[k, places] = position
+            qpos[k, places] = slot.trial.position
             qvel[k] = 0.0
-            qvel[k, dofs] = speed
+            qvel[k, dofs] = slot.trial.speed
 
     def _columns(
         self, hypothesis: Hypothesis, model: mujoco.MjModel, whole: Array, trial: Trial

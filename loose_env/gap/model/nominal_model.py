@@ -110,22 +110,15 @@ class NominalModel:
         """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
         return np.asarray(self._gears[self.joint_number(joint)])
 
+    def drives_of(self, joint: str) -> Array:
+        """Mask of the actuators that act on a joint in any of some poses (actuators,)."""
+        return np.asarray(self._acting[self.joint_number(joint)])
+
     @cached_property
-    def pose_dependent_joints(self) -> tuple[str, ...]:
-        """Joints with an actuator whose transmission depends on the pose."""
-        model: mujoco.MjModel = self.model
-        changing = [k for k in range(len(self.actuators)) if not _has_one_gear(model, k)]
-        if not changing:
-            return ()
-        rng = np.random.default_rng(0)
-        poses = [model.qpos0 + rng.uniform(-1.0, 1.0, model.nq) for _ in range(_POSES)]
-        acting = np.any([self._moments(pose)[:, changing] != 0 for pose in poses], axis=(0, 2))
-        for k in changing:
-            if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_BODY:  # acts only on contact
-                acting |= np.isin(
-                    model.jnt_bodyid, _up_from(model, int(model.actuator_trnid[k, 0]))
-                )
-        return tuple(n for n, acts in zip(self.joints, acting, strict=True) if acts)
+    def _acting(self) -> Array:
+        rng, zero = np.random.default_rng(0), self.model.qpos0
+        poses = [zero, *(zero + rng.uniform(-1.0, 1.0, len(zero)) for _ in range(_POSES))]
+        return np.any([self._moments(pose) != 0 for pose in poses], axis=0)
 
     def _moments(self, pose: Array) -> Array:
         """Torque on each joint per force of each actuator in a pose (joints, actuators)."""
@@ -189,11 +182,6 @@ class NominalModel:
     def body_of(self, joint: str) -> str:
         """Return the name of the body that a joint moves."""
         return str(self.model.body(int(self.model.jnt_bodyid[self.joint_number(joint)])).name)
-
-    def first_joint(self, link: str) -> str:
-        """Return the first joint of a link."""
-        bodies = [int(b) for b in self.model.jnt_bodyid]
-        return self.joints[bodies.index(self.model.body(link).id)]
 
     @cached_property
     def inertias(self) -> Array:
@@ -267,28 +255,6 @@ def history_for(delay: float, step: float) -> int:
     24
     """
     return 2 * ceil(delay / step - 1e-9) + 2
-
-
-def _has_one_gear(model: mujoco.MjModel, actuator: int) -> bool:
-    """Return whether an actuator has the same torque per force in all poses.
-
-    It does at a joint and at a fixed tendon, a weighted sum of joints; not at a spatial tendon, a
-    site, a crank or a body.
-    """
-    if int(model.actuator_trntype[actuator]) in _AT_JOINT:
-        return True
-    if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
-        return False
-    first = int(model.tendon_adr[model.actuator_trnid[actuator, 0]])
-    return bool(model.wrap_type[first] == mujoco.mjtWrap.mjWRAP_JOINT)
-
-
-def _up_from(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return a body and its ancestors."""
-    found = [body]
-    while found[-1] > 0:
-        found.append(int(model.body_parentid[found[-1]]))
-    return found
 
 
 def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:

@@ -40,7 +40,7 @@ def corrected_spec(
     spec = machine.fresh()
     if step is not None:
         set_step(spec, step)
-    hypothesis.export(spec)
+    hypothesis.edit(spec, export=True)
     _keep_keyframes(spec, machine)
     return spec
 

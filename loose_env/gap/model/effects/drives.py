@@ -90,9 +90,8 @@ class ActuatorGain(DriveEffect):
         machine = self.machine
         if self.variant == "command" or machine.actuated_joint.get(self.where) != joint:
             return torque
-        if np.count_nonzero(machine.gears(joint)) != 1 or joint in machine.pose_dependent_joints:
-            return torque
-        return torque / float(values[0])
+        alone = np.count_nonzero(machine.drives_of(joint)) == 1
+        return torque / float(values[0]) if alone else torque
 
 
 _SHORTEST = 1e-9  # a lag below this is zero [s]

@@ -513,7 +513,7 @@ class LinkFlexibility(LinkEffect, SpringEffect):
         if normal is not None:
             axis = self.in_link(normal)
         else:
-            axis = machine.model.jnt_axis[machine.joint_number(machine.first_joint(where))]
+            axis = machine.model.jnt_axis[int(machine.model.body(where).jntadr[0])]
         axis = axis - self._along * (axis @ self._along)
         if np.linalg.norm(axis) < _ALONG:
             axis = frame_about(self._along)[1]
