@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Sequence
 from math import ceil
 
 import mujoco
@@ -269,8 +267,8 @@ _SPEEDS = (1.5, 4.0)
 """No-load speeds from which fits start, over the typical speed."""
 
 
-class DriveLimit(DriveEffect):
-    """A limit of the drive of one joint, its force linear in command, position and speed."""
+class JointDriveEffect(DriveEffect):
+    """An effect of the drive of one joint, its force linear in command, position and speed."""
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -278,29 +276,40 @@ class DriveLimit(DriveEffect):
         return tuple(n for n in ActuatorGain.locations(machine) if n in machine.actuated_joint)
 
     @property
-    def _joint(self) -> str:
+    def joint(self) -> str:
+        """Joint that it drives."""
         return self.machine.actuated_joint[self.where]
 
     @property
-    def _gear(self) -> float:
-        return abs(float(self.machine.model.actuator_gear[self._number, 0])) or 1.0
+    def gear(self) -> float:
+        """Torque on the joint per force of the drive, with its sign."""
+        return float(self.machine.model.actuator_gear[self._number, 0]) or 1.0
 
-    def _limit(self, name: str) -> Parameter:
-        """Largest force of the actuator, at most that of the model."""
-        model, usual = self.machine.model, self.machine.load(self._joint) / self._gear
+
+class DriveLimit(JointDriveEffect):
+    """A limit of the force of a drive, which may fall with speed."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Largest force of the actuator, at most that of the model; times its gear on the joint."""
+        model, usual = self.machine.model, self.machine.load(self.joint) / abs(self.gear)
         high = _HIGHEST * usual
         if model.actuator_forcelimited[self._number]:
             high = float(np.max(np.abs(model.actuator_forcerange[self._number])))
-        unit = "N·m" if self.machine.turns(self._joint) else "N"
-        return Parameter(
-            name=name, unit=unit, low=min(_LOWEST * usual, 0.5 * high), high=high, scale=usual,
-            log=True,
-        )  # fmt: skip
+        unit, low = (
+            "N·m" if self.machine.turns(self.joint) else "N",
+            min(_LOWEST * usual, 0.5 * high),
+        )
+        name = self.limit[0][0]
+        return (Parameter(name=name, unit=unit, low=low, high=high, scale=usual, log=True),)
 
-    def _starts(self, torques: Sequence[float]) -> tuple[float, ...]:
-        """Limits to start from, below that of the model."""
-        limit = self.parameters[0]
-        return tuple(dict.fromkeys(limit.clipped(min(t, 0.8 * limit.high)) for t in torques))
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts around the typical torque, below the limit of the model, and typical speed."""
+        limit, *more = self.parameters
+        torques = (limit.clipped(min(s * limit.scale, 0.8 * limit.high)) for s in _STARTS)
+        speeds = [(share * p.scale,) for p in more for share in _SPEEDS] or [()]
+        return tuple((t, *speed) for t in dict.fromkeys(torques) for speed in speeds)
 
     def propose_limit(
         self, speed: Array, asked: Array, needed: Array
@@ -309,39 +318,29 @@ class DriveLimit(DriveEffect):
 
         Without such a limit that is the largest torque given.
         """
-        rate, asked, needed = speed * self._gear, asked / self._gear, needed / self._gear
-        limit = self.parameters[0]
+        gear = abs(self.gear)
+        rate, asked, needed = speed * gear, asked / gear, needed / gear
+        limit, *more = self.parameters
         most = limit.clipped(float(np.max(np.abs(needed))))
         least = min(max(limit.low, _LEAST_GIVEN * most), most)
         # from the largest on: of limits that explain as much the first is taken
-        torques = np.geomspace(most, least, _GRID)
-        tried = [(float(t), *more) for more in self._beside() for t in torques]
-        off = [np.mean(np.abs(needed - self._limited(asked, rate, each))) for each in tried]
+        torques = np.geomspace(most, least, _GRID).tolist()
+        speeds = [(v,) for p in more for v in np.geomspace(p.high, p.low, _SPEED_GRID).tolist()]
+        tried = [(t, *speed) for speed in speeds or [()] for t in torques]
+        off = [np.mean(np.abs(needed - _limited(asked, rate, *each))) for each in tried]
         return (tried[int(np.argmin(off))],)
 
-    def _beside(self) -> tuple[tuple[float, ...], ...]:
-        """Values of further parameters that are tried beside each limit."""
-        return ((),)
-
-    @abstractmethod
-    def _limited(self, force: Array, speed: Array, values: Sequence[float]) -> Array:
-        """Force (T,) of the limited actuator, of that without limit and its speed."""
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts around the typical torque."""
-        return self._about([share * self.parameters[0].scale for share in _STARTS])
-
-    def _about(self, torques: Sequence[float]) -> tuple[tuple[float, ...], ...]:
-        """Starts at some limits."""
-        return tuple((value,) for value in self._starts(torques))
-
-    def _set(self, spec: mujoco.MjSpec, limit: float) -> mujoco.MjsActuator:
-        """Set the limit of a spec's actuator."""
-        actuator = spec.actuator(self.where)
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Set the actuator's force range."""
+        actuator, limit = spec.actuator(self.where), float(values[0])
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [-limit, limit]
-        return actuator
+
+
+def _limited(force: Array, speed: Array, stall: float, free: float = np.inf) -> Array:
+    """Force (T,) of a limited actuator, of that without limit and its speed."""
+    back = stall / free * speed
+    return np.asarray(np.clip(force + back, -stall, stall) - back)
 
 
 class TorqueLimit(DriveLimit):
@@ -349,18 +348,6 @@ class TorqueLimit(DriveLimit):
 
     kind = "torque_limit"
     limit = (("limit", "high"),)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Largest force of the actuator; on the joint it is that times its gear."""
-        return (self._limit("limit"),)
-
-    def _limited(self, force: Array, speed: Array, values: Sequence[float]) -> Array:
-        return np.clip(force, -values[0], values[0])
-
-    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Set the actuator's force range."""
-        self._set(spec, float(values[0]))
 
 
 class VoltageLimit(DriveLimit):
@@ -377,26 +364,12 @@ class VoltageLimit(DriveLimit):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest force at standstill; speed of the actuator at which none is left."""
-        usual = self.machine.speed(self._joint) * self._gear
-        unit = "rad/s" if self.machine.turns(self._joint) else "m/s"
+        usual = self.machine.speed(self.joint) * abs(self.gear)
+        unit = "rad/s" if self.machine.turns(self.joint) else "m/s"
         speed = Parameter(
             name="no_load_speed", unit=unit, low=0.2 * usual, high=50 * usual, scale=usual, log=True
         )
-        return (self._limit("stall_torque"), speed)
-
-    def _about(self, torques: Sequence[float]) -> tuple[tuple[float, ...], ...]:
-        """Starts at some stall torques and around the typical speed."""
-        usual = self.parameters[1].scale
-        return tuple((value, s * usual) for value in self._starts(torques) for s in _SPEEDS)
-
-    def _beside(self) -> tuple[tuple[float, ...], ...]:
-        speed = self.parameters[1]
-        return tuple((float(v),) for v in np.geomspace(speed.high, speed.low, _SPEED_GRID))
-
-    def _limited(self, force: Array, speed: Array, values: Sequence[float]) -> Array:
-        stall, free = values
-        back = stall / free * speed
-        return np.clip(force + back, -stall, stall) - back
+        return (*super().parameters, speed)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Limit the force without back-EMF, which acts beyond the limit as the actuator's damping.
@@ -404,21 +377,18 @@ class VoltageLimit(DriveLimit):
         With stall torque T and back-EMF b v, clipping a force f to ± T - b v is the same as
         clipping f + b v to ± T and taking b v off again.
         """
-        stall, free = float(values[0]), float(values[1])
-        actuator = self._set(spec, stall)
-        back = stall / free
-        bias = np.array(actuator.biasprm)
+        super().edit(spec, values)
+        actuator, back = spec.actuator(self.where), float(values[0] / values[1])
+        bias, damping = np.array(actuator.biasprm), np.array(actuator.damping)
         if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
             bias[:3] = 0.0
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         bias[2] += back
-        actuator.biasprm = bias
-        damping = np.array(actuator.damping)
         damping[0] += back
-        actuator.damping = damping
+        actuator.biasprm, actuator.damping = bias, damping
 
 
-class DeadZone(DrivenEffect, DriveEffect):
+class DeadZone(DrivenEffect, JointDriveEffect):
     """Dead zone: an error of less than ``width`` gives no torque, a larger one that beyond it.
 
     Of a position servo the error of position, of a motor without feedback the command.
@@ -432,7 +402,7 @@ class DeadZone(DrivenEffect, DriveEffect):
         """Return drives of a joint with a position feedback, or with none."""
         model = machine.model
         kept = []
-        for name in TorqueLimit.locations(machine):
+        for name in super().locations(machine):
             number = machine.actuators.index(name)
             gain, _, rate = model.actuator_gainprm[number, :3]
             offset, stiffness, damping = model.actuator_biasprm[number, :3]
@@ -444,8 +414,7 @@ class DeadZone(DrivenEffect, DriveEffect):
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         model, number = machine.model, self._number
-        self._joint = machine.joint_number(machine.actuated_joint[where])
-        self._gear = float(model.actuator_gear[number, 0])
+        self._place = machine.joint_number(self.joint)
         self._servo = bool(model.actuator_biasprm[number, 1] != 0)
         limited = model.actuator_ctrllimited[number]
         self._limits = model.actuator_ctrlrange[number].tolist() if limited else None
@@ -453,9 +422,9 @@ class DeadZone(DrivenEffect, DriveEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Half width of the dead zone."""
-        machine, joint = self.machine, self.machine.actuated_joint[self.where]
+        machine, joint = self.machine, self.joint
         gain = abs(float(machine.model.actuator_gainprm[self._number, 0])) or 1.0
-        usual = machine.load(joint) / (abs(self._gear) * gain)
+        usual = machine.load(joint) / (abs(self.gear) * gain)
         unit = "" if not self._servo else "rad" if machine.turns(joint) else "m"
         return (Parameter(name="width", unit=unit, low=0.0, high=5 * usual, scale=0.1 * usual),)
 
@@ -471,14 +440,14 @@ class DeadZone(DrivenEffect, DriveEffect):
         own = found[..., self._number]
         if self._limits:
             own = np.clip(own, *self._limits)
-        at = self._gear * position[..., self._joint] if self._servo else np.zeros_like(own)
+        at = self.gear * position[..., self._place] if self._servo else np.zeros_like(own)
         found[..., self._number] = own - np.clip(own - at, -width, width)
         return found
 
     def feedback_code(self, values: Array) -> str:
         """Python lines: the command less the part of the error in the dead zone."""
         number, width = self._number, float(values[0])
-        at = f"{self._gear!r} * position[{self._joint}]" if self._servo else "0.0"
+        at = f"{self.gear!r} * position[{self._place}]" if self._servo else "0.0"
         error = f"command[{number}] - {at}"
         limited = ""
         if self._limits:
