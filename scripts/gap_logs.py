@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.gap import find_gap
+from loose_env.gap import GapSettings, find_gap
 from loose_env.recording import read_recording
 
 
@@ -16,7 +16,7 @@ def main() -> None:
     """Print effects, verdicts and CPU time of each recording named on the command line."""
     for folder in map(Path, sys.argv[1:]):
         start = time.process_time()
-        answer = find_gap(read_recording(folder))
+        answer = find_gap(read_recording(folder), GapSettings(threads=1), say=lambda x: print("   ..",x,f"{time.process_time()-start:.0f}",flush=True))
         decision = answer.decision
         evidence = answer.selection.evidence
         motion = evidence.balance.motion
@@ -26,9 +26,9 @@ def main() -> None:
             f"{time.process_time() - start:.1f} s CPU"
         )
         for e in answer.exact:
-            words = ", ".join(f"{t.effect.kind}@{t.effect.where}" for t in e.fit.terms)
+            words = ", ".join(f"{t.effect.kind}@{t.effect.where}" for t in e.terms)
             print(
-                f"  exact {e.total:.0f}, cells {e.fit.total:.0f}: {words}; rms {np.round(e.rms, 1)}"
+                f"  exact {e.total:.0f}: {words}; rms {np.round(e.rms, 1)}"
             )
         for f in sorted(decision.findings, key=lambda f: f.term.name):
             values = ", ".join(

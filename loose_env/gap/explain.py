@@ -397,7 +397,7 @@ def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
 
 def _ranking(answer: Answer) -> tuple[RankedSet, ...]:
     """Best sets of effects that were visited, each set of kinds and locations once."""
-    simulated = {frozenset(t.name for t in e.fit.terms): e.total for e in answer.exact}
+    simulated = {frozenset(t.name for t in e.terms): e.total for e in answer.exact}
     totals: dict[frozenset[tuple[str, str]], float] = {}
     for fit in (*answer.selection.fits.values(), answer.decision.fit):
         names = frozenset(term.name for term in fit.terms)

@@ -36,6 +36,8 @@ _POSES = 24
 _NUDGE = 1e-4
 """Displacement of numerical derivatives [rad, m]."""
 
+_MOST_LOAD = 0.9
+"""Share of a drive's torque from which friction by load would lock it."""
 _MODEL = 1e-4
 """Error of any torque, as a share of the typical one: rounding, integration."""
 _SPRINGS, _DAMPINGS = 90, (0.02, 0.06, 0.2)
@@ -82,6 +84,31 @@ class Forces:
     def with_contact(self, direction: Array) -> Array:
         """The whole change for a direction of sliding (T, joints + R)."""
         return np.hstack([self.smooth + self.dry * direction, self.readings])
+
+
+class Change:
+    """Change of the balance along the motion, of the channels that it reaches.
+
+    In single precision: a hundred columns of an hour's motion would not fit otherwise.
+    """
+
+    def __init__(self, whole: Array) -> None:
+        self.shape = whole.shape
+        reached = np.flatnonzero(np.any(whole, axis=0))
+        self._series = {int(k): whole[:, k].astype(np.float32) for k in reached}
+
+    def reaches(self, channel: int) -> bool:
+        """Whether a channel changes."""
+        return channel in self._series
+
+    def at(self, channel: int) -> Array:
+        """Change of one channel (T,)."""
+        found = self._series.get(channel)
+        return np.zeros(self.shape[0]) if found is None else found.astype(float)
+
+    def whole(self) -> Array:
+        """Change of all channels that it was made of (T, C)."""
+        return np.stack([self.at(k) for k in range(self.shape[1])], axis=1)
 
 
 class Balance:
@@ -158,7 +185,7 @@ class Balance:
         The balance along the motion that the joint then made; its drive knew that motion.
         """
         joint, column = self.encoders[effect.where], column_of(effect.where)
-        parts = []
+        parts, shares = [], []
         for run, q in zip(self.motion.runs, self.motion.split(self.position), strict=True):
             own = q[:, joint]
             mirrored = np.concatenate([own, own[::-1]])
@@ -170,6 +197,8 @@ class Balance:
                 off = own - effect.read(run.time, {column: own}, values)[column]
                 wave = np.fft.rfft(np.concatenate([off, off[::-1]]))
             parts.append([np.fft.irfft((1j * turn) ** k * wave)[: len(own)] for k in range(3)])
+            swing = own - own.mean()
+            shares.append((float(swing @ parts[-1][0]), float(swing @ swing)))
         moved = [np.concatenate([part[k] for part in parts]) for k in range(3)]
         states = []
         for known, more in zip((self.position, self.speed, self.acceleration), moved, strict=True):
@@ -178,11 +207,16 @@ class Balance:
         needed, given = self._forces(
             self._nominal, self.commands, (states[0], states[1], states[2])
         )
+        # the noise of a joint that moves less than is read is less, too
+        more, whole = np.sum(shares, axis=0)
+        operator = np.zeros_like(self.operator)
+        if not effect.is_time_shift:
+            operator[..., joint] = more / (whole + 1e-300) * self.operator[..., joint]
         return Forces(
             smooth=needed - given - (self.needed - self.given),
             dry=np.zeros_like(needed),
             readings=self.readings.turned(joint, moved),
-            operator=np.zeros_like(self.operator),
+            operator=operator,
         )
 
     def edited(self, spec: mujoco.MjSpec) -> Forces:
@@ -223,9 +257,9 @@ class Balance:
                 )
                 needed -= np.concatenate([effect.torque(q, v, values) for q, v in paths])
             if isinstance(effect, DrivenEffect):
-                # the load that the model needs: the drive's own torque contains the friction
-                driven = np.where((self.forms == "free")[:, None], 0.0, self.needed)
-                dry += effect.dry_friction(driven, self.bias, self.speed, values)
+                dry += effect.dry_friction(
+                    self._loads(effect, values), self.bias, self.speed, values
+                )
             if type(effect).sensed_torque is not Effect.sensed_torque:
                 inverse = self.forms == "inverse"
                 for joint, name in enumerate(self.machine.joints):
@@ -237,6 +271,20 @@ class Balance:
             readings=self.readings.change(model, effect, values) + felt,
             operator=operator,
         )
+
+    def _loads(self, effect: DrivenEffect, values: Array) -> Array:
+        """Drive torques that carry a friction by load beside what the model needs (T, joints).
+
+        Not the drive's own torque, which contains all other friction as well.
+        """
+        none, one = (
+            effect.dry_friction(np.full_like(self.needed, load), self.bias, self.speed, values)
+            for load in (0.0, 1.0)
+        )
+        share, direction = np.minimum(one - none, _MOST_LOAD), self.directions[USUAL]
+        carried = self.needed + direction * none
+        driven = carried / (1 - share * np.sign(carried) * direction)
+        return np.where((self.forms == "free")[:, None], 0.0, driven)
 
     def _dofs(self, model: mujoco.MjModel) -> Array:
         """Degree of freedom of each of the machine's joints in an edited model."""

@@ -14,7 +14,7 @@ from math import log
 
 import numpy as np
 
-from loose_env.gap.core.balance import CONTACTS, USUAL, Balance
+from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change
 from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.drives import DriveLimit
@@ -47,7 +47,7 @@ Late = tuple[int, float] | None
 class Column:
     """One column of the balance with the prior of its coefficient."""
 
-    change: Array
+    change: Change
     """Change of the balance by a coefficient of one (T, joints)."""
     operator: Array
     """Change of the mean inertia, damping and stiffness (3, joints, joints)."""
@@ -277,7 +277,7 @@ def _independent(columns: Sequence[Column]) -> list[int]:
     kept: list[int] = []
     basis: list[Array] = []
     for k, column in enumerate(columns):
-        own = column.change.ravel()
+        own = column.change.whole().ravel()
         size = float(np.linalg.norm(own))
         left = own - sum((b @ own) * b for b in basis) if basis else own
         rest = float(np.linalg.norm(left))
@@ -301,7 +301,7 @@ def _column(
         width, joint = LAW_WIDTH, balance.encoders.get(effect.where)
         late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
         return Column(
-            late=late, change=change, operator=operator, centre=1.0, spread=width,
+            late=late, change=Change(change), operator=operator, centre=1.0, spread=width,
             low=1 - 2.3 * width, high=1 + 2.3 * width,
         )  # fmt: skip
     readings = np.sqrt(np.mean(balance.readings.foretold**2, axis=0))
@@ -321,5 +321,5 @@ def _column(
             )
             spread = min(spread, abs(parameter.unsurprising / step))
     return Column(
-        change=change, operator=operator, centre=0.0, spread=spread, low=low, high=high,
+        change=Change(change), operator=operator, centre=0.0, spread=spread, low=low, high=high,
     )  # fmt: skip

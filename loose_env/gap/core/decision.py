@@ -13,9 +13,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.core.catalogue import Term
-from loose_env.gap.core.exact import ExactFit
-from loose_env.gap.core.selection import Selection, Set, SetFit, neighbours
+from loose_env.gap.core.balance import USUAL
+from loose_env.gap.core.catalogue import Term, terms_of
+from loose_env.gap.core.evidence import append
+from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
+from loose_env.gap.core.selection import Selection, Set, SetFit, at_joint, neighbours
 from loose_env.gap.model.effect import free_of, values_of
 from loose_env.typing import Array
 
@@ -36,10 +38,6 @@ _ASIDE = 0.25
 """Relative step of a shape over which the fall of its evidence is read."""
 _NOISE = 1.6
 """Held-out residual up to which nothing more is needed [noise standard deviations]."""
-_LARGE = 3.0
-"""Held-out residual from which something is left [noise standard deviations]."""
-_EXPLAINED = 0.8
-"""Share of a channel's residual that explains it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,7 +105,8 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
         for name in names:
             chances[name] = chances.get(name, 0.0) + float(weight)
     after = held_out_rms(selection, fit)
-    open_ = _unexplained(selection, after)
+    before = _before(selection)
+    open_ = _unexplained(before, after)
     covariance = _covariance(selection, fit)
     place = {k: i for i, k in enumerate(fit.numbers)}
     findings = []
@@ -119,12 +118,9 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
         ends = _with_shapes(selection, fit, term, ends)
         if exact:
             # the values of the simulation, as uncertain as there or as the cells disagree
-            parameters = term.effect.parameters
             wide = (ends.max(axis=0) - ends.min(axis=0)) / 2
-            values, spread = exact[0].values[number], exact[0].spreads[number]
-            free = free_of(parameters, values)
-            own_ends = [values_of(parameters, free + side * _Z * spread) for side in (-1, 1)]
-            ends = np.stack([*own_ends, values - wide, values + wide])
+            values = exact[0].values[number]
+            ends = np.stack([*_simulated_ends(exact[0], number), values - wide, values + wide])
         z = float(np.max(np.abs(x) / sd))
         by_run, by_stretch = (float(g[number]) for g in gains)
         alike = _confusable(selection, term, chances)
@@ -148,8 +144,108 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
         reverse=True,
     )
     rivals = [r for r in rivals if r[0] > _RIVAL]
-    joints = tuple(_verdicts(selection, findings, rivals, after))
+    joints = tuple(_verdicts(selection, findings, rivals, before, after))
     return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=tuple(rivals))
+
+
+def _simulated_ends(fit: ExactFit, number: int) -> list[Array]:
+    """Ends of the 95 % intervals of a member's parameters in simulation."""
+    parameters = fit.terms[number].effect.parameters
+    free = free_of(parameters, fit.values[number])
+    half = _Z * fit.spreads[number]
+    return [values_of(parameters, free + side * half) for side in (-1, 1)]
+
+
+def decide_simulated(
+    selection: Selection,
+    exact: Exact,
+    visited: Sequence[ExactFit],
+    nominal: ExactFit,
+) -> Decision:
+    """Say what is named of the best set that was searched for in simulation.
+
+    Parameters
+    ----------
+    selection : Selection
+        Evidence and priors.
+    exact : Exact
+        Windows of the runs.
+    visited : sequence of ExactFit
+        Sets, the best first.
+    nominal : ExactFit
+        The nominal model.
+    """
+    best = visited[0]
+    fit = _in_cells(selection, best)
+    weights = np.exp(-0.5 * np.array([f.total - best.total for f in visited]))
+    chances: dict[tuple[str, str], float] = {}
+    for other, weight in zip(visited, weights / weights.sum(), strict=True):
+        for term in other.terms:
+            chances[term.name] = chances.get(term.name, 0.0) + float(weight)
+    gains, left = _simulated_gains(selection, exact, best)
+    before, after = _before(selection), held_out_rms(selection, fit)
+    simulated = exact.by_joint()
+    for k, channel in enumerate(selection.evidence.channels):
+        if channel.joint in simulated:
+            number = simulated[channel.joint]
+            before[k], after[k] = nominal.rms[number], left[number]
+    findings = []
+    for number, (term, values) in enumerate(zip(best.terms, best.values, strict=True)):
+        ends = np.stack(_simulated_ends(best, number))
+        sure = not term.effect.interval_includes_null(ends.min(axis=0), ends.max(axis=0))
+        by_run, by_stretch = (float(g[number]) for g in gains)
+        held = min(by_run, by_stretch) >= HELD_OUT
+        chance = min(chances[term.name], 1.0)
+        findings.append(
+            Finding(
+                term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
+                probability=chance, confusable=(), z=np.inf if sure else 0.0, by_run=by_run,
+                by_stretch=by_stretch, named=chance >= NAMED and sure and held,
+            )
+        )  # fmt: skip
+    members = {term.name for term in best.terms}
+    rivals = sorted(
+        ((p, *name) for name, p in chances.items() if name not in members), reverse=True
+    )
+    rivals = [r for r in rivals if r[0] > _RIVAL]
+    joints = tuple(_verdicts(selection, findings, rivals, before, after))
+    return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=tuple(rivals))
+
+
+def _in_cells(selection: Selection, fit: ExactFit) -> SetFit:
+    """The set in the cells, each effect at its simulated values."""
+    evidence, terms = selection.evidence, []
+    for term, values in zip(fit.terms, fit.values, strict=True):
+        shape = (tuple(map(float, values)),)
+        for own in terms_of(evidence.balance, term.effect, shape, True, contacts=(USUAL,)):
+            append(evidence, own)
+            terms.append(own)
+    return selection.solve(tuple(terms))
+
+
+def _simulated_gains(
+    selection: Selection, exact: Exact, fit: ExactFit
+) -> tuple[tuple[Array, Array], Array]:
+    """Rise of twice the held-out log likelihood with each member, and the residual with all.
+
+    By runs, and by alternate windows.
+    """
+    names = [trial.name for trial in exact.simulator.trials]
+    number = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    halves = np.arange(len(names)) % 2
+    runs = np.array([number[name] % 2 for name in names]) if len(number) > 1 else halves
+    found, left = [], np.zeros(len(fit.rms))
+    for scheme in (runs, halves) if len(number) > 1 else (halves,):
+        gain = np.zeros(len(fit.terms))
+        for half in (0, 1):
+            train, test = (exact.on(np.flatnonzero(scheme == k).tolist()) for k in (half, 1 - half))
+            whole = train.refit(selection, fit.terms, fit.values)
+            score, rms = test.score(whole)
+            left += rms**2 / 2
+            for k in range(len(fit.terms)):
+                gain[k] += test.score(train.without(selection, fit, k))[0] - score
+        found.append(gain)
+    return (found[0], found[-1]), np.sqrt(left / len(found))
 
 
 def pruned(selection: Selection, fit: SetFit) -> SetFit:
@@ -294,12 +390,15 @@ def _covariance(selection: Selection, fit: SetFit) -> Array:
     return np.asarray(laplace * np.outer(wider, wider) + np.diag(missed**2))
 
 
-def _unexplained(selection: Selection, after: Array) -> NDArray[np.bool_]:
+def _before(selection: Selection) -> Array:
+    """Residual of the nominal model in each channel (C,)."""
+    return np.array([np.sqrt(c.power.sum() / c.count.sum()) for c in selection.evidence.channels])
+
+
+def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
     """Channels of which most is left (C,)."""
-    channels = selection.evidence.channels
-    before = np.array([np.sqrt(c.power.sum() / c.count.sum()) for c in channels])
     share = 1 - (after / before) ** 2
-    return np.asarray((after > _LARGE) & (share < _EXPLAINED) & (before > _LARGE))
+    return np.asarray((after > LARGE) & (share < EXPLAINED) & (before > LARGE))
 
 
 def _main(selection: Selection, fit: SetFit, term: Term) -> int:
@@ -317,34 +416,33 @@ def _verdicts(
     selection: Selection,
     findings: Sequence[Finding],
     rivals: Sequence[tuple[float, str, str]],
+    before: Array,
     after: Array,
 ) -> Iterable[JointVerdict]:
     """One verdict for each joint that the evidence has a channel of."""
     machine = selection.evidence.balance.machine
-    unexplained = _unexplained(selection, after)
+    unexplained = _unexplained(before, after)
     for k, channel in enumerate(selection.evidence.channels):
         joint = selection.evidence.balance.channels[channel.joint]
         places = {joint.removeprefix("sensor.").split(".")[0]}
         if channel.joint < len(machine.joints):
-            drives = {a for a, j in machine.actuated_joint.items() if j == joint}
-            places |= {machine.body_of(joint), *drives, "all", "tool", "base"}
+            places |= at_joint(machine, joint) | {"all", "tool", "base"}
         named = [f.term.effect.kind for f in findings if f.named and f.term.effect.where in places]
         open_ = [kind for _, kind, where in rivals if where in places]
         open_ += [
             f.term.effect.kind for f in findings if not f.named and f.term.effect.where in places
         ]
-        before = float(np.sqrt(channel.power.sum() / channel.count.sum()))
         if unexplained[k]:
             verdict: Verdict = "unexplained"
         elif named:
             verdict = "named"
-        elif after[k] < _NOISE or (not open_ and after[k] <= _LARGE):
+        elif after[k] < _NOISE or (not open_ and after[k] <= LARGE):
             verdict = "not needed"
         else:
             verdict = "cannot tell"
         yield JointVerdict(
-            joint=joint, verdict=verdict, effects=tuple(named or open_), before=before,
-            after=float(after[k]),
+            joint=joint, verdict=verdict, effects=tuple(named or open_),
+            before=float(before[k]), after=float(after[k]),
         )  # fmt: skip
 
 

@@ -64,6 +64,7 @@ class FrictionBehindSlack(JointEffect):
     kind = "friction_behind_slack"
     proportional: ClassVar[int | None] = 0
     needs_data_starts: ClassVar[bool] = True
+    has_memory: ClassVar[bool] = True
     in_model: ClassVar[bool] = False
     null_values: ClassVar[tuple[float, ...] | None] = (0.0, 1.0, 1.0)
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.core.balance import USUAL, Balance
+from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.catalogue import Late, Term, moves_at
 from loose_env.gap.core.tolerances import Nuisance
 from loose_env.typing import Array
@@ -157,7 +157,6 @@ def whiten(
     starts = np.cumsum([0, *(len(term.columns) for term in terms)])
     free = len(tolerances)
     wide = [n.change for n in tolerances] + [c.change for c in columns]
-    wide = [_padded(balance, change) for change in wide]
     operators = np.stack([n.operator for n in tolerances] + [c.operator for c in columns])
     late = [None] * free + [c.late for c in columns]
     channels = [
@@ -203,12 +202,6 @@ def _inexact(term: Term, law: float) -> Array:
     return np.full(len(term.columns), 0.0 if exact else law)
 
 
-def _padded(balance: Balance, change: Array) -> Array:
-    """Change of all channels; of forces alone, readings stay."""
-    missing = len(balance.channels) - change.shape[1]
-    return np.pad(change, ((0, 0), (0, missing))) if missing else change
-
-
 def _compared(balance: Balance, channel: int) -> bool:
     """Whether a channel is compared: a reading, or a joint that moves and whose force is known."""
     if channel >= len(balance.machine.joints):
@@ -223,7 +216,7 @@ def append(evidence: Evidence, term: Term) -> None:
     evidence.places[id(term)] = numbers
     evidence.terms.append(term)
     for channel in evidence.channels:
-        own = [k for k, c in enumerate(term.columns) if np.any(c.change[:, channel.joint])]
+        own = [k for k, c in enumerate(term.columns) if c.change.reaches(channel.joint)]
         if own:
             wide = [term.columns[k].change for k in own]
             rows = _rows(evidence.balance, channel.joint, wide).whitened
@@ -275,10 +268,15 @@ class _Rows:
 
 
 def _channel(
-    balance: Balance, joint: int, wide: list[Array], free: int, operators: Array, late: list[Late]
+    balance: Balance,
+    joint: int,
+    wide: Sequence[Change],
+    free: int,
+    operators: Array,
+    late: list[Late],
 ) -> Channel:
     """Whiten one joint's balance."""
-    felt = [k for k, change in enumerate(wide) if k < free or np.any(change[:, joint])]
+    felt = [k for k, change in enumerate(wide) if k < free or change.reaches(joint)]
     found = _rows(balance, joint, [wide[k] for k in felt])
     weight = weight_of(balance, joint)
     beside = _beside(balance, joint, found.turn, [wide[k] for k in felt], [late[k] for k in felt])
@@ -299,10 +297,10 @@ def _channel(
     )
 
 
-def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
+def _rows(balance: Balance, joint: int, wide: Sequence[Change]) -> _Rows:
     """Whitened rows of some columns and, last, of the residual."""
     motion = balance.motion
-    stacked = np.stack([*(c[:, joint] for c in wide), balance.residual[:, joint]], axis=1)
+    stacked = np.stack([*(c.at(joint) for c in wide), balance.residual[:, joint]], axis=1)
     weight = motion.split(weight_of(balance, joint))
     parts, cells = [], []
     keys: dict[tuple[int, int], int] = {}
@@ -340,7 +338,7 @@ def _rows(balance: Balance, joint: int, wide: list[Array]) -> _Rows:
 
 def cell_powers(balance: Balance, channel: int, change: Array) -> Array:
     """Power of a change of the balance in each cell of a channel, in noise variances (C,)."""
-    found = _rows(balance, channel, [change])
+    found = _rows(balance, channel, [Change(change)])
     return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count)).astype(float)
 
 
@@ -378,18 +376,18 @@ def _held(balance: Balance, joint: int, operators: Array) -> Array:
     return operators[:, 2, joint, joint] / stiffness if driven else np.zeros(len(operators))
 
 
-def _gains(balance: Balance, channel: int, wide: Sequence[Array]) -> Array:
+def _gains(balance: Balance, channel: int, wide: Sequence[Change]) -> Array:
     """Share of the foretold reading that is in each column (K,); 0 of a joint."""
     number = channel - len(balance.machine.joints)
     if number < 0:
         return np.zeros(len(wide))
     foretold = balance.readings.foretold[:, number]
     whole = float(foretold @ foretold) + 1e-300
-    return np.array([float(foretold @ column[:, channel]) for column in wide]) / whole
+    return np.array([float(foretold @ column.at(channel)) for column in wide]) / whole
 
 
 def _beside(
-    balance: Balance, channel: int, turn: Array, wide: Sequence[Array], late: Sequence[Late]
+    balance: Balance, channel: int, turn: Array, wide: Sequence[Change], late: Sequence[Late]
 ) -> Array:
     """Relative change of a channel's noise by what no operator has (C, K).
 

@@ -1,13 +1,16 @@
 """Exact fit: sets of effects in full simulation, window by window.
 
 Windows start from the measured state, so that a simulation need not stay near the measurement for
-long. Tolerances stay at what the cells say of them; the effects' parameters are refitted by
-scipy's bounded least squares, each channel weighted by what is left in it.
+long, and are compared after a lead that late commands take. Tolerances stay at what the cells say
+of them; the effects' parameters are refitted by scipy's bounded least squares, each channel
+weighted by what is left in it. Where cells leave a joint open, which stands still, is at its limit
+or strikes stops, sets are searched in simulation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -15,7 +18,15 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from loose_env.gap.core.balance import Balance
-from loose_env.gap.core.selection import LEAST_VALUES, SHARE_VALUES, Selection, SetFit
+from loose_env.gap.core.catalogue import Term, candidates
+from loose_env.gap.core.selection import (
+    LEAST_VALUES,
+    SHARE_VALUES,
+    Selection,
+    Set,
+    SetFit,
+    at_joint,
+)
 from loose_env.gap.core.tolerances import Nuisance
 from loose_env.gap.model.effect import Effect, Parameter, free_of, values_of
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -30,10 +41,22 @@ WINDOW_S = 1.0
 """Length of a window [s]: a few periods of a joint's motion."""
 _MOST_S = 16.0
 """Length of all windows of a recording, about: cost [s]."""
+LEAD_S = 0.3
+"""Time from the measured state to what is compared: longer than most drives are late [s]."""
+LARGE = 3.0
+"""Residual from which something is left [noise standard deviations]."""
+EXPLAINED = 0.8
+"""Share of a channel's residual that explains it."""
 _ROUNDS = 2
 """Reweighted rounds of a fit."""
 _EVALUATIONS = 3
 """Jacobians of one round."""
+_MOST_EFFECTS = 6
+"""Effects of a set that is searched for in simulation."""
+_TRIED = 5
+"""Effects that are fitted in one step of that search."""
+_LEAST_GAIN = 0.5
+"""Fall of the total for which a step is taken."""
 _STEP = 1e-3
 """Step of numerical derivatives, in free numbers."""
 
@@ -42,8 +65,8 @@ _STEP = 1e-3
 class ExactFit:
     """A set of effects, fitted in simulation."""
 
-    fit: SetFit
-    """The set as its cells say."""
+    terms: Set
+    """The effects."""
     values: tuple[Array, ...]
     """Parameter values of each effect."""
     spreads: tuple[Array, ...]
@@ -89,6 +112,9 @@ class _Known(Effect):
 class Exact:
     """Windows of the runs with commands, or free, for exact fits."""
 
+    known: _Known
+    """Tolerances at what the cells say of them."""
+
     def __init__(
         self, recording: Recording, balance: Balance, *, threads: int = 1, between: bool = False
     ) -> None:
@@ -105,14 +131,17 @@ class Exact:
         self.simulator = Simulator(machine, windows, self.channels, threads=threads)
 
     def fit(self, selection: Selection, fit: SetFit) -> ExactFit:
-        """Fit the effects of a set in simulation."""
-        machine, terms = self.balance.machine, fit.terms
-        known = _Known(machine, _pulls(selection, fit))
+        """Fit the effects of a set in simulation, from what the cells say of them."""
         place = {k: i for i, k in enumerate(fit.numbers)}
         first = [
             term.values(fit.values[[place[k] for k in selection.evidence.columns_of(term)]])
-            for term in terms
+            for term in fit.terms
         ]
+        self.known = _Known(self.balance.machine, _pulls(selection, fit))
+        return self.refit(selection, fit.terms, first)
+
+    def refit(self, selection: Selection, terms: Set, first: Sequence[Array]) -> ExactFit:
+        """Fit effects in simulation from given values, with the tolerances of the last fit."""
         groups = [term.effect.parameters for term in terms]
         free = np.concatenate([np.empty(0), *map(free_of, groups, first)])
         bounds = np.array([p.bounds for group in groups for p in group]).reshape(-1, 2)
@@ -121,9 +150,7 @@ class Exact:
 
         def hypothesis(x: Array) -> Hypothesis:
             parts = np.split(x, cuts) if terms else []
-            own = tuple(values_of(g, v) for g, v in zip(groups, parts, strict=True))
-            effects = (known, *(term.effect for term in terms))
-            return Hypothesis(effects=effects, values=(np.empty(0), *own))
+            return self._hypothesis(terms, list(map(values_of, groups, parts)))
 
         rows, channel = self._residuals([hypothesis(free)])[0]
         found, spread = free, np.zeros(len(free))
@@ -151,12 +178,79 @@ class Exact:
             spread = np.sqrt(np.diag(np.linalg.inv(normal)))
         parts = np.split(found, cuts) if terms else []
         return ExactFit(
-            fit=fit,
-            values=tuple(values_of(g, v) for g, v in zip(groups, parts, strict=True)),
+            terms=terms,
+            values=tuple(map(values_of, groups, parts)),
             spreads=tuple(np.split(spread, cuts)) if terms else (),
             rms=_by_channel(rows, channel),
             total=self._score(rows, channel) + selection.prior(terms),
         )
+
+    def searched(
+        self, selection: Selection, best: ExactFit, pool: Sequence[tuple[Term, Array]]
+    ) -> list[ExactFit]:
+        """Add and remove effects of a pool of starts in simulation; all sets, the best first."""
+        visited = [best]
+        while len(best.terms) < _MOST_EFFECTS:
+            names = {term.name for term in best.terms}
+            free = [(term, values) for term, values in pool if term.name not in names]
+            sets = [(*best.terms, term) for term, _ in free]
+            guesses = self._totals(selection, sets, [(*best.values, v) for _, v in free])
+            tried: dict[tuple[str, str], ExactFit] = {}
+            for k in np.argsort(guesses):
+                if len(tried) < _TRIED and free[k][0].name not in tried:
+                    first = (*best.values, free[k][1])
+                    tried[free[k][0].name] = self.refit(selection, sets[k], first)
+            visited += tried.values()
+            top = min(tried.values(), key=lambda f: f.total, default=best)
+            if top.total > best.total - _LEAST_GAIN:
+                break
+            best = top
+            for number in reversed(range(len(best.terms) - 1)):
+                fewer = self.without(selection, best, number)
+                visited.append(fewer)
+                best = min(best, fewer, key=lambda f: f.total)
+        return sorted(visited, key=lambda f: f.total)
+
+    def without(self, selection: Selection, fit: ExactFit, number: int) -> ExactFit:
+        """Fit a set without one of its members."""
+        kept = [k for k in range(len(fit.terms)) if k != number]
+        return self.refit(
+            selection, tuple(fit.terms[k] for k in kept), [fit.values[k] for k in kept]
+        )
+
+    def by_joint(self) -> dict[int, int]:
+        """Joints with their channels of positions."""
+        encoders, columns = self.balance.encoders, [c.column for c in self.channels]
+        return {
+            joint: columns.index(f"sensor.{name}")
+            for name, joint in encoders.items()
+            if f"sensor.{name}" in columns
+        }
+
+    def on(self, windows: Sequence[int]) -> Exact:
+        """The same on some of the windows."""
+        found, own = copy(self), self.simulator
+        trials = [own.trials[k] for k in windows]
+        found.simulator = Simulator(own.machine, trials, self.channels, threads=own.threads)
+        return found
+
+    def score(self, fit: ExactFit) -> tuple[float, Array]:
+        """Minus twice the log likelihood of the windows for a fit, and its residuals (C,)."""
+        rows, channel = self._residuals([self._hypothesis(fit.terms, fit.values)])[0]
+        return self._score(rows, channel), _by_channel(rows, channel)
+
+    def _totals(
+        self, selection: Selection, sets: Sequence[Set], values: Sequence[Sequence[Array]]
+    ) -> list[float]:
+        """Totals of sets at some values."""
+        found = self._residuals(list(map(self._hypothesis, sets, values)))
+        return [
+            self._score(*each) + selection.prior(own) for each, own in zip(found, sets, strict=True)
+        ]
+
+    def _hypothesis(self, terms: Set, values: Sequence[Array]) -> Hypothesis:
+        effects = (self.known, *(term.effect for term in terms))
+        return Hypothesis(effects=effects, values=(np.empty(0), *values))
 
     def _residuals(self, hypotheses: Sequence[Hypothesis]) -> list[tuple[Array, IndexArray]]:
         """Residuals in noise standard deviations with their channels, one row a reading."""
@@ -206,32 +300,66 @@ def _windows(trial: Trial, balance: Balance, trials: int, *, between: bool) -> l
     """
     length = float(trial.time[-1])
     count = int(np.clip(_MOST_S / WINDOW_S / trials, 1, max(length // WINDOW_S, 1)))
-    starts = np.linspace(0.02 * length, max(0.98 * length - WINDOW_S, 0.0), count)
+    starts = np.linspace(0.02 * length, max(0.98 * length - LEAD_S - WINDOW_S, 0.0), count)
     if between and count > 1:
         starts = 0.5 * (starts[1:] + starts[:-1])
     run = next(r for r in balance.motion.runs if r.name == trial.name)
     found = []
     for start in starts:
         first = int(np.searchsorted(trial.time, start))
-        last = int(np.searchsorted(trial.time, start + WINDOW_S))
+        last = int(np.searchsorted(trial.time, start + LEAD_S + WINDOW_S))
         part = trial.between(first, max(last, first + 8))
+        shown = np.where(part.time[:, None] < LEAD_S, np.nan, part.measured)
         at = trial.time[first]
         middles = run.time + run.begin
         state = [
             np.array([np.interp(at, middles, column) for column in values.T])
             for values in (run.position, run.speed)
         ]
-        found.append(replace(part, position=state[0], speed=state[1], resting=False))
+        found.append(
+            replace(part, measured=shown, position=state[0], speed=state[1], resting=False)
+        )
     return found
 
 
 def leading(selection: Selection, fit: SetFit, most: int = 4) -> list[SetFit]:
-    """The answer and the best sets of other effects that were visited."""
+    """The answer and the best sets of other effects that were visited, if simulations step them."""
     names: set[frozenset[tuple[str, str]]] = set()
     found = []
     for other in (fit, *sorted(selection.fits.values(), key=lambda f: f.total)):
         own = frozenset(term.name for term in other.terms)
-        if other.allowed and own not in names:
+        stepped = not any(term.effect.has_memory for term in other.terms)
+        if other.allowed and stepped and own not in names:
             names.add(own)
             found.append(other)
     return found[:most]
+
+
+def open_joints(exact: Exact, nominal: ExactFit, best: ExactFit) -> set[str]:
+    """Joints most of whose motion a set leaves open in simulation."""
+    found = set()
+    for joint, k in exact.by_joint().items():
+        left = float(best.rms[k] / nominal.rms[k])
+        if best.rms[k] > LARGE and 1 - left**2 < EXPLAINED:
+            found.add(exact.balance.machine.joints[joint])
+    return found
+
+
+def pool_of(
+    selection: Selection, joints: set[str], kinds: Iterable[str]
+) -> list[tuple[Term, Array]]:
+    """Every effect at some joints, from each of its starts and of those in the evidence."""
+    evidence = selection.evidence
+    balance, known = evidence.balance, evidence.terms
+    places = {place for joint in joints for place in at_joint(balance.machine, joint)}
+    found = []
+    for effect in candidates(balance, kinds):
+        shows = effect.moves or effect.where in balance.encoders
+        if effect.where not in places or not shows or effect.has_memory:
+            continue
+        alike = [t for t in known if t.effect.key == effect.key]
+        starts = [*effect.starts, *(t.axes[0] for t in alike if t.law)]
+        for start in dict.fromkeys(tuple(map(float, s)) for s in starts):
+            term = Term(effect, (start,), "", law=True, columns=())
+            found.append((term, np.array(start)))
+    return found

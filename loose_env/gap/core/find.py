@@ -12,10 +12,10 @@ from loose_env.arms import quiet
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.gap.core.balance import Balance, scaled
 from loose_env.gap.core.catalogue import catalogue
-from loose_env.gap.core.decision import HELD_OUT, Decision, decide, pruned
+from loose_env.gap.core.decision import HELD_OUT, Decision, decide, decide_simulated, pruned
 from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import whiten
-from loose_env.gap.core.exact import Exact, ExactFit, leading
+from loose_env.gap.core.exact import Exact, ExactFit, leading, open_joints, pool_of
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Selection
 from loose_env.gap.core.tolerances import nuisances
@@ -77,18 +77,35 @@ def find_gap(
         say("selection of effects")
         best = pruned(selection, selection.best())
         fits: tuple[ExactFit, ...] = ()
+        searched: list[ExactFit] = []
         if settings.simulate and not selection.evidence.balance.released.any():
             exact = Exact(used, selection.evidence.balance, threads=settings.threads)
-            sets = [pruned(selection, own) for own in leading(selection, best)]
+            sets = [pruned(selection, own) for own in leading(selection, best)] or [
+                selection.solve(())
+            ]
             unlike = {frozenset(t.name for t in own.terms): own for own in reversed(sets)}
             say(f"exact fits: {len(unlike)} sets of effects in full simulation")
             found = [exact.fit(selection, own) for own in unlike.values()]
+            cells = {frozenset(own.terms): own for own in unlike.values()}
             # where simulations are as good, the cells decide, which know all tolerances
             least = min(f.total for f in found) + HELD_OUT
-            fits = tuple(sorted(found, key=lambda f: (f.total > least, f.fit.total)))
-            best = fits[0].fit
+            fits = tuple(
+                sorted(found, key=lambda f: (f.total > least, cells[frozenset(f.terms)].total))
+            )
+            best = cells[frozenset(fits[0].terms)]
+            nominal = exact.fit(selection, selection.solve(()))
+            left = open_joints(exact, nominal, fits[0])
+            if left:
+                say(f"search in simulation: {', '.join(sorted(left))}")
+                pool = pool_of(selection, left, settings.kinds or EFFECTS)
+                exact.fit(selection, best)
+                searched = exact.searched(selection, fits[0], pool)
         say("decision on held-out data")
-        decision = decide(selection, best, fits[:1])
+        if searched and searched[0].total < fits[0].total - HELD_OUT:
+            fits = tuple(searched)
+            decision = decide_simulated(selection, exact, searched, nominal)
+        else:
+            decision = decide(selection, best, fits[:1])
     return Answer(
         recording=used, held_out=held_out, settings=settings, selection=selection,
         decision=decision, exact=fits,

@@ -33,8 +33,8 @@ _FLAT = 1.35
 """Half-amplitude frequency of the low-pass over the end of the band, and:"""
 _ORDER = 16
 """its order: flat to 1 % at the end of the band."""
-
-
+_MOST_SAMPLES = 24_000
+"""Thinned samples of all runs, at most: minutes of motion; of longer runs the middle is taken."""
 _NEAR = 0.5
 """Length of a record's end in which its motion is a parabola [periods of the end of the band]."""
 
@@ -71,11 +71,8 @@ class RunMotion:
     """Share of a sample in which the nominal drive is at its limit (T, joints)."""
     log_step: float
     """Interval of the log [s]."""
-
-    @property
-    def begin(self) -> float:
-        """Time of the first sample after the log's first one [s]."""
-        return (round(self.step / self.log_step) - 1) // 2 * self.log_step
+    begin: float
+    """Time of the first sample after the log's first one [s]."""
 
     @property
     def time(self) -> Array:
@@ -132,7 +129,8 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     ends = [_band_end(log, noise) for log in logs]
     band = float(np.clip(max(ends), LOWEST_HZ, min(0.35 / step, HIGHEST_HZ)))
     thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
-    runs = tuple(_run_motion(log, noise, band, thin, machine) for log in logs)
+    most = _most_of_each([len(log.position) // thin for log in logs])
+    runs = tuple(_run_motion(log, noise, band, thin, most, machine) for log in logs)
     seen = [[noise_floor(c) for c in log.readings.T] for log in logs]
     return Motion(
         runs=runs, band=band, noise=noise / np.sqrt(thin), sensors=sensors,
@@ -241,9 +239,9 @@ def _band_end(log: _Log, noise: Array) -> float:
 
 
 def _run_motion(
-    log: _Log, noise: Array, band: float, thin: int, machine: NominalModel
+    log: _Log, noise: Array, band: float, thin: int, most: int, machine: NominalModel
 ) -> RunMotion:
-    """Smooth one log and thin it."""
+    """Smooth one log, thin it, and take its middle if it is longer than some samples."""
     parts, derived = [], []
     for joint in range(log.position.shape[1]):
         q, v = log.position[:, joint], log.speed[:, joint]
@@ -256,10 +254,12 @@ def _run_motion(
         parts.append(own)
     whole = np.stack(parts, axis=2)
     count = len(log.position) // thin
+    first = max(count - most, 0) // 2
+    taken = slice(first, min(first + most, count))
 
     def kept(values: Array) -> Array:
         # samples, not means: the force along a mean motion is not the mean force
-        return np.ascontiguousarray(values[(thin - 1) // 2 :: thin][:count])
+        return np.ascontiguousarray(values[(thin - 1) // 2 :: thin][taken])
 
     return RunMotion(
         name=log.run.name,
@@ -275,9 +275,21 @@ def _run_motion(
         sampled=kept(low_passed(log.commands, band, log.step)),
         straight=kept(low_passed(log.commands, band, log.step, drawn=log.step)),
         torques=kept(low_passed(log.torque, band, log.step)),
-        limited=_blocks(_limited(log.commands, whole[0], whole[1], machine), thin),
+        limited=_blocks(_limited(log.commands, whole[0], whole[1], machine), thin)[taken],
         log_step=log.step,
+        begin=((thin - 1) // 2 + first * thin) * log.step,
     )
+
+
+def _most_of_each(counts: Sequence[int]) -> int:
+    """Samples to take of each run, so that all together are no more than are used."""
+    left, most = _MOST_SAMPLES, max(counts)
+    for number, count in enumerate(sorted(counts)):
+        share = left // (len(counts) - number)
+        if count > share:
+            return share
+        left -= count
+    return most
 
 
 def _blocks(values: Array, thin: int) -> Array:

@@ -75,7 +75,7 @@ def _remainder(selection: Selection, fit: SetFit) -> Array:
             for k, column in zip(numbers, term.columns, strict=True)
         ]
     for change, size in parts:
-        left[:, : change.shape[1]] -= size * change
+        left[:, : change.shape[1]] -= size * change.whole()
     return left
 
 

@@ -133,7 +133,7 @@ class Selection:
             places = self._places.get(simple, count)
             cost += KIND + 2 * log(places) + 2 * _log_choose(places, min(count, places)) + count
         cost += FORM * sum(bool(t.effect.extends) for t in own)
-        return cost + sum(log(self._shapes[t.name]) for t in own)
+        return cost + sum(log(max(self._shapes[t.name], 1)) for t in own)
 
     # ---- fits of a set
 
@@ -435,7 +435,7 @@ class Selection:
         exact = balance.forces(term.effect, values).with_contact(
             balance.directions[term.contact or USUAL]
         )
-        off = exact - sum(s * c.change for s, c in zip(shares, term.columns, strict=True))
+        off = exact - sum(s * c.change.whole() for s, c in zip(shares, term.columns, strict=True))
         lost = 0.0
         for k, channel in enumerate(self.evidence.channels):
             if np.any(off[:, channel.joint]):
@@ -578,11 +578,16 @@ def neighbours(machine: NominalModel, where: str) -> set[str]:
     """Joint, link and drive of one place; "all", the tool and the base are beside any."""
     found = {where, "all", "tool", "base"}
     for joint in machine.joints:
-        drives = {a for a, j in machine.actuated_joint.items() if j == joint}
-        own = {joint, machine.body_of(joint), *drives}
+        own = at_joint(machine, joint)
         if where in own:
             found |= own
     return found
+
+
+def at_joint(machine: NominalModel, joint: str) -> set[str]:
+    """Joint, its link and its drives."""
+    drives = {a for a, j in machine.actuated_joint.items() if j == joint}
+    return {joint, machine.body_of(joint), *drives}
 
 
 def few(count: Array) -> Array:

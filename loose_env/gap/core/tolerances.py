@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from loose_env.gap.core.balance import USUAL, Balance
+from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.motion import rates
 from loose_env.gap.model.effects.inertia import LinkMass, links_with_mass
 from loose_env.gap.model.effects.mjcf import (
@@ -76,7 +77,7 @@ class Nuisance:
 
     name: str
     """Name for the reader."""
-    change: Array
+    change: Change
     """Change of the balance (T, joints)."""
     operator: Array
     """Change of the mean inertia, damping and stiffness (3, joints, joints)."""
@@ -88,6 +89,10 @@ class Nuisance:
 
 _STEP = 1e-3
 """Relative step of numerical derivatives."""
+
+
+def _nuisance(name: str, change: Array, operator: Array, **more: Any) -> Nuisance:
+    return Nuisance(name=name, change=Change(change), operator=operator, **more)
 
 
 def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
@@ -106,7 +111,7 @@ def _edited(name: str, edit: Edit, balance: Balance) -> Nuisance:
     edit(spec, _STEP)
     forces = balance.edited(spec)
     change = forces.with_contact(balance.directions[USUAL]) / _STEP
-    return Nuisance(name=name, change=change, operator=forces.operator / _STEP, edit=edit)
+    return _nuisance(name=name, change=change, operator=forces.operator / _STEP, edit=edit)
 
 
 def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
@@ -177,7 +182,7 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             tolerances.offset * float(machine.load_scales[joint]),
             tolerances.offset_of_limit * _limit(machine, name),
         )
-        yield Nuisance(
+        yield _nuisance(
             name=f"constant torque at {name}",
             change=np.tile(size * one, (len(balance.drive), 1)),
             operator=nothing,
@@ -186,7 +191,7 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         inverse = (balance.forms == "inverse") & balance.seen[:, joint]
         if inverse.any():
             gain = np.where(inverse, balance.needed[:, joint], 0.0)[:, None] * one
-            yield Nuisance(
+            yield _nuisance(
                 name=f"torque constant of {name}",
                 change=tolerances.torque * gain,
                 operator=tolerances.torque * balance.operator * one[:, None],
@@ -198,7 +203,7 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 rate = np.concatenate([rates(own, balance.motion.step, order) for own in parts])
                 width = (tolerances.shift_samples * log_step) ** order / order
                 change = np.where(inverse, np.nan_to_num(rate), 0.0)[:, None] * one
-                yield Nuisance(
+                yield _nuisance(
                     name=f"{what} of the torque of {name}", change=width * change,
                     operator=nothing,
                 )  # fmt: skip
@@ -273,13 +278,13 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 rate = _scaled_drive(name, tolerances.velocity_gain, velocity=True)
                 yield _edited(f"velocity gain of {name}", rate, balance)
         width = tolerances.shift_samples * balance.motion.runs[0].log_step
-        yield Nuisance(
+        yield _nuisance(
             name=f"shift of the commands of {name}",
             change=width * balance.late(number, 1),
             operator=np.zeros_like(balance.operator),
             late=(number, width),
         )
-        yield Nuisance(
+        yield _nuisance(
             name=f"smear of the commands of {name}",
             change=-(width**2) / 2 * balance.late(number, 2),
             operator=np.zeros_like(balance.operator),
@@ -294,12 +299,12 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         # read right before or right after a command steps, or anywhere between
         seen = balance.readings.accelerated(balance.stepped_acceleration())
         change = np.hstack([np.zeros((len(seen), joints)), seen])
-        yield Nuisance(name="steps of commands in readings", change=change, operator=nothing)
+        yield _nuisance(name="steps of commands in readings", change=change, operator=nothing)
     step = motion.runs[0].log_step
     for name in balance.encoders:
         forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
         change = np.hstack([forces.smooth, forces.readings])
-        yield Nuisance(
+        yield _nuisance(
             name=f"timing of {name}", change=10 * tolerances.sensor_samples * change,
             operator=nothing,
         )  # fmt: skip
@@ -309,17 +314,17 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         slopes = [rates(run, motion.step) for run in motion.split(foretold[:, at])]
         width = tolerances.sensor_samples * motion.runs[0].log_step
         change[:, joints + np.array(at)] = -width * np.concatenate(slopes)
-        yield Nuisance(name=f"timing of {name}", change=change, operator=nothing)
+        yield _nuisance(name=f"timing of {name}", change=change, operator=nothing)
         change = np.zeros_like(change)
         change[:, joints + np.array(at)] = tolerances.sensor * foretold[:, at]
-        yield Nuisance(name=f"gain of {name}", change=change, operator=nothing)
+        yield _nuisance(name=f"gain of {name}", change=change, operator=nothing)
         for k in at:
             change = np.zeros_like(change)
             size = float(np.sqrt(np.mean(foretold[:, at] ** 2)))
             change[:, joints + k] = tolerances.sensor_bias * size
-            yield Nuisance(name=f"zero of {name}", change=change, operator=nothing)
+            yield _nuisance(name=f"zero of {name}", change=change, operator=nothing)
         for axis in np.eye(3) if len(at) == 3 else ():
             change = np.zeros_like(change)
             turned = np.cross(foretold[:, at], axis)
             change[:, joints + np.array(at)] = tolerances.sensor * turned
-            yield Nuisance(name=f"alignment of {name}", change=change, operator=nothing)
+            yield _nuisance(name=f"alignment of {name}", change=change, operator=nothing)
