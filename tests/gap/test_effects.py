@@ -215,3 +215,30 @@ def test_kinds_variants_and_locations_that_are_not_there_are_refused() -> None:
     spec = machine.fresh()
     spec.option.gravity = [0, 0, 0]
     assert CATALOGUE["base_tilt"].locations(NominalModel(spec)) == ()
+
+
+@pytest.mark.parametrize(
+    ("kind", "where", "name", "end"),
+    [
+        ("joint_compliance", "joint2", "stiffness", "high"),
+        ("link_flexibility", "link2", "stiffness", "high"),
+        ("backlash", "joint2", "gap", "low"),  # without it the stops are a spring
+        ("structural_looseness", "link2", "friction", "high"),
+        ("stribeck_friction", "joint2", "torque", "low"),
+    ],
+)
+def test_an_interval_that_reaches_the_limit_of_an_effect_includes_nothing(
+    kind: str, where: str, name: str, end: str
+) -> None:
+    effect = CATALOGUE[kind](machine_of("planar"), where)
+    parameters = effect.parameters
+    number = [p.name for p in parameters].index(name)
+    middle = np.array([np.sqrt(p.low * p.high) if p.log else 0.5 * (p.low + p.high)
+                       for p in parameters])  # fmt: skip
+    low, high = 0.9 * middle, 1.1 * middle
+    assert not effect.interval_includes_null(low, high)
+    if end == "high":
+        high[number] = parameters[number].high
+    else:
+        low[number] = parameters[number].low
+    assert effect.interval_includes_null(low, high)

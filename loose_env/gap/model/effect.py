@@ -40,6 +40,9 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
+_AT_BOUND = 1.02
+"""Ratio of an interval's end to a parameter's bound at which it reaches it."""
+
 Readings = dict[str, Array]
 """Column without axis -> readings (..., T) of a scalar, (..., T, 3) of a vector."""
 
@@ -197,6 +200,11 @@ class Effect:
         return f"{self.kind}@{self.where}" + (f" ({self.variant})" if self.variant else "")
 
     @property
+    def key(self) -> tuple[str, str, str]:
+        """Kind, location and variant."""
+        return self.kind, self.where, self.variant
+
+    @property
     def part(self) -> str:
         """Element type of its location: "joint", "link", "actuator", "sensor", or "arm".
 
@@ -340,6 +348,27 @@ class Effect:
         if cls.null_values is None or len(cls.null_values) != len(parameters):
             return float("nan")
         return cls.null_values[list(parameters).index(parameter)]
+
+    def interval_includes_null(self, low: Array, high: Array) -> bool:
+        """Return whether the parameter intervals (P,) include zero effect.
+
+        They do if the null value lies within all of them, or if they reach the limit of no effect,
+        such as that of a stiff spring. Play without clearance is no effect, however compliant the
+        stops.
+        """
+        if self.null_values is None:
+            ends = dict(self.limit)
+            reached = {
+                p.name: a <= _AT_BOUND * p.low if ends[p.name] == "low" else b >= p.high / _AT_BOUND
+                for p, a, b in zip(self.parameters, low, high, strict=True)
+                if p.name in ends
+            }
+            if self.has_stops and "gap" in reached:
+                return bool(reached["gap"])
+            return bool(reached) and all(reached.values())
+        return bool(
+            np.all((low <= np.array(self.null_values)) & (np.array(self.null_values) <= high))
+        )
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
         """Convert a joint's torque to the measured drive torque in inverse runs (T,).

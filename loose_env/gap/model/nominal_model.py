@@ -118,7 +118,7 @@ class NominalModel:
     def _acting(self) -> Array:
         rng, zero = np.random.default_rng(0), self.model.qpos0
         poses = [zero, *(zero + rng.uniform(-1.0, 1.0, len(zero)) for _ in range(_POSES))]
-        return np.any([self._moments(pose) != 0 for pose in poses], axis=0)
+        return np.asarray(np.any([self._moments(pose) != 0 for pose in poses], axis=0))
 
     def _moments(self, pose: Array) -> Array:
         """Torque on each joint per force of each actuator in a pose (joints, actuators)."""

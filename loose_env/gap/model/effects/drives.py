@@ -308,7 +308,7 @@ class DriveLimit(JointDriveEffect):
         """Starts around the typical torque, below the limit of the model, and typical speed."""
         limit, *more = self.parameters
         torques = (limit.clipped(min(s * limit.scale, 0.8 * limit.high)) for s in _STARTS)
-        speeds = [(share * p.scale,) for p in more for share in _SPEEDS] or [()]
+        speeds = [[share * p.scale] for p in more for share in _SPEEDS] or [[]]
         return tuple((t, *speed) for t in dict.fromkeys(torques) for speed in speeds)
 
     def propose_limit(
@@ -325,8 +325,8 @@ class DriveLimit(JointDriveEffect):
         least = min(max(limit.low, _LEAST_GIVEN * most), most)
         # from the largest on: of limits that explain as much the first is taken
         torques = np.geomspace(most, least, _GRID).tolist()
-        speeds = [(v,) for p in more for v in np.geomspace(p.high, p.low, _SPEED_GRID).tolist()]
-        tried = [(t, *speed) for speed in speeds or [()] for t in torques]
+        speeds = [[v] for p in more for v in np.geomspace(p.high, p.low, _SPEED_GRID).tolist()]
+        tried = [(t, *speed) for speed in speeds or [[]] for t in torques]
         off = [np.mean(np.abs(needed - _limited(asked, rate, *each))) for each in tried]
         return (tried[int(np.argmin(off))],)
 

@@ -420,6 +420,10 @@ class TorqueRipple(JointEffect):
         amplitude, periods, phase = (float(v) for v in values)
         add_passive(spec, self.where, name, cogging=(amplitude, self._rate * periods, phase))
 
+    def interval_includes_null(self, low: Array, high: Array) -> bool:
+        """Return whether the amplitude's interval includes zero."""
+        return bool(low[0] <= 0 <= high[0])
+
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
@@ -515,6 +519,10 @@ class JointSpring(JointEffect):
         rests = (stiffness[0] * joint.springref * unit + added * rest) / both
         stiffness[0] = both
         joint.stiffness, joint.springref = stiffness, rests / unit
+
+    def interval_includes_null(self, low: Array, high: Array) -> bool:
+        """Return whether the stiffness interval includes zero."""
+        return bool(low[0] <= 0 <= high[0])
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
