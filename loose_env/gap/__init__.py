@@ -43,7 +43,7 @@ from loose_env.gap.explain import (
     write_gap,
 )
 from loose_env.gap.joined_runs import join_recordings, note_source, read_source
-from loose_env.gap.model.effect import Effect, Parameter
+from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
 from loose_env.gap.model.effects.catalogue import read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.next_motion import (
@@ -87,6 +87,7 @@ __all__ = [
     "BeliefSettings",
     "ChannelVerdict",
     "Correlation",
+    "DrivenEffect",
     "Effect",
     "EffectEstimate",
     "EffectLocation",
@@ -100,6 +101,7 @@ __all__ = [
     "Hypothesis",
     "HypothesisSet",
     "Identifiability",
+    "JointEffect",
     "JointExcitation",
     "LocalModels",
     "Motion",

@@ -17,6 +17,7 @@ from loose_env.gap import (
     GapSession,
     GapSettings,
     Hypothesis,
+    JointEffect,
     Parameter,
     explain_gap,
     read_effects,
@@ -24,7 +25,6 @@ from loose_env.gap import (
     register,
     write_model,
 )
-from loose_env.gap.model.effect import JointEffect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import correction_code
@@ -194,7 +194,7 @@ def test_a_new_effect_joins_the_catalogue_once() -> None:
 
 
 CREEP = """
-from loose_env.gap.model.effects.catalogue import register
+from loose_env.gap import register
 from loose_env.gap.model.effects.sensors import SensorBias
 
 @register
