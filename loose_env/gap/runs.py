@@ -54,13 +54,6 @@ def pieces_of(run: Run) -> list[Run]:
     """Cut a run where its recorder paused or its clock jumped.
 
     Pieces of fewer than `FEWEST_SAMPLES` are left out.
-
-    Examples
-    --------
-    >>> time = np.concatenate([np.arange(100), np.arange(5000, 5200)]) / 100
-    >>> run = Run(name="a.csv", time=time, sensors={"q": np.sin(time)})
-    >>> [(piece.name, piece.samples) for piece in pieces_of(run)]
-    [('a.csv, from 0 s', 100), ('a.csv, from 50 s', 200)]
     """
     steps = np.diff(run.time)
     cuts = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * median_step(run.time))) + 1
@@ -117,15 +110,7 @@ _NEGLIGIBLE_DRIFT = 1e-3
 
 
 def stays(time: Array, values: Array, controls: Array) -> bool:
-    """Return whether a joint stays at rest while the first commands are held.
-
-    Examples
-    --------
-    >>> time = np.arange(300) / 1000
-    >>> read = np.random.default_rng(1).normal(0, 1e-4, 300)
-    >>> stays(time, read, np.ones((300, 1))), stays(time, read + time**2, np.ones((300, 1)))
-    (True, False)
-    """
+    """Return whether a joint stays at rest while the first commands are held."""
     changed = np.flatnonzero((controls != controls[0]).any(axis=1))
     count = min(
         len(time) if not len(changed) else int(changed[0]), np.searchsorted(time, _REST_WINDOW_S)

@@ -265,12 +265,6 @@ def _states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[
 
     Positions follow cubics through the positions and speeds at both ends of a step, within which
     commands are constant, and speeds their slopes; activations are linear.
-
-    Examples
-    --------
-    >>> fallen = {"qpos": np.array([[0.0], [1.0]]), "qvel": np.array([[0.0], [2.0]])}
-    >>> {name: float(v[0, 0]) for name, v in _states_before(fallen, np.array([0.5]), 1.0).items()}
-    {'qpos': 0.25, 'qvel': 1.0}
     """
     count = len(states["qpos"])
     steps = np.clip(at / step, 0.0, count - 1.0)

@@ -2,29 +2,7 @@
 
 An effect acts in up to four ways, each a method that a subclass overrides: `Effect.edit` changes
 the MuJoCo spec, `Effect.command` the commands of the actuators, `Effect.torque` adds to the torque
-on the joints, `Effect.read` changes the sensor values.
-A new effect is one small class in one file:
-
-    class MotorConstant(Effect):
-        kind = "motor_constant"
-        acts_on = "actuator"
-
-        @classmethod
-        def locations(cls, machine):
-            return machine.actuators
-
-        @property
-        def parameters(self):
-            return (Parameter(name="factor", unit="", low=0.2, high=5.0, scale=1.0, log=True),)
-
-        @property
-        def starts(self):
-            return ((0.8,), (1.25,))
-
-        null_values = (1.0,)
-
-        def edit(self, spec, values):
-            ...
+on the joints, `Effect.read` changes the sensor values. ``docs/gap.md`` has examples.
 """
 
 from __future__ import annotations
@@ -460,14 +438,6 @@ class DrivenEffect(Effect):
         return ""
 
 
-START_SPEED = 0.3
-"""Stribeck speed from which fits start, over the typical speed."""
-
-
-START_SPEED = 0.3
-"""Stribeck speed from which fits start, over the typical speed."""
-
-
 class JointEffect(Effect):
     """An effect that can be at every joint."""
 
@@ -493,15 +463,6 @@ class JointEffect(Effect):
         """Inertia that the joint moves without its own rotor [kg·m² or kg]."""
         rotor = float(self.machine.model.dof_armature[self._dof])
         return max(self.machine.inertia(self.where) - rotor, 1e-9)
-
-    @property
-    def stribeck_speed(self) -> Parameter:
-        """Speed over which a friction falls from its height at rest."""
-        speed = self.speed
-        return Parameter(
-            name="speed", unit=f"{self.angle_unit}/s", low=1e-3 * speed, high=2.0 * speed,
-            scale=0.1 * speed, log=True,
-        )  # fmt: skip
 
     @property
     def _dof(self) -> int:

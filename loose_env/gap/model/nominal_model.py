@@ -247,13 +247,7 @@ def set_step(spec: mujoco.MjSpec, step: float) -> None:
 
 
 def history_for(delay: float, step: float) -> int:
-    """Number of samples in MuJoCo's history for a delay [s] at a step [s], or half.
-
-    Examples
-    --------
-    >>> history_for(0.0105, 0.001)
-    24
-    """
+    """Number of samples in MuJoCo's history for a delay [s] at a step [s], or half."""
     return 2 * ceil(delay / step - 1e-9) + 2
 
 
@@ -280,14 +274,6 @@ def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
     """Copy a spec so that every body, site and actuator has a name.
 
     A link, the body that a joint moves, is named after its first joint; others by their index.
-
-    Examples
-    --------
-    >>> spec = mujoco.MjSpec.from_string('''<mujoco><worldbody><body><joint name="elbow"/>
-    ... <geom size=".1"/><site/></body></worldbody></mujoco>''')
-    >>> named = with_names(spec)
-    >>> [body.name for body in named.bodies], [site.name for site in named.sites]
-    (['world', 'elbow_link'], ['site_0'])
     """
     spec = given.copy()
     _name(spec.bodies[1:], "body", spec.bodies)
@@ -379,15 +365,7 @@ def _carries(model: mujoco.MjModel, body: int, other: int) -> bool:
 
 
 def frame_about(axis: Array) -> Array:
-    """Right-handed unit vectors (3, 3), the first of them along ``axis``.
-
-    Examples
-    --------
-    >>> frame_about(np.array([0.0, 0.0, 2.0]))
-    array([[0., 0., 1.],
-           [1., 0., 0.],
-           [0., 1., 0.]])
-    """
+    """Right-handed unit vectors (3, 3), the first of them along ``axis``."""
     first = axis / np.linalg.norm(axis)
     second = np.eye(3)[int(np.argmin(np.abs(first)))]
     second = second - first * (second @ first)

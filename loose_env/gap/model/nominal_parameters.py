@@ -32,15 +32,7 @@ class _Entry:
 
 
 class NominalParameters:
-    """Factors on masses, inertias, dampings, frictions, rotor inertias and actuator gains.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> nominal = NominalParameters(NominalModel(planar(2).spec), tolerance=0.03)
-    >>> sorted({entry.field for entry in nominal.entries})
-    ['armature', 'damping', 'inertia', 'mass']
-    """
+    """Factors on masses, inertias, dampings, frictions, rotor inertias and actuator gains."""
 
     def __init__(self, machine: NominalModel, *, tolerance: float, drives: bool = True) -> None:
         self.machine, self.tolerance, self.drives = machine, tolerance, drives

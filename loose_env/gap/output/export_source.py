@@ -115,13 +115,7 @@ def read_source(path: str | Path) -> ExportSource:
 
 
 def number(value: float) -> str:
-    """Format a number with six significant digits.
-
-    Examples
-    --------
-    >>> number(0.1 + 0.2), number(3.0)
-    ('0.3', '3')
-    """
+    """Format a number with six significant digits."""
     return f"{value:.6g}"
 
 
@@ -196,18 +190,7 @@ class JointValues:
 
 
 def joint_values(model: mujoco.MjModel) -> tuple[JointValues, ...]:
-    """Read hinges and slides with their drives from a compiled model.
-
-    Examples
-    --------
-    >>> model = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><body>
-    ...   <joint name="elbow" damping="0.1" armature="0.02"/><geom size="0.1"/></body></worldbody>
-    ...   <actuator><position name="servo" joint="elbow" kp="5" kv="1" gear="2"
-    ...   forcerange="-3 3"/></actuator></mujoco>''')
-    >>> elbow = joint_values(model)[0]
-    >>> elbow.damping, elbow.drive.stiffness, elbow.drive.damping, elbow.drive.effort_limit
-    (0.1, 20.0, 4.0, 6.0)
-    """
+    """Read hinges and slides with their drives from a compiled model."""
     found = []
     for k in np.flatnonzero(np.isin(model.jnt_type, (_HINGE, _SLIDE))).tolist():
         dof = int(model.jnt_dofadr[k])

@@ -243,13 +243,7 @@ def _as_line(actuator: mujoco.MjsActuator, option: mujoco.MjOption) -> float:
 
 
 def held_delay(delay: float, step: float) -> float:
-    """Delay of a history that holds its samples [s]: whole steps, rounded up.
-
-    Examples
-    --------
-    >>> held_delay(0.0101, 0.002)
-    0.012
-    """
+    """Delay of a history that holds its samples [s]: whole steps, rounded up."""
     return max(ceil(delay / step - 1e-9), 0) * step
 
 

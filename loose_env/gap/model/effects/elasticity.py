@@ -571,15 +571,6 @@ def parts(
     They are the pieces of a bar whose mass per length rises or falls linearly, so that its centre
     lies where the link's does. Their centres are as far apart as those pieces' are, or less where
     the link's inertia does not allow that.
-
-    Examples
-    --------
-    A uniform bar of one metre, cut in the middle:
-
-    >>> bar = Inertial(12.0, np.array([0.5, 0.0, 0.0]), np.diag([0.1, 1.05, 1.05]))
-    >>> near, far = parts(bar, np.zeros(3), np.array([1.0, 0.0, 0.0]))
-    >>> near.mass, near.centre.tolist(), np.diag(near.tensor).round(3).tolist()
-    (6.0, [0.25, 0.0, 0.0], [0.05, 0.15, 0.15])
     """
     length = float(np.linalg.norm(end - start))
     along = (end - start) / length

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from scipy.signal import lombscargle
 
-from loose_env.gap.model.effect import START_SPEED, DrivenEffect, JointEffect, Parameter
+from loose_env.gap.model.effect import DrivenEffect, JointEffect, Parameter
 from loose_env.gap.model.effects.mjcf import (
     add_constant,
     add_passive,
@@ -222,6 +222,16 @@ _PIECES = (_SLOPES[1], _KNOTS[1]), (_SLOPES[0] - _SLOPES[1], _KNOTS[0])
 """Slope and end of two ramps from zero whose sum is the decrease."""
 
 
+_START_SPEED = 0.3
+"""Stribeck speed from which fits start, over the typical speed."""
+
+
+def _stribeck_speed(speed: float, unit: str) -> Parameter:
+    """Speed over which a friction falls from its height at rest, at a typical speed."""
+    low, high = 1e-3 * speed, 2.0 * speed
+    return Parameter(name="speed", unit=unit, low=low, high=high, scale=0.1 * speed, log=True)
+
+
 class StribeckFriction(JointEffect):
     """Stribeck friction: Coulomb friction, larger near rest.
 
@@ -247,13 +257,13 @@ class StribeckFriction(JointEffect):
                 scale=0.1 * load, log=True,
             ),
             Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
-            self.stribeck_speed,
+            _stribeck_speed(self.speed, f"{self.angle_unit}/s"),
         )  # fmt: skip
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: a weak and a strong one, each half as strong again at rest."""
-        speed = START_SPEED * self.speed
+        speed = _START_SPEED * self.speed
         return (0.04 * self.load, 1.6, speed), (0.2 * self.load, 1.6, speed)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
@@ -317,7 +327,7 @@ class LoadFriction(DrivenEffect, JointEffect):
         return (
             Parameter(name="share", unit="", low=_LEAST, high=0.95, scale=0.1, log=True),
             Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
-            self.stribeck_speed,
+            _stribeck_speed(self.speed, f"{self.angle_unit}/s"),
         )
 
     @property
@@ -327,7 +337,7 @@ class LoadFriction(DrivenEffect, JointEffect):
             return ((0.08,), (0.4,))
         if self.variant == "external":
             return ((0.08, 0.08), (0.3, 0.2))
-        return ((0.08, 1.5, START_SPEED * self.speed), (0.4, 1.5, START_SPEED * self.speed))
+        return ((0.08, 1.5, _START_SPEED * self.speed), (0.4, 1.5, _START_SPEED * self.speed))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Give the joint a trace of dry friction, whose size follows the load step by step."""

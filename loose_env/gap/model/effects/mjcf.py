@@ -54,15 +54,6 @@ def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
 
     A corrected model that is compared again has elements added before, and an effect may occur
     twice.
-
-    Examples
-    --------
-    >>> spec = mujoco.MjSpec()
-    >>> added_name(spec, "joint2", "backlash")
-    'joint2_backlash'
-    >>> _ = spec.worldbody.add_joint(name="joint2_backlash")
-    >>> added_name(spec, "joint2", "backlash")
-    'joint2_backlash_2'
     """
     several = (spec.bodies, spec.joints, spec.sites, spec.actuators)
     taken = {element.name for elements in several for element in elements}
@@ -176,13 +167,7 @@ def _write(body: mujoco.MjsBody, inertial: Inertial) -> None:
 
 
 def steiner(mass: float, lever: Array) -> Array:
-    """Inertia (3, 3) [kg·m²] of a point mass [kg] at a lever (3,) [m].
-
-    Examples
-    --------
-    >>> steiner(2.0, np.array([0.0, 0.0, 3.0])).diagonal()
-    array([18., 18.,  0.])
-    """
+    """Inertia (3, 3) [kg·m²] of a point mass [kg] at a lever (3,) [m]."""
     return mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
 
 

@@ -38,13 +38,7 @@ _TURNING = tuple(
 
 
 def column_of(sensor: str) -> str:
-    """Column of a sensor, without axis.
-
-    Examples
-    --------
-    >>> column_of("joint1_pos")
-    'sensor.joint1_pos'
-    """
+    """Column of a sensor, without axis."""
     return f"sensor.{sensor}"
 
 
@@ -246,13 +240,7 @@ class SensorDelay(SensorEffect):
 
 
 def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Array:
-    """Delay values, linear between samples; the first one is held before the start.
-
-    Examples
-    --------
-    >>> delayed(np.arange(4.0), np.array([0.0, 2.0, 4.0, 6.0]), 0.5)
-    array([0., 1., 3., 5.])
-    """
+    """Delay values, linear between samples; the first one is held before the start."""
     at = np.interp(time - delay, time, np.arange(len(time), dtype=float))
     low = np.floor(at).astype(int)
     high = np.minimum(low + 1, len(time) - 1)
