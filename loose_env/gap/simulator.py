@@ -49,8 +49,6 @@ _PARTS = 2
 only as far as the change lies in the middle."""
 _AT_A_TIME = 1024
 """States at which sensors are worked out at a time."""
-_CHUNK = 2_000_000
-"""Numbers recorded at a time."""
 _AT_ONCE = 4_000_000
 """Numbers of commands, readings and states that are held at a time, 32 MB; more where a thread
 would have no simulation."""
@@ -443,27 +441,15 @@ class Simulator:
         resting = np.array([slot.trial.resting for slot in slots])
         if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time
             held = np.repeat(controls[resting, :1], settle, axis=1)
-            diverged = _advance(moved, settle, held, np.flatnonzero(resting), diverged, None)
-        width = slots[0].model.nsensordata
+            _advance(moved, held, np.flatnonzero(resting), diverged, ("qpos",))
         # where a command changes within a step, or a sensor is delayed, sensors are recomputed
         late = [slot.late(self.channels) for slot in slots]
         names = _STATES if parts > 1 or any(late) else ()
-        states: dict[str, list[Array]] = {name: [] for name in names}
-        size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)) // parts) * parts
-        kept = np.empty((len(slots), -(-steps // parts), width))
-        for start in range(0, steps, size):
-            count = min(size, steps - start)
-            records: dict[str, Array] = {}
-            chunk = slice(start, start + count)
-            before = {name: np.array(getattr(batch, name)) for name in names}
-            diverged = _advance(
-                moved, count, controls[:, chunk], np.arange(len(slots)), diverged, records, names
-            )
-            for name, found in states.items():
-                found += [before[name][:, None], records[name][:, :-1]]
-            found_here = records["sensordata"][:, ::parts]
-            kept[:, start // parts : start // parts + found_here.shape[1]] = found_here
-        begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
+        before = {name: np.array(getattr(batch, name))[:, None] for name in names}
+        every = np.arange(len(slots))
+        records = _advance(moved, controls, every, diverged, ("sensordata", *names))
+        kept = records["sensordata"][:, ::parts]
+        begun = {n: np.concatenate([before[n], records[n][:, :-1]], axis=1) for n in names}
         for k in np.flatnonzero(~diverged).tolist() if names else ():
             count = slots[k].trial.steps
             passed = {name: found[k, : count * parts] for name, found in begun.items()}
@@ -548,19 +534,15 @@ def _layout(model: mujoco.MjModel) -> tuple[object, ...]:
 
 def _advance(
     batch: Batch | _Stepped,
-    count: int,
     controls: Array,
     ids: NDArray[np.intp],
-    known: NDArray[np.bool_],
-    records: dict[str, Array] | None,
-    more: Sequence[str] = (),
-) -> NDArray[np.bool_]:
-    """Advance some slots; return the mask of diverged slots, those known included."""
-    names = ("sensordata", *more) if records is not None else ("qpos",)
-    diverged = known.copy()
+    diverged: NDArray[np.bool_],
+    names: Sequence[str],
+) -> dict[str, Array]:
+    """Advance some slots; return what is recorded, and mark the slots that diverged."""
     try:
-        out = batch.rollout(
-            count,
+        out: dict[str, Array] = batch.rollout(
+            controls.shape[1],
             np.ascontiguousarray(controls),
             control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
             record=names,
@@ -568,10 +550,7 @@ def _advance(
         )
     except SimulationError as error:
         raise InvalidData(f"MuJoCo cannot simulate the model: {error}") from error
-    if records is not None:
-        records.update(out)
-    bad = ~np.isfinite(out[names[0]][:, -1]).all(axis=-1) | (
-        np.abs(out[names[0]]).max(axis=(1, 2)) > 1e9
-    )
+    first = out[names[0]]
+    bad = ~np.isfinite(first[:, -1]).all(axis=-1) | (np.abs(first).max(axis=(1, 2)) > 1e9)
     diverged[ids[bad]] = True
-    return diverged
+    return out

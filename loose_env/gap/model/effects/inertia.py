@@ -13,7 +13,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from loose_env.gap.model.effect import Effect, Parameter
-from loose_env.gap.model.effects.mjcf import Inertial, added_name, inertial_of, set_inertial
+from loose_env.gap.model.effects.mjcf import (
+    Inertial,
+    added_name,
+    inertial_of,
+    set_inertial,
+    site_pose,
+)
 from loose_env.gap.model.nominal_model import NominalModel, link_ends, normal_of, reach_of
 from loose_env.typing import Array
 
@@ -206,9 +212,7 @@ class Payload(Effect):
         centre = [float(v) for v in values[1:]] if self.variant else [0.0, 0.0, 0.0]
         if self.machine.tool:
             site = spec.site(self.machine.tool)
-            place, carrier = np.array(site.pos), site.parent
-            if site.frame is not None or not np.isfinite(place).all():
-                place = self.machine.model.site_pos[self.machine.model.site(site.name).id]
+            (place, _), carrier = site_pose(self.machine, site), site.parent
         else:
             name, place = _outermost(self.machine)
             carrier = spec.body(name)

@@ -259,6 +259,17 @@ def joint_inertia(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
     return float(mass_matrix(model, data)[dof, dof]), float(model.dof_invweight0[dof])
 
 
+def site_pose(machine: NominalModel, site: mujoco.MjsSite) -> tuple[Array, Array]:
+    """Position and quaternion of a site in its body, with frames and angles resolved."""
+    model, place, turned = machine.model, np.array(site.pos), np.array(site.quat)
+    if any(model.site(k).name == site.name for k in range(model.nsite)):
+        number = model.site(site.name).id
+        turned = model.site_quat[number]
+        if site.frame is not None or not np.isfinite(place).all():
+            place = model.site_pos[number]
+    return place, turned
+
+
 def move_beyond(
     machine: NominalModel,
     spec: mujoco.MjSpec,
@@ -270,7 +281,7 @@ def move_beyond(
 
     Geoms in frames stay.
     """
-    here, model = np.array(new.pos), machine.model
+    here = np.array(new.pos)
 
     def beyond(place: Array) -> bool:
         return bool((place - here) @ along >= -_ROUNDING)
@@ -282,12 +293,8 @@ def move_beyond(
             moving.append((child.name, place - here, turn))
     if moving:
         _move_bodies(spec, new, moving)
-    known = {model.site(s).name for s in range(model.nsite)}
     for site in list(old.sites):
-        place, turn = np.array(site.pos), np.array(site.quat)
-        if site.name in known:  # with frames and angles resolved
-            number = model.site(site.name).id
-            place, turn = model.site_pos[number], model.site_quat[number]
+        place, turn = site_pose(machine, site)
         if beyond(place):
             moved = new.add_site()
             _move(spec, site, moved, {"pos": place - here, "quat": turn})

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter, Readings
 from loose_env.gap.model.effects.drives import DELAY_STARTS, LONGEST_DELAY, held_delay
-from loose_env.gap.model.effects.mjcf import added_name, angle_unit
+from loose_env.gap.model.effects.mjcf import added_name, angle_unit, site_pose
 from loose_env.gap.model.nominal_model import NominalModel, history_for
 from loose_env.typing import Array
 
@@ -276,15 +276,9 @@ class SensorMisalignment(SensorEffect):
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Move the sensor to a rotated site of its own."""
-        sensor, model = spec.sensor(self.where), self.machine.model
+        sensor = spec.sensor(self.where)
         site = spec.site(sensor.objname)
-        place, turned = np.array(site.pos), np.array(site.quat)
-        if any(model.site(k).name == site.name for k in range(model.nsite)):
-            # with angles resolved; one that was rotated before is written as a quaternion
-            number = model.site(site.name).id
-            turned = model.site_quat[number]
-            if site.frame is not None or not np.isfinite(place).all():
-                place = model.site_pos[number]
+        place, turned = site_pose(self.machine, site)
         askew = added_name(spec, self.where, self.kind)
         x, y, z, w = (
             Rotation.from_quat(turned, scalar_first=True)
