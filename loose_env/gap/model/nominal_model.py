@@ -260,6 +260,7 @@ def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
         body.mass = float(model.body_mass[k])
         body.ipos = model.body_ipos[k].copy()
         body.iquat = model.body_iquat[k].copy()
+        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         body.inertia = model.body_inertia[k].copy()
         body.fullinertia = np.full(6, np.nan)
         body.explicitinertial = body.mass > 0

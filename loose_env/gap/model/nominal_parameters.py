@@ -77,10 +77,6 @@ class NominalParameters:
             for entry in self.entries
         )
 
-    def by_name(self, factors: Array) -> dict[str, float]:
-        """Map the names of the parameters to their factors (P,)."""
-        return {p.name: float(v) for p, v in zip(self.parameters, factors, strict=True)}
-
     def edit(self, spec: mujoco.MjSpec, factors: Array) -> None:
         """Scale the nominal parameters by factors (P,)."""
         for entry, factor in zip(self.entries, factors, strict=True):
@@ -89,24 +85,19 @@ class NominalParameters:
             elif entry.field == "inertia":
                 body = spec.body(entry.of)
                 body.inertia = np.asarray(body.inertia) * factor
-            elif entry.field == "damping":
+            elif entry.field in ("damping", "armature", "frictionloss"):
                 joint = spec.joint(entry.of)
-                joint.damping = np.asarray(joint.damping) * factor
-            elif entry.field in ("armature", "frictionloss"):
-                joint = spec.joint(entry.of)
-                setattr(joint, entry.field, getattr(joint, entry.field) * factor)
+                setattr(joint, entry.field, np.asarray(getattr(joint, entry.field)) * factor)
             else:
                 _scale_gain(spec.actuator(entry.of), factor, velocity=entry.field != "gain")
 
 
 def _scale_gain(actuator: mujoco.MjsActuator, factor: float, *, velocity: bool) -> None:
     """Scale the gain, or the velocity gain, of an actuator."""
-    bias = np.array(actuator.biasprm)
+    gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
     if velocity:
         bias[2] *= factor
     else:
-        gain = np.array(actuator.gainprm)
         gain[0] *= factor
-        actuator.gainprm = gain
         bias[:2] *= factor
-    actuator.biasprm = bias
+    actuator.gainprm, actuator.biasprm = gain, bias

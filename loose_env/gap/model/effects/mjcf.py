@@ -118,52 +118,26 @@ class Inertial:
 
 
 def inertial_of(machine: NominalModel, spec: mujoco.MjSpec, body: str) -> Inertial:
-    """Read a body of a spec; mass from geoms is taken from the compiled model."""
-    own, model = spec.body(body), machine.model
-    taken = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    if own.explicitinertial and not taken:
-        # a centre that was not given lies at the body's origin
-        mass, centre = float(own.mass), np.nan_to_num(np.array(own.ipos))
-        full = np.array(own.fullinertia)
-        if np.isfinite(full).all() and full[0] > 0:
-            xx, yy, zz, xy, xz, yz = full
-            return Inertial(mass, centre, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-        oriented = own.ialt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT
-        quat = model.body_iquat[model.body(body).id] if oriented else np.array(own.iquat)
-        moments = np.array(own.inertia)
-    else:
-        number = model.body(body).id
-        mass, centre = float(model.body_mass[number]), np.array(model.body_ipos[number])
-        quat, moments = model.body_iquat[number], model.body_inertia[number]
-    axes = Rotation.from_quat(quat, scalar_first=True).as_matrix()
-    return Inertial(mass, centre, axes @ np.diag(moments) @ axes.T)
+    """Read a body of a machine's spec, which has all inertias explicitly."""
+    own = spec.body(body)
+    axes = Rotation.from_quat(own.iquat, scalar_first=True).as_matrix()
+    tensor = axes @ np.diag(own.inertia) @ axes.T
+    return Inertial(mass=float(own.mass), centre=np.array(own.ipos), tensor=tensor)
 
 
 def set_inertial(machine: NominalModel, spec: mujoco.MjSpec, body: str, inertial: Inertial) -> None:
     """Write a body's mass, centre and inertia, overriding its geoms."""
-    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
-        # Geoms would override explicit values: all bodies get those from their geoms.
-        every = [b.name for b in spec.bodies if b.name and b.name != "world"]
-        kept = {name: inertial_of(machine, spec, name) for name in every if name != body}
-        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-        for name, own in kept.items():
-            if own.mass > 0:
-                _write(spec.body(name), own)
-    _write(spec.body(body), inertial)
-
-
-def _write(body: mujoco.MjsBody, inertial: Inertial) -> None:
     moments, axes = np.linalg.eigh(inertial.tensor)
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     # Of a flat body the largest moment is the sum of the others; rounding must not exceed it.
     moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-15))
-    x, y, z, w = Rotation.from_matrix(axes).as_quat()
-    body.mass, body.ipos = inertial.mass, inertial.centre
-    body.iquat, body.inertia = [w, x, y, z], moments
-    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    body.fullinertia = np.full(6, np.nan)
-    body.explicitinertial = True
+    own = spec.body(body)
+    own.mass, own.ipos, own.inertia = inertial.mass, inertial.centre, moments
+    own.iquat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    own.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    own.fullinertia = np.full(6, np.nan)
+    own.explicitinertial = True
 
 
 def steiner(mass: float, lever: Array) -> Array:
