@@ -35,7 +35,6 @@ from loose_env.gap.model.nominal_model import (
     NominalModel,
     frame_about,
     link_ends,
-    mass_matrix,
     normal_of,
     reach_of,
 )
@@ -133,9 +132,7 @@ class SplitJoint(JointEffect):
     def weight(self) -> float:
         """Inverse of the inertia on the link side [1/(kg·m²) or 1/kg], all others free."""
         spec = self.machine.fresh()
-        name = self._split(spec).name
-        model = spec.compile()
-        return float(model.dof_invweight0[model.joint(name).dofadr[0]])
+        return joint_inertia(spec, self._split(spec).name)[1]
 
 
 class JointCompliance(SplitJoint, SpringEffect):
@@ -367,7 +364,7 @@ class StructuralLooseness(LinkEffect):
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return links with room for three slides."""
+        """Return links with room for another joint, and two more in a corrected model."""
         count = machine.model.body_jntnum
         room = _MOST_JOINTS - 3
         return tuple(n for n in machine.links if count[machine.model.body(n).id] <= room)
@@ -416,13 +413,9 @@ class StructuralLooseness(LinkEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the slide behind the link's joints."""
-        self._keep_rotors(spec)
         direction = self.direction(values)
         gap, friction, stiffness, ratio = (float(v) for v in values[-4:])
-        joint = add_extra_joint(
-            spec.body(self.where), added_name(spec, self.where, self.kind), turns=False,
-            axis=direction, pos=np.zeros(3), friction=friction,
-        )  # fmt: skip
+        joint = self._slide(spec, direction, friction)
         make_it_stick(joint, spec.option.timestep)
         weight = self._weight(direction)
         # the same contact mode in every direction
@@ -431,35 +424,24 @@ class StructuralLooseness(LinkEffect):
             weight=weight, load=_GRAVITY / weight,
         )  # fmt: skip
 
-    def _keep_rotors(self, spec: mujoco.MjSpec) -> None:
-        """Keep inertia on the drive's side of a slide, whose added one may lie along it."""
+    def _slide(
+        self, spec: mujoco.MjSpec, direction: Array, friction: float = 0.0
+    ) -> mujoco.MjsJoint:
+        """Add the slide, and keep inertia on the drive's side of others, which may lie along it."""
         machine = self.machine
         body = machine.model.body(self.where).id
         for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
             if owner == body and not machine.turns(joint):
                 keep_motor_side(machine, spec, joint, machine.inertia(joint))
-
-    @cached_property
-    def _mass(self) -> tuple[Array, list[int], list[int]]:
-        """Mass matrix with slides along the body's three axes; own and added DOF indices."""
-        spec = self.machine.fresh()
-        self._keep_rotors(spec)
-        names = tuple(added_name(spec, self.where, axis) for axis in "xyz")
-        for name, axis in zip(names, np.eye(3), strict=True):
-            add_extra_joint(spec.body(self.where), name, turns=False, axis=axis, pos=np.zeros(3))
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        added = [int(model.joint(name).dofadr[0]) for name in names]
-        return mass_matrix(model, data), [k for k in range(model.nv) if k not in added], added
+        return add_extra_joint(
+            spec.body(self.where), added_name(spec, self.where, self.kind), turns=False,
+            axis=direction, pos=np.zeros(3), friction=friction,
+        )  # fmt: skip
 
     def _weight(self, direction: Array) -> float:
         """Inverse of the mass on the slide [1/kg], all joints free."""
-        mass, own, added = self._mass
-        basis = np.zeros((len(mass), len(own) + 1))
-        basis[own, np.arange(len(own))] = 1.0
-        basis[added, -1] = direction
-        return float(np.linalg.inv(basis.T @ mass @ basis)[-1, -1])
+        spec = self.machine.fresh()
+        return joint_inertia(spec, self._slide(spec, direction).name)[1]
 
     @cached_property
     def _mean_weight(self) -> float:
