@@ -94,11 +94,19 @@ def _torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Arra
     return found
 
 
-def _fed(hypothesis: Hypothesis, command: Array, position: Array, speed: Array) -> Array:
+_Driven = list[tuple[DrivenEffect, Array]]
+"""Driven effects in the order in which they act, with values (P,) or by simulation (P, sims)."""
+
+
+def _driven(hypothesis: Hypothesis) -> _Driven:
+    """Driven effects of a hypothesis."""
+    return [(e, values) for e, values in hypothesis.pairs if isinstance(e, DrivenEffect)]
+
+
+def _fed(driven: _Driven, command: Array, position: Array, speed: Array) -> Array:
     """Commands (..., actuators) that reach the actuators in some states (..., joints)."""
-    for effect, values in hypothesis.pairs:
-        if isinstance(effect, DrivenEffect):
-            command = effect.feedback(command, position, speed, values)
+    for effect, values in driven:
+        command = effect.feedback(command, position, speed, values)
     return command
 
 
@@ -114,7 +122,7 @@ class _Stepped:
         self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
         self._actuators = len(machine.actuators)
         self._pulls = any(map(_has_torque, hypotheses))
-        driven = [e for h in hypotheses for e in h.effects if isinstance(e, DrivenEffect)]
+        driven = [e for hypothesis in hypotheses for e, _ in _driven(hypothesis)]
         self._feeds = any(type(e).feedback is not DrivenEffect.feedback for e in driven)
         self._own_models: list[mujoco.MjModel] = []
         if any(type(e).dry_friction is not DrivenEffect.dry_friction for e in driven):
@@ -150,7 +158,8 @@ class _Stepped:
         every = len(ids) == batch.nsim
         own, called = (slice(None), None) if every else (ids, ids)
         acting = (own, self._dofs) if every else (ids[:, None], self._dofs)
-        rows = self._rows(ids)
+        simulated = [self.hypotheses[i] for i in ids]
+        rows, groups = _rows(simulated), _groups(simulated)
         warned = np.array(batch.warning[ids])
         models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
         step = float(models[0].opt.timestep)
@@ -161,7 +170,7 @@ class _Stepped:
         before: State | None = None
         for k in range(count):
             now = fields["qpos"][own][:, self._places], fields["qvel"][own][:, self._dofs]
-            commands[own] = self._commands(rows, control[:, k], now)
+            commands[own] = self._commands(groups, control[:, k], now)
             if self._pulls:
                 applied[acting] = _terms(rows, (now[0][None], now[1][None]))[0]
             ahead = 0.0 * now[1]
@@ -180,11 +189,11 @@ class _Stepped:
                 before = now
             if self._feeds:
                 middle = _ahead(now, ahead, 0.5 * step)
-                commands[own] = self._commands(rows, control[:, k], middle)
+                commands[own] = self._commands(groups, control[:, k], middle)
             if self._own_models:
                 drive = fields["qfrc_actuator"][own][:, self._dofs]
                 load = -fields["qfrc_bias"][own][:, self._dofs]
-                self._set_friction(ids, rows, drive, load, now[1])
+                self._set_friction(ids, groups, drive, load, now[1])
             batch.step(called)
             for name in record:
                 if not (looks_ahead and name in read):
@@ -195,41 +204,58 @@ class _Stepped:
             values[diverged] = np.nan
         return found
 
-    def _rows(self, ids: NDArray[np.intp]) -> list[tuple[Hypothesis, slice | NDArray[np.intp]]]:
-        """Hypotheses with terms, and the indices of their simulations; a slice makes views."""
-        own = [self.hypotheses[i] for i in ids]
-        found: list[tuple[Hypothesis, slice | NDArray[np.intp]]] = []
-        for hypothesis in {id(each): each for each in own if has_terms(each)}.values():
-            mask = [each is hypothesis for each in own]
-            found.append((hypothesis, slice(None) if all(mask) else np.flatnonzero(mask)))
-        return found
-
-    def _commands(self, rows: _Rows, command: Array, state: State) -> Array:
+    def _commands(self, groups: _Groups, command: Array, state: State) -> Array:
         """Commands (sims, actuators) that reach the actuators in a state."""
         if not self._feeds:
             return command
         found, (position, speed) = command.copy(), state
-        for hypothesis, own in rows:
+        for driven, own in groups:
             given = command[own, : self._actuators]
-            found[own, : self._actuators] = _fed(hypothesis, given, position[own], speed[own])
+            found[own, : self._actuators] = _fed(driven, given, position[own], speed[own])
         return found
 
     def _set_friction(
-        self, ids: NDArray[np.intp], rows: _Rows, drive: Array, load: Array, speed: Array
+        self, ids: NDArray[np.intp], groups: _Groups, drive: Array, load: Array, speed: Array
     ) -> None:
         """Set the dry friction of some simulations from drive, load and speed (ids, joints)."""
         friction = self._base[ids]
-        for hypothesis, own in rows:
-            for effect, values in hypothesis.pairs:
-                if isinstance(effect, DrivenEffect):
-                    friction[own] += effect.dry_friction(drive[own], load[own], speed[own], values)
+        for driven, own in groups:
+            for effect, values in driven:
+                friction[own] += effect.dry_friction(drive[own], load[own], speed[own], values)
         for number, row in zip(ids.tolist(), friction, strict=True):
             self._losses[number][self._dofs] = row
         self.batch.set_models(self._own_models)
 
 
-_Rows = Sequence[tuple[Hypothesis, slice | NDArray[np.intp]]]
-"""Hypotheses and the indices of their simulations."""
+_Places = slice | NDArray[np.intp]
+"""Indices of simulations; a slice where they are all, which makes views."""
+_Rows = Sequence[tuple[Hypothesis, _Places]]
+_Groups = Sequence[tuple[_Driven, _Places]]
+
+
+def _where(mask: Sequence[bool]) -> _Places:
+    return slice(None) if all(mask) else np.flatnonzero(mask)
+
+
+def _rows(each: Sequence[Hypothesis]) -> _Rows:
+    """Hypotheses with torque terms, and their simulations."""
+    known = {id(hypothesis): hypothesis for hypothesis in each if _has_torque(hypothesis)}
+    return [(h, _where([other is h for other in each])) for h in known.values()]
+
+
+def _groups(each: Sequence[Hypothesis]) -> _Groups:
+    """Driven effects with the values of all simulations that have them."""
+    keys = [tuple(id(effect) for effect, _ in _driven(hypothesis)) for hypothesis in each]
+    found = []
+    for key in dict.fromkeys(key for key in keys if key):
+        mask = [other == key for other in keys]
+        members = [_driven(h) for h, own in zip(each, mask, strict=True) if own]
+        stacked = [
+            (same[0][0], np.stack([values for _, values in same], axis=-1))
+            for same in zip(*members, strict=True)
+        ]
+        found.append((stacked, _where(mask)))
+    return found
 
 
 def _terms(rows: _Rows, state: State) -> Array:
@@ -345,7 +371,7 @@ class _Slot:
             given = controls[part]
             if has_terms(self.hypothesis):
                 at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
-                given = _fed(self.hypothesis, given, *at)
+                given = _fed(_driven(self.hypothesis), given, *at)
                 batch.qfrc_applied[:count, dofs] = _torque_terms(self.hypothesis, *at)
             batch.ctrl[:count, : controls.shape[1]] = given
             batch.forward()
