@@ -36,6 +36,8 @@ _Z = 1.96
 """Half width of a 95 % interval in standard deviations."""
 _ASIDE = 0.25
 """Relative step of a shape over which the fall of its evidence is read."""
+_STILL = 0.5
+"""Share of the time without evidence from which the rest does not speak for a joint."""
 _NOISE = 1.6
 """Held-out residual up to which nothing more is needed [noise standard deviations]."""
 
@@ -193,14 +195,13 @@ def decide_simulated(
     for number, (term, values) in enumerate(zip(best.terms, best.values, strict=True)):
         ends = np.stack(_simulated_ends(best, number))
         sure = not term.effect.interval_includes_null(ends.min(axis=0), ends.max(axis=0))
-        by_run, by_stretch = (float(g[number]) for g in gains)
-        held = min(by_run, by_stretch) >= HELD_OUT
+        gain = float(gains[number])
         chance = min(chances[term.name], 1.0)
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
-                probability=chance, confusable=(), z=np.inf if sure else 0.0, by_run=by_run,
-                by_stretch=by_stretch, named=chance >= NAMED and sure and held,
+                probability=chance, confusable=(), z=np.inf if sure else 0.0, by_run=gain,
+                by_stretch=gain, named=chance >= NAMED and sure and gain >= HELD_OUT,
             )
         )  # fmt: skip
     members = {term.name for term in best.terms}
@@ -223,29 +224,25 @@ def _in_cells(selection: Selection, fit: ExactFit) -> SetFit:
     return selection.solve(tuple(terms))
 
 
-def _simulated_gains(
-    selection: Selection, exact: Exact, fit: ExactFit
-) -> tuple[tuple[Array, Array], Array]:
+def _simulated_gains(selection: Selection, exact: Exact, fit: ExactFit) -> tuple[Array, Array]:
     """Rise of twice the held-out log likelihood with each member, and the residual with all.
 
-    By runs, and by alternate windows.
+    By halves of the runs, of a lone run by alternate windows.
     """
     names = [trial.name for trial in exact.simulator.trials]
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    halves = np.arange(len(names)) % 2
-    runs = np.array([number[name] % 2 for name in names]) if len(number) > 1 else halves
-    found, left = [], np.zeros(len(fit.rms))
-    for scheme in (runs, halves) if len(number) > 1 else (halves,):
-        gain = np.zeros(len(fit.terms))
-        for half in (0, 1):
-            train, test = (exact.on(np.flatnonzero(scheme == k).tolist()) for k in (half, 1 - half))
-            whole = train.refit(selection, fit.terms, fit.values)
-            score, rms = test.score(whole)
-            left += rms**2 / 2
-            for k in range(len(fit.terms)):
-                gain[k] += test.score(train.without(selection, fit, k))[0] - score
-        found.append(gain)
-    return (found[0], found[-1]), np.sqrt(left / len(found))
+    order = [number[name] for name in names] if len(number) > 1 else range(len(names))
+    gains, left = np.zeros(len(fit.terms)), np.zeros(len(fit.rms))
+    for half in (0, 1):
+        train, test = (
+            exact.on([k for k, place in enumerate(order) if place % 2 == side])
+            for side in (half, 1 - half)
+        )
+        score, rms = test.score(train.refit(selection, fit.terms, fit.values, 1))
+        left += rms**2 / 2
+        for k in range(len(fit.terms)):
+            gains[k] += test.score(train.without(selection, fit, k))[0] - score
+    return gains, np.asarray(np.sqrt(left))
 
 
 def pruned(selection: Selection, fit: SetFit) -> SetFit:
@@ -399,6 +396,16 @@ def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
     """Channels of which most is left (C,)."""
     share = 1 - (after / before) ** 2
     return np.asarray((after > LARGE) & (share < EXPLAINED) & (before > LARGE))
+
+
+def left_open(selection: Selection, fit: SetFit) -> list[int]:
+    """Channels that a set leaves open: most is left, or stood still, or was at a limit."""
+    unexplained = _unexplained(_before(selection), held_out_rms(selection, fit))
+    return [
+        channel.joint
+        for channel, most in zip(selection.evidence.channels, unexplained, strict=True)
+        if most or channel.blanked > _STILL
+    ]
 
 
 def _main(selection: Selection, fit: SetFit, term: Term) -> int:

@@ -9,7 +9,7 @@ or strikes stops, sets are searched in simulation.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -29,6 +29,7 @@ from loose_env.gap.core.selection import (
 )
 from loose_env.gap.core.tolerances import Nuisance
 from loose_env.gap.model.effect import Effect, Parameter, free_of, values_of
+from loose_env.gap.model.effects.drives import DriveLimit
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import Trial, align_run, channels_of, measured_runs
@@ -53,10 +54,12 @@ _EVALUATIONS = 3
 """Jacobians of one round."""
 _MOST_EFFECTS = 6
 """Effects of a set that is searched for in simulation."""
-_TRIED = 5
+_TRIED = 3
 """Effects that are fitted in one step of that search."""
 _LEAST_GAIN = 0.5
 """Fall of the total for which a step is taken."""
+_PULLED = 0.3
+"""Standard deviations from which a pull of a tolerance is simulated."""
 _STEP = 1e-3
 """Step of numerical derivatives, in free numbers."""
 
@@ -140,7 +143,9 @@ class Exact:
         self.known = _Known(self.balance.machine, _pulls(selection, fit))
         return self.refit(selection, fit.terms, first)
 
-    def refit(self, selection: Selection, terms: Set, first: Sequence[Array]) -> ExactFit:
+    def refit(
+        self, selection: Selection, terms: Set, first: Sequence[Array], rounds: int = _ROUNDS
+    ) -> ExactFit:
         """Fit effects in simulation from given values, with the tolerances of the last fit."""
         groups = [term.effect.parameters for term in terms]
         free = np.concatenate([np.empty(0), *map(free_of, groups, first)])
@@ -154,7 +159,7 @@ class Exact:
 
         rows, channel = self._residuals([hypothesis(free)])[0]
         found, spread = free, np.zeros(len(free))
-        for _ in range(_ROUNDS if len(free) else 0):
+        for _ in range(rounds if len(free) else 0):
             level = np.maximum(_by_channel(rows, channel), 1.0)[channel]
 
             def weighted(x: Array, level: Array = level) -> Array:
@@ -186,25 +191,31 @@ class Exact:
         )
 
     def searched(
-        self, selection: Selection, best: ExactFit, pool: Sequence[tuple[Term, Array]]
+        self,
+        selection: Selection,
+        best: ExactFit,
+        pool: Sequence[tuple[Term, Array]],
+        say: Callable[[str], None],
     ) -> list[ExactFit]:
         """Add and remove effects of a pool of starts in simulation; all sets, the best first."""
-        visited = [best]
+        visited, half = [best], self.on(range(0, len(self.simulator.trials), 2))
         while len(best.terms) < _MOST_EFFECTS:
             names = {term.name for term in best.terms}
             free = [(term, values) for term, values in pool if term.name not in names]
             sets = [(*best.terms, term) for term, _ in free]
-            guesses = self._totals(selection, sets, [(*best.values, v) for _, v in free])
+            guesses = half._totals(selection, sets, [(*best.values, v) for _, v in free])
             tried: dict[tuple[str, str], ExactFit] = {}
             for k in np.argsort(guesses):
                 if len(tried) < _TRIED and free[k][0].name not in tried:
                     first = (*best.values, free[k][1])
-                    tried[free[k][0].name] = self.refit(selection, sets[k], first)
+                    tried[free[k][0].name] = self.refit(selection, sets[k], first, 1)
             visited += tried.values()
             top = min(tried.values(), key=lambda f: f.total, default=best)
             if top.total > best.total - _LEAST_GAIN:
                 break
-            best = top
+            say(f"simulated: {', '.join(repr(term.effect) for term in top.terms)}")
+            best = self.refit(selection, top.terms, top.values)
+            visited.append(best)
             for number in reversed(range(len(best.terms) - 1)):
                 fewer = self.without(selection, best, number)
                 visited.append(fewer)
@@ -214,9 +225,8 @@ class Exact:
     def without(self, selection: Selection, fit: ExactFit, number: int) -> ExactFit:
         """Fit a set without one of its members."""
         kept = [k for k in range(len(fit.terms)) if k != number]
-        return self.refit(
-            selection, tuple(fit.terms[k] for k in kept), [fit.values[k] for k in kept]
-        )
+        own = tuple(fit.terms[k] for k in kept)
+        return self.refit(selection, own, [fit.values[k] for k in kept], 1)
 
     def by_joint(self) -> dict[int, int]:
         """Joints with their channels of positions."""
@@ -287,10 +297,11 @@ def _side(x: Array, bounds: Array) -> Array:
 
 
 def _pulls(selection: Selection, fit: SetFit) -> list[tuple[Nuisance, float]]:
-    """Tolerances with their numbers of standard deviations."""
+    """Tolerances that are pulled, with their numbers of standard deviations."""
     evidence = selection.evidence
     pulls = evidence.mixed @ fit.values[: evidence.tolerances]
-    return [(n, float(x)) for n, x in zip(evidence.nuisances, pulls, strict=True)]
+    pairs = zip(evidence.nuisances, pulls, strict=True)
+    return [(n, float(x)) for n, x in pairs if abs(x) > _PULLED]
 
 
 def _windows(trial: Trial, balance: Balance, trials: int, *, between: bool) -> list[Trial]:
@@ -335,12 +346,12 @@ def leading(selection: Selection, fit: SetFit, most: int = 4) -> list[SetFit]:
     return found[:most]
 
 
-def open_joints(exact: Exact, nominal: ExactFit, best: ExactFit) -> set[str]:
-    """Joints most of whose motion a set leaves open in simulation."""
-    found = set()
-    for joint, k in exact.by_joint().items():
-        left = float(best.rms[k] / nominal.rms[k])
-        if best.rms[k] > LARGE and 1 - left**2 < EXPLAINED:
+def open_joints(exact: Exact, nominal: ExactFit, best: ExactFit, cells: Iterable[int]) -> set[str]:
+    """Joints of some that cells leave open, most of whose motion a set leaves open, too."""
+    found, by_joint = set(), exact.by_joint()
+    for joint in set(cells) & set(by_joint):
+        left, before = best.rms[by_joint[joint]], nominal.rms[by_joint[joint]]
+        if left > LARGE and 1 - (left / before) ** 2 < EXPLAINED:
             found.add(exact.balance.machine.joints[joint])
     return found
 
@@ -357,8 +368,9 @@ def pool_of(
         shows = effect.moves or effect.where in balance.encoders
         if effect.where not in places or not shows or effect.has_memory:
             continue
-        alike = [t for t in known if t.effect.key == effect.key]
-        starts = [*effect.starts, *(t.axes[0] for t in alike if t.law)]
+        starts = list(effect.starts)
+        if not starts or effect.adds_motion or isinstance(effect, DriveLimit):
+            starts += [t.axes[0] for t in known if t.effect.key == effect.key and t.law]
         for start in dict.fromkeys(tuple(map(float, s)) for s in starts):
             term = Term(effect, (start,), "", law=True, columns=())
             found.append((term, np.array(start)))

@@ -12,7 +12,14 @@ from loose_env.arms import quiet
 from loose_env.errors import InvalidData, UnknownName
 from loose_env.gap.core.balance import Balance, scaled
 from loose_env.gap.core.catalogue import catalogue
-from loose_env.gap.core.decision import HELD_OUT, Decision, decide, decide_simulated, pruned
+from loose_env.gap.core.decision import (
+    HELD_OUT,
+    Decision,
+    decide,
+    decide_simulated,
+    left_open,
+    pruned,
+)
 from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import Exact, ExactFit, leading, open_joints, pool_of
@@ -94,12 +101,12 @@ def find_gap(
             )
             best = cells[frozenset(fits[0].terms)]
             nominal = exact.fit(selection, selection.solve(()))
-            left = open_joints(exact, nominal, fits[0])
+            left = open_joints(exact, nominal, fits[0], left_open(selection, best))
             if left:
                 say(f"search in simulation: {', '.join(sorted(left))}")
                 pool = pool_of(selection, left, settings.kinds or EFFECTS)
                 exact.fit(selection, best)
-                searched = exact.searched(selection, fits[0], pool)
+                searched = exact.searched(selection, fits[0], pool, say)
         say("decision on held-out data")
         if searched and searched[0].total < fits[0].total - HELD_OUT:
             fits = tuple(searched)

@@ -33,7 +33,7 @@ _FLAT = 1.35
 """Half-amplitude frequency of the low-pass over the end of the band, and:"""
 _ORDER = 16
 """its order: flat to 1 % at the end of the band."""
-_MOST_SAMPLES = 24_000
+_MOST_SAMPLES = 12_000
 """Thinned samples of all runs, at most: minutes of motion; of longer runs the middle is taken."""
 _NEAR = 0.5
 """Length of a record's end in which its motion is a parabola [periods of the end of the band]."""
