@@ -12,6 +12,7 @@ import numpy as np
 
 from loose_env.doctor import Finding as Preflight
 from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms
+from loose_env.gap.core.exact import LARGE
 from loose_env.gap.core.find import Answer, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
 from loose_env.gap.core.residual import (
@@ -288,8 +289,9 @@ def pulled_words(result: GapResult) -> list[str]:
 def _verdict(answer: Answer) -> Verdict:
     if any(finding.named for finding in answer.decision.findings):
         return "named"
-    words = {joint.verdict for joint in answer.decision.joints}
-    return "no_gap" if words <= {"not needed"} else "unexplained"
+    # where two or three noise standard deviations are left, there is little to look for
+    left = [j for j in answer.decision.joints if j.verdict in ("unexplained", "cannot tell")]
+    return "unexplained" if any(joint.after > LARGE for joint in left) else "no_gap"
 
 
 def pooled_rms(selection: Selection, fit: SetFit) -> float:

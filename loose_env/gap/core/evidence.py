@@ -22,6 +22,8 @@ BANDS = 7
 """Bands of a channel, the first around zero, the others of equal ratio."""
 STRETCHES = 8
 """Stretches of a recording, about: enough to see whether a residual repeats."""
+_MOST_STRETCHES = 16
+"""Stretches whose cells are apart; of more runs, several share theirs."""
 _SHORTEST_S = 4.0
 """Shortest stretch [s]."""
 KNOCK = 16.0
@@ -306,7 +308,8 @@ def _rows(balance: Balance, joint: int, wide: Sequence[Change]) -> _Rows:
     keys: dict[tuple[int, int], int] = {}
     counts: dict[tuple[int, int], float] = {}
     edges = _edges(balance)
-    for piece, (run, rows) in enumerate(stretches_of(balance)):
+    for number, (run, rows) in enumerate(stretches_of(balance)):
+        piece = number % _MOST_STRETCHES
         window = _taper(rows.stop - rows.start, len(motion.runs[run].position)) * weight[run][rows]
         values = motion.split(stacked)[run][rows]
         frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
@@ -322,13 +325,16 @@ def _rows(balance: Balance, joint: int, wide: Sequence[Change]) -> _Rows:
             cell = keys.setdefault((band, piece), len(keys))
             parts.append(np.concatenate([spectrum[own].real, spectrum[own].imag]))
             cells.append(np.full(2 * int(own.sum()), cell))
-            counts[band, piece] = 2.0 * own.sum() - (own[0] and frequency[0] == 0)
-    stretch = np.array([piece for _, piece in keys])
-    runs = np.array([run for run, _ in stretches_of(balance)])
+            count = 2.0 * own.sum() - (own[0] and frequency[0] == 0)
+            counts[band, piece] = counts.get((band, piece), 0.0) + count
+    stretch, whole = np.array([piece for _, piece in keys]), stretches_of(balance)
+    pooled = len(whole) > _MOST_STRETCHES
+    runs = np.array([k if pooled else run for k, (run, _) in enumerate(whole)])
+    order = np.argsort(np.concatenate(cells), kind="stable")
     centres = 2 * np.pi * np.sqrt(np.maximum(edges[:-1], edges[1] / 2) * edges[1:])
     return _Rows(
-        whitened=np.concatenate(parts),
-        cell=np.concatenate(cells),
+        whitened=np.concatenate(parts)[order],
+        cell=np.concatenate(cells)[order],
         count=np.array([counts[key] for key in keys]),
         stretch=stretch,
         run=runs[stretch],

@@ -58,7 +58,7 @@ _TRIED = 3
 """Effects that are fitted in one step of that search."""
 _LEAST_GAIN = 0.5
 """Fall of the total for which a step is taken."""
-_PULLED = 0.3
+_PULLED = 0.1
 """Standard deviations from which a pull of a tolerance is simulated."""
 _STEP = 1e-3
 """Step of numerical derivatives, in free numbers."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -24,7 +24,7 @@ from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import Exact, ExactFit, leading, open_joints, pool_of
 from loose_env.gap.core.motion import smooth
-from loose_env.gap.core.selection import Selection
+from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.settings import GapSettings
@@ -83,40 +83,49 @@ def find_gap(
         selection = evidence_of(used, settings, say)
         say("selection of effects")
         best = pruned(selection, selection.best())
-        fits: tuple[ExactFit, ...] = ()
-        searched: list[ExactFit] = []
-        if settings.simulate and not selection.evidence.balance.released.any():
-            exact = Exact(used, selection.evidence.balance, threads=settings.threads)
-            sets = [pruned(selection, own) for own in leading(selection, best)] or [
-                selection.solve(())
-            ]
-            unlike = {frozenset(t.name for t in own.terms): own for own in reversed(sets)}
-            say(f"exact fits: {len(unlike)} sets of effects in full simulation")
-            found = [exact.fit(selection, own) for own in unlike.values()]
-            cells = {frozenset(own.terms): own for own in unlike.values()}
-            # where simulations are as good, the cells decide, which know all tolerances
-            least = min(f.total for f in found) + HELD_OUT
-            fits = tuple(
-                sorted(found, key=lambda f: (f.total > least, cells[frozenset(f.terms)].total))
-            )
-            best = cells[frozenset(fits[0].terms)]
-            nominal = exact.fit(selection, selection.solve(()))
-            left = open_joints(exact, nominal, fits[0], left_open(selection, best))
-            if left:
-                say(f"search in simulation: {', '.join(sorted(left))}")
-                pool = pool_of(selection, left, settings.kinds or EFFECTS)
-                exact.fit(selection, best)
-                searched = exact.searched(selection, fits[0], pool, say)
-        say("decision on held-out data")
-        if searched and searched[0].total < fits[0].total - HELD_OUT:
-            fits = tuple(searched)
-            decision = decide_simulated(selection, exact, searched, nominal)
+        left = left_open(selection, best)
+        stepped = settings.simulate and not selection.evidence.balance.released.any()
+        if left and stepped:
+            decision, fits = _simulated(used, selection, best, left, settings, say)
         else:
-            decision = decide(selection, best, fits[:1])
+            say("decision on held-out data")
+            decision, fits = decide(selection, best), ()
     return Answer(
         recording=used, held_out=held_out, settings=settings, selection=selection,
         decision=decision, exact=fits,
     )  # fmt: skip
+
+
+def _simulated(
+    recording: Recording,
+    selection: Selection,
+    best: SetFit,
+    left: Sequence[int],
+    settings: GapSettings,
+    say: Say,
+) -> tuple[Decision, tuple[ExactFit, ...]]:
+    """Decide in simulation where the cells leave channels open; the sets, the best first."""
+    exact = Exact(recording, selection.evidence.balance, threads=settings.threads)
+    sets = [pruned(selection, own) for own in leading(selection, best)] or [selection.solve(())]
+    cells = {frozenset(own.terms): own for own in reversed(sets)}
+    say(f"exact fits: {len(cells)} sets of effects in full simulation")
+    fits = [exact.fit(selection, own) for own in cells.values()]
+    # where simulations are as good, the cells decide, which know all tolerances
+    least = min(f.total for f in fits) + HELD_OUT
+    fits.sort(key=lambda f: (f.total > least, cells[frozenset(f.terms)].total))
+    best = cells[frozenset(fits[0].terms)]
+    nominal = exact.fit(selection, selection.solve(()))
+    joints = open_joints(exact, nominal, fits[0], left)
+    if joints:
+        say(f"search in simulation: {', '.join(sorted(joints))}")
+        exact.fit(selection, best)
+        pool = pool_of(selection, joints, settings.kinds or EFFECTS)
+        searched = exact.searched(selection, fits[0], pool, say)
+        if searched[0].total < fits[0].total - HELD_OUT:
+            say("decision on held-out runs in simulation")
+            return decide_simulated(selection, exact, searched, nominal), tuple(searched)
+    say("decision on held-out data")
+    return decide(selection, best, fits[:1]), tuple(fits)
 
 
 def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Selection:

@@ -248,8 +248,7 @@ class Selection:
             beyond, wide, costs = self._explained(k, excess, lawless)
             seen = count + np.where(excess < 0, excess, beyond + wide * self.values[k])
             found.append((seen, count + excess, costs))
-        powers, left, costs_ = zip(*found, strict=True)
-        return powers, left, costs_
+        return tuple(f[0] for f in found), tuple(f[1] for f in found), tuple(f[2] for f in found)
 
     def _explained(self, channel: int, excess: Array, lawless: Array) -> tuple[Array, Array, Array]:
         """Discrepancy of each cell beyond what laws miss, what they miss over noise, and costs.
@@ -621,8 +620,9 @@ class _Noise:
         self._growth, self._held, self._noisy = growth, held, noisy
 
     def _scale(self, at: NDArray[np.intp] | slice) -> Array:
-        rows = self._some
-        return np.where(self._by_hold, self._held[rows][:, at], self._growth[rows][:, at])
+        # cells and columns at once: all columns of some cells are many times as many
+        own = (self._some, slice(None)) if isinstance(at, slice) else np.ix_(self._some, at)
+        return np.where(self._by_hold, self._held[own], self._growth[own])
 
     def between(self, left: NDArray[np.intp], right: NDArray[np.intp] | slice) -> Array:
         """Part of the normal matrix between some columns and others."""
@@ -675,11 +675,11 @@ class _Form:
             slope = slope + self._fit_noise.along(slice(None))
         return normal, slope
 
-    def around(self, at: Sequence[int]) -> Array:
+    def around(self, columns: NDArray[np.intp]) -> Array:
         """Normal matrix of the columns of a term around the fitted set."""
-        columns = np.array(at)
         found = np.diag(self._evidence.precision[columns])
-        parts = zip(self._evidence.products_of(tuple(at)), self._weights, strict=True)
+        own = self._evidence.products_of(tuple(columns.tolist()))
+        parts = zip(own, self._weights, strict=True)
         for (place, products), weight in parts:
             found[np.ix_(place, place)] += np.tensordot(weight, products, 1)
         return (
