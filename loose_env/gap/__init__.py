@@ -43,10 +43,9 @@ from loose_env.gap.explain import (
     write_gap,
 )
 from loose_env.gap.joined_runs import join_recordings, note_source, read_source
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
 from loose_env.gap.model.effects.catalogue import read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.parameter import Parameter
 from loose_env.gap.next_motion import (
     NEXT_MOTION,
     NextMotion,
@@ -59,6 +58,8 @@ from loose_env.gap.next_motion import (
 )
 from loose_env.gap.output.advice import how_to_see, how_to_separate
 from loose_env.gap.output.corrected_model import write_model
+from loose_env.gap.output.export import TARGETS, export_result, write_export
+from loose_env.gap.output.export_source import Export, ExportSettings
 from loose_env.gap.output.result import (
     ChannelVerdict,
     EffectLocation,
@@ -73,13 +74,6 @@ from loose_env.gap.output.result import (
     VisibleEffect,
     read_result,
 )
-from loose_env.gap.output.targets.export import (
-    TARGETS,
-    ExportSettings,
-    export_result,
-    write_export,
-)
-from loose_env.gap.output.targets.source import Export
 from loose_env.gap.planned_motion import NextMotionSettings
 from loose_env.gap.session import GapSession
 from loose_env.gap.settings import GapSettings
@@ -93,6 +87,7 @@ __all__ = [
     "BeliefSettings",
     "ChannelVerdict",
     "Correlation",
+    "DrivenEffect",
     "Effect",
     "EffectEstimate",
     "EffectLocation",
@@ -106,6 +101,7 @@ __all__ = [
     "Hypothesis",
     "HypothesisSet",
     "Identifiability",
+    "JointEffect",
     "JointExcitation",
     "LocalModels",
     "Motion",

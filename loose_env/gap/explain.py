@@ -30,10 +30,10 @@ from loose_env.gap.core.residual import (
     responses,
     simulated_errors,
 )
-from loose_env.gap.core.selection import neighbours
-from loose_env.gap.model.effects.link_inertia import payload_notes
-from loose_env.gap.model.element_names import naming_notes
+from loose_env.gap.core.selection import Selection, SetFit, neighbours
+from loose_env.gap.model.effects.inertia import payload_notes
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import naming_notes
 from loose_env.gap.next_motion import NEXT_MOTION, NextMotion, write_next_motion
 from loose_env.gap.output.advice import how_to_see, how_to_separate
 from loose_env.gap.output.corrected_model import correction_code, model_notes, step_for, write_model
@@ -172,8 +172,8 @@ def solve_gap(
         nominal = selection.solve(())
         before, after = left_by(selection, nominal), left_by(selection, fit)
         gap = Gap(
-            before=_pooled(answer, held_out_rms(selection, nominal)),
-            after=_pooled(answer, held_out_rms(selection, fit)),
+            before=pooled_rms(selection, nominal),
+            after=pooled_rms(selection, fit),
             by_channel=_by_channel(answer),
             by_quantity=force_errors(answer, before, after) | simulated_errors(answer, corrected),
         )
@@ -294,10 +294,10 @@ def _verdict(answer: Answer) -> Verdict:
     return "unexplained" if any(joint.after > LARGE for joint in left) else "no_gap"
 
 
-def _pooled(answer: Answer, by_channel: Array) -> float:
-    """Root mean square over the values of all channels."""
-    counts = np.array([c.count.sum() for c in answer.selection.evidence.channels])
-    return float(np.sqrt(np.sum(counts * by_channel**2) / counts.sum()))
+def pooled_rms(selection: Selection, fit: SetFit) -> float:
+    """Held-out residual of a fitted set over the values of all channels."""
+    counts = np.array([c.count.sum() for c in selection.evidence.channels])
+    return float(np.sqrt(np.sum(counts * held_out_rms(selection, fit) ** 2) / counts.sum()))
 
 
 def _by_channel(answer: Answer) -> dict[str, tuple[float, float]]:

@@ -8,7 +8,7 @@ first command, or by an unopposed torque, must not be settled: it would drift aw
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil
 
@@ -27,8 +27,6 @@ _PAUSE_S = 1.0
 record is unknown, and a clock that jumps would be simulated through."""
 _PAUSE_STEPS = 20.0
 """The same in median steps [1]: a slow recorder does not pause between its rows."""
-_PIECE = ", from "
-"""Between the file and the start of a piece in its name."""
 
 
 def measured_runs(
@@ -52,28 +50,10 @@ def measured_runs(
     return found, tuple(words)
 
 
-def file_of(name: str) -> str:
-    """File of a run or of a piece of one.
-
-    Examples
-    --------
-    >>> file_of("run-3.csv, from 50 s"), file_of("run-4.csv")
-    ('run-3.csv', 'run-4.csv')
-    """
-    return name.rpartition(_PIECE)[0] or name
-
-
 def pieces_of(run: Run) -> list[Run]:
     """Cut a run where its recorder paused or its clock jumped.
 
     Pieces of fewer than `FEWEST_SAMPLES` are left out.
-
-    Examples
-    --------
-    >>> time = np.concatenate([np.arange(100), np.arange(5000, 5200)]) / 100
-    >>> run = Run(name="a.csv", time=time, sensors={"q": np.sin(time)})
-    >>> [(piece.name, piece.samples) for piece in pieces_of(run)]
-    [('a.csv, from 0 s', 100), ('a.csv, from 50 s', 200)]
     """
     steps = np.diff(run.time)
     cuts = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * median_step(run.time))) + 1
@@ -81,7 +61,7 @@ def pieces_of(run: Run) -> list[Run]:
         return [run]
     edges = [0, *map(int, cuts), run.samples]
     pieces = [
-        replace(run.part(slice(first, last)), name=f"{run.name}{_PIECE}{run.time[first]:.10g} s")
+        replace(run.part(slice(first, last)), name=f"{run.name}, from {run.time[first]:.10g} s")
         for first, last in pairwise(edges)
         if last - first >= FEWEST_SAMPLES
     ]
@@ -94,66 +74,24 @@ def pieces_of(run: Run) -> list[Run]:
 
 
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
-_RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
-_SHORTEST = 1e-15  # MuJoCo's lower bound of a time constant [s]
 
 
-def activations(model: mujoco.MjModel, controls: Array, step: float) -> Array | None:
-    """Compute the activation of every actuator that has one, by simulation step.
-
-    The first command is assumed to have been held before the run, with filters at steady state. The
-    state of an integrator depends on its unknown initial value; muscles and others depend on more
-    than their commands.
-
-    Examples
-    --------
-    >>> model = mujoco.MjModel.from_xml_string(
-    ...     "<mujoco><worldbody><body><joint name='j'/><geom size='.1'/></body></worldbody>"
-    ...     "<actuator><general joint='j' dyntype='filterexact' dynprm='.02'/></actuator></mujoco>"
-    ... )
-    >>> activations(model, np.array([[0.0], [1.0], [1.0]]), 0.02).ravel().round(3).tolist()
-    [0.0, 0.0, 0.632]
-    """
-    found = np.zeros((len(controls), model.na))
-    for k in np.flatnonzero(model.actuator_actnum):
-        if int(model.actuator_dyntype[k]) not in _FILTERS or model.actuator_actnum[k] != 1:
-            return None
-        command = controls[:, k] if k < controls.shape[1] else np.zeros(len(controls))
-        found[:, model.actuator_actadr[k]] = _filtered(model, int(k), command, step)
-    return found
-
-
-def steady_activations(model: mujoco.MjModel, command: Array, step: float) -> Array:
+def steady_activations(model: mujoco.MjModel, command: Array) -> Array:
     """Activations (model.na,) of filters at steady state under a command (actuators,).
 
-    Zero, as MuJoCo starts, where the state does not follow from the command.
+    Zero, as MuJoCo starts, where the state does not follow from the command: that of an integrator
+    depends on its unknown initial value, muscles and others on more than their commands.
     """
-    found = activations(model, command[None], step)
-    return np.zeros(model.na) if found is None else np.asarray(found[0])
-
-
-def _filtered(model: mujoco.MjModel, number: int, command: Array, step: float) -> list[float]:
-    """Mean activation of a first-order filter in each step, as MuJoCo integrates it.
-
-    Runge-Kutta substeps let the activation move within a step; other integrators hold it.
-    """
-    if model.actuator_ctrllimited[number]:
-        command = np.clip(command, *model.actuator_ctrlrange[number])
-    low, high = -np.inf, np.inf
-    if model.actuator_actlimited[number]:
-        low, high = model.actuator_actrange[number]
-    lag = max(float(model.actuator_dynprm[number, 0]), _SHORTEST)
-    exact, moving = -float(np.expm1(-step / lag)), int(model.opt.integrator) == _RUNGE_KUTTA
-    plain = int(model.actuator_dyntype[number]) == _FILTERS[0]
-    # Gain of one integration step on a rate, and the correction to the exact filter.
-    share = exact if moving else step / lag
-    if not plain:
-        share *= exact * lag / step
-    now, found = min(max(float(command[0]), low), high), []
-    for wanted in command.tolist():
-        after = min(max(now + share * (wanted - now), low), high)
-        found.append((now + after) / 2 if moving else now)
-        now = after
+    found = np.zeros(model.na)
+    for k in np.flatnonzero(model.actuator_actnum):
+        if int(model.actuator_dyntype[k]) not in _FILTERS or model.actuator_actnum[k] != 1:
+            return np.zeros(model.na)
+        value = command[k] if k < len(command) else 0.0
+        if model.actuator_ctrllimited[k]:
+            value = np.clip(value, *model.actuator_ctrlrange[k])
+        if model.actuator_actlimited[k]:
+            value = np.clip(value, *model.actuator_actrange[k])
+        found[model.actuator_actadr[k]] = value
     return found
 
 
@@ -172,15 +110,7 @@ _NEGLIGIBLE_DRIFT = 1e-3
 
 
 def stays(time: Array, values: Array, controls: Array) -> bool:
-    """Return whether a joint stays at rest while the first commands are held.
-
-    Examples
-    --------
-    >>> time = np.arange(300) / 1000
-    >>> read = np.random.default_rng(1).normal(0, 1e-4, 300)
-    >>> stays(time, read, np.ones((300, 1))), stays(time, read + time**2, np.ones((300, 1)))
-    (True, False)
-    """
+    """Return whether a joint stays at rest while the first commands are held."""
     changed = np.flatnonzero((controls != controls[0]).any(axis=1))
     count = min(
         len(time) if not len(changed) else int(changed[0]), np.searchsorted(time, _REST_WINDOW_S)
@@ -204,7 +134,7 @@ def comes_to_rest(machine: NominalModel, position: Array, commands: Array) -> bo
     at = [model.joint(name) for name in machine.joints]
     data.qpos[[int(j.qposadr[0]) for j in at]] = position
     data.ctrl[: len(commands)] = commands
-    data.act[:] = steady_activations(model, data.ctrl, float(model.opt.timestep))
+    data.act[:] = steady_activations(model, data.ctrl)
     start = data.qpos.copy()
     count = round(SETTLE / model.opt.timestep)
     way = np.empty((_LATE_RATIO * count, len(start)))
@@ -226,11 +156,6 @@ _FINE = 0.25
 """Rounding of stamps over the sample interval, below which it does not hide a lost row."""
 _REST = 0.01
 """How much of the beginning tells whether the arm rests there [s]; an arm may set off at once."""
-_PARABOLA_S = 0.05
-"""How far about the start of a window lines are drawn [s]."""
-_BEYOND = 0.25
-"""How far beyond readings a parabola through them is followed, as a share of what they span."""
-AXES = {3: ("x", "y", "z")}
 
 
 @dataclass(frozen=True)
@@ -272,14 +197,6 @@ class Trial:
     """Joint speeds at the first sample [rad/s, m/s] (joints,)."""
     resting: bool
     """Whether the arm is at rest at the first samples, held by its commands."""
-    settles: bool = True
-    """Whether the nominal model settles under constant commands."""
-    joints: tuple[str, ...] = ()
-    """Names of the joints, in the model's order."""
-    excited: tuple[str, ...] = ()
-    """Joints excited by random noise."""
-    motion: dict[str, Array] = field(default_factory=dict)
-    """Joint -> its measured position at the samples (T,); measured joints only."""
 
     @property
     def rate(self) -> float:
@@ -294,76 +211,24 @@ class Trial:
         controls = np.repeat(self.controls, parts, axis=0)[:steps]
         return replace(self, step=self.step / parts, steps=steps, controls=controls)
 
-    def coarser(self, most: int) -> Trial:
-        """Copy with several steps merged, up to a number, that keeps all command changes.
-
-        Samples and changes of commands stay at the beginning of a step.
-        """
-        return next((found for k in range(most, 1, -1) if (found := self._joined(k))), self)
-
-    def _joined(self, parts: int) -> Trial | None:
-        """Copy with steps merged; None where samples or commands come between."""
-        at, steps = self.time / (self.step * parts), -(-(self.steps - 1) // parts) + 1
-        controls = self.controls[::parts]
-        between = np.any(np.abs(at - np.round(at)) > 1e-5)
-        if between or np.any(np.repeat(controls, parts, axis=0)[: self.steps] != self.controls):
-            return None
-        controls = np.concatenate([controls, self.controls[-1:]])[:steps]
-        return replace(self, step=self.step * parts, steps=steps, controls=controls)
-
     def until(self, seconds: float) -> Trial:
         """Beginning of the run, of a length in seconds; the whole if it is no longer."""
-        count = int(np.searchsorted(self.time, seconds, side="right"))
-        if count >= len(self.time):
-            return self
-        steps = ceil(float(self.time[count - 1]) / self.step - 1e-6) + 1
-        return replace(
-            self,
-            time=self.time[:count],
-            measured=self.measured[:count],
-            steps=steps,
-            controls=self.controls[:steps],
-            motion={joint: values[:count] for joint, values in self.motion.items()},
-        )
+        return self.between(0, int(np.searchsorted(self.time, seconds, side="right")))
 
     def between(self, first: int, last: int) -> Trial:
-        """Window of the run, from one sample to before another, as a run of its own.
+        """Window of the run, from one sample to before another; its initial state is not known.
 
-        Its initial state is taken from parabolas through the measured motion about it; where a
-        joint was not read there, from a straight line between its readings before and after.
+        It keeps that of the run, for its caller to replace.
         """
         if first <= 0 and last >= len(self.time):
             return self
         begun = round(float(self.time[first]) / self.step)
         time = self.time[first:last] - begun * self.step
-        steps = ceil(float(time[-1]) / self.step - 1e-6) + 1
-        position, speed, resting = self.position.copy(), np.zeros_like(self.speed), True
-        for joint, values in self.motion.items():
-            number = self.joints.index(joint)
-            away = self.time - self.time[first]
-            near = np.abs(away) <= max(_PARABOLA_S, 4.1 / self.rate)
-            if _tells(away[near], values[near]):
-                position[number], speed[number], still = _line(away[near], values[near], whole=True)
-            elif np.isfinite(values).any():
-                position[number], speed[number], still = _across(away, values)
-            else:
-                continue  # never read: the initial position of the run is the best estimate
-            resting &= still
-        controls = self.controls[begun : begun + steps]
-        before = self.controls[max(begun - 50, 0) : begun + 1]  # no column without actuators
-        resting &= not np.ptp(before, axis=0).any()
-        resting &= self.settles
+        controls = self.controls[begun : begun + ceil(float(time[-1]) / self.step - 1e-6) + 1]
         return replace(
-            self,
-            time=time,
-            measured=self.measured[first:last],
-            steps=len(controls),
+            self, time=time, measured=self.measured[first:last], steps=len(controls),
             controls=controls,
-            position=position,
-            speed=np.zeros_like(speed) if resting else speed,
-            resting=resting,
-            motion={joint: values[first:last] for joint, values in self.motion.items()},
-        )
+        )  # fmt: skip
 
     def at_samples(self, values: Array) -> Array:
         """Interpolate values at the steps (..., steps, C) to the samples (..., T, C)."""
@@ -434,10 +299,13 @@ def align_run(
             controls[:, k] = _filled(run.controls[name])[held]
     position, speed, resting, motion = _start(run, machine, time)
     forward = run.comparison == "forward"  # a free arm is released
-    settles = not forward or comes_to_rest(machine, position, controls[0])
     commands = np.column_stack([_filled(values) for values in run.controls.values()] or [time * 0])
-    resting = resting and forward and settles
-    resting = resting and all(stays(time, each, commands) for each in motion.values())
+    resting = (
+        resting
+        and forward
+        and comes_to_rest(machine, position, controls[0])
+        and all(stays(time, each, commands) for each in motion.values())
+    )
     return Trial(
         name=run.name,
         form=run.comparison,
@@ -449,10 +317,6 @@ def align_run(
         position=position,
         speed=speed,
         resting=resting,
-        settles=settles,
-        joints=machine.joints,
-        excited=tuple(run.excited),
-        motion=motion,
     )
 
 
@@ -499,29 +363,6 @@ def _start(
     return position, speed, resting, motion
 
 
-def _tells(time: Array, values: Array) -> bool:
-    """Return whether readings (T,) cover time 0 well enough for a parabola."""
-    read = time[np.isfinite(values)]
-    return len(read) >= 4 and max(read[0], -read[-1]) <= _BEYOND * (read[-1] - read[0])
-
-
-def _across(time: Array, values: Array) -> tuple[float, float, bool]:
-    """Value and slope at time 0 by a line across a gap in readings, and whether flat.
-
-    Before the first reading and after the last one it is flat.
-    """
-    good = np.isfinite(values)
-    t, v = time[good], values[good]
-    after = int(np.searchsorted(t, 0.0))
-    if after in (0, len(t)):
-        return float(v[min(after, len(t) - 1)]), 0.0, True
-    change, apart = float(v[after] - v[after - 1]), float(t[after] - t[after - 1])
-    if abs(change) <= 4.0 * noise_floor(values):
-        return float(v[after - 1] + v[after]) / 2, 0.0, True
-    slope = change / apart
-    return float(v[after - 1] - slope * t[after - 1]), slope, False
-
-
 def _allows(time: Array, positions: Array | None, speed: float) -> bool:
     """Return whether readings that look at rest are too coarse to contradict a speed."""
     if positions is None:
@@ -535,13 +376,12 @@ def _count(time: Array) -> int:
     return int(np.clip(np.searchsorted(time, _REST), 8, len(time)))
 
 
-def _line(time: Array, values: Array, *, whole: bool = False) -> tuple[float, float, bool]:
+def _line(time: Array, values: Array) -> tuple[float, float, bool]:
     """Value and slope at time 0 by a parabola, and whether it is at rest there.
 
-    Fitted to the first samples, or to all of them. At rest means a slope of less than three
-    standard errors.
+    Fitted to the first samples. At rest means a slope of less than three standard errors.
     """
-    count = len(time) if whole else _count(time)
+    count = _count(time)
     good = np.isfinite(values[:count])
     if good.sum() < 4:
         good = np.isfinite(values)

@@ -11,11 +11,12 @@ import numpy as np
 
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.core.catalogue import Term, shapes, shows, terms_of
-from loose_env.gap.core.decision import Finding, decide, held_out_rms
+from loose_env.gap.core.decision import Finding, decide
 from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import append
 from loose_env.gap.core.find import evidence_of, silent
 from loose_env.gap.core.selection import SetFit
+from loose_env.gap.explain import pooled_rms
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.corrected_model import correction_code, step_for, write_model
@@ -118,7 +119,7 @@ class GapSession:
     @property
     def held_out(self) -> float:
         """Residual on held-out data with what was added [noise standard deviations]."""
-        return self._rms(self.fit)
+        return pooled_rms(self.selection, self.fit)
 
     @property
     def added(self) -> tuple[Effect, ...]:
@@ -154,7 +155,10 @@ class GapSession:
             best = min(fits, key=lambda f: (not f.allowed, f.total))
             finding = decide(self.selection, best).findings[-1]
             return TriedEffect(
-                finding=finding, before=self.held_out, after=self._rms(best), fit=best
+                finding=finding,
+                before=self.held_out,
+                after=pooled_rms(self.selection, best),
+                fit=best,
             )
 
     def add(self, tried: TriedEffect) -> None:
@@ -221,11 +225,6 @@ class GapSession:
         return write_model(
             Path(path), machine, self.hypothesis, step=step, source=self.recording.model_path
         )
-
-    def _rms(self, fit: SetFit) -> float:
-        counts = np.array([c.count.sum() for c in self.selection.evidence.channels])
-        own = held_out_rms(self.selection, fit)
-        return float(np.sqrt(np.sum(counts * own**2) / counts.sum()))
 
     def _terms(self, effect: Effect) -> list[Term]:
         """Terms of one effect: those of the evidence, else new ones."""

@@ -1,18 +1,26 @@
 """Simulated sensor values of measured runs under many hypotheses at once, on a thread pool.
 
 A hypothesis is a list of effects with their values. Its predictions are sensor values at the
-samples of the run, channel by channel. The step is chosen for the nominal model; a joint that
-comes to rest or a spring that oscillates within a few steps needs finer ones.
+samples of the run, channel by channel.
 
 A step is simulated with the mean of a command over it. An accelerometer reads the instantaneous
 value: a servo's acceleration jumps with every command. A delayed one reads the value at an earlier
 time, between two steps.
+
+MJCF cannot express torque terms and driven effects, so that Python applies them step by step. A
+torque held over a step and evaluated at its beginning is late by half a step, so that a spring adds
+energy. Under a Runge-Kutta method the mean of the term along the step is held instead, over
+positions and speeds predicted from the acceleration at its beginning; the error of that mean is
+known after the step, and the next one corrects it. Sensors at the beginning of a step are computed
+with the instantaneous term. A dry friction that depends on the drives' torques is set before each
+step from those at its beginning.
 """
 
 from __future__ import annotations
 
+import copy
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -22,45 +30,28 @@ from numpy.typing import NDArray
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
-from loose_env.gap.model.effect import Effect, Readings
-from loose_env.gap.model.effects.mjcf.sensor_columns import column_of, is_position_or_speed
+from loose_env.gap.model.effect import DrivenEffect, Effect, Readings
+from loose_env.gap.model.effects.sensors import column_of, is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import SETTLE, Channel, Trial, steady_activations
-from loose_env.gap.torque_terms import (
-    STATES,
-    BatchWithTerms,
-    Driven,
-    has_terms,
-    torque_terms,
-    with_terms,
-)
 from loose_env.typing import Array
 
-
-def stepped(trial: Trial, machine: NominalModel, effects: Iterable[Effect]) -> Trial:
-    """Align a run with the steps needed by a hypothesis of these effects."""
-    if machine.uniform_steps or not any(effect.needs_fine_steps for effect in effects):
-        return trial.coarser(machine.merged_steps)
-    return (
-        trial.coarser(machine.merged_steps // 2)
-        if machine.merged_steps > 1
-        else trial.finer(machine.substeps)
-    )
-
-
-def step_with(machine: NominalModel, effects: Iterable[Effect]) -> float:
-    """Time step for a model with these effects, at most that of the machine [s]."""
-    step = machine.time_step
-    needs_fine_steps = any(effect.needs_fine_steps for effect in effects)
-    return step / machine.substeps if needs_fine_steps and machine.merged_steps == 1 else step
-
-
-PARTS = 2
+State = tuple[Array, Array]
+"""Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
+_NODES = (0.5 + 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0]))[:, None, None]
+"""Parts of a step at which a term is taken: Gauss's two nodes, whose mean is exact for a cubic."""
+_RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
+_STATES = ("qpos", "qvel", "act")
+"""State of a simulation: positions, speeds and activations."""
+_PARTS = 2
 """Parts of a step where commands change within it: a mean moves the speed rightly, and the place
 only as far as the change lies in the middle."""
 _AT_A_TIME = 1024
 """States at which sensors are worked out at a time."""
+_AT_ONCE = 4_000_000
+"""Numbers of commands, readings and states that are held at a time, 32 MB; more where a thread
+would have no simulation."""
 
 
 def changes_within(
@@ -75,28 +66,229 @@ def changes_within(
     return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.stepping)
 
 
-def late_sensors(hypothesis: Hypothesis, channels: Sequence[Channel]) -> dict[str, float]:
-    """Delayed sensors among the channels, each with its delay [s]."""
-    shown = {channel.column for channel in channels}
-    found: dict[str, float] = {}
-    for effect, own in hypothesis.pairs:
-        late = effect.sensor_delay(own)
-        if late is not None and late[1] > 0 and column_of(late[0]) in shown:
-            found[late[0]] = found.get(late[0], 0.0) + late[1]
+def has_terms(hypothesis: Hypothesis) -> bool:
+    """Return whether any effect of a hypothesis has to be applied step by step."""
+    effects = hypothesis.effects
+    return _has_torque(hypothesis) or any(isinstance(effect, DrivenEffect) for effect in effects)
+
+
+def _has_torque(hypothesis: Hypothesis) -> bool:
+    """Return whether any effect of a hypothesis is a torque term."""
+    return any(type(effect).torque is not Effect.torque for effect in hypothesis.effects)
+
+
+def _torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
+    """Sum of the torque terms of a hypothesis (..., joints) [N·m, N]."""
+    found = np.zeros(position.shape)
+    with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
+        for effect, values in hypothesis.pairs:
+            if type(effect).torque is Effect.torque:
+                continue
+            given = np.asarray(effect.torque(position, speed, values))
+            if given.shape != position.shape:
+                raise InvalidData(
+                    f"{effect!r}: torque gives an array of the shape {given.shape}; one number for "
+                    f"each joint is needed, {position.shape} as its position"
+                )
+            found += given
     return found
 
 
-def states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[str, Array]:
+_Driven = list[tuple[DrivenEffect, Array]]
+"""Driven effects in the order in which they act, with values (P,) or by simulation (P, sims)."""
+
+
+def _driven(hypothesis: Hypothesis) -> _Driven:
+    """Driven effects of a hypothesis."""
+    return [(e, values) for e, values in hypothesis.pairs if isinstance(e, DrivenEffect)]
+
+
+def _fed(driven: _Driven, command: Array, position: Array, speed: Array) -> Array:
+    """Commands (..., actuators) that reach the actuators in some states (..., joints)."""
+    for effect, values in driven:
+        command = effect.feedback(command, position, speed, values)
+    return command
+
+
+class _Stepped:
+    """Simulations of a batch with torque terms and driven effects, stepped from Python."""
+
+    def __init__(
+        self, batch: Batch, machine: NominalModel, hypotheses: Sequence[Hypothesis]
+    ) -> None:
+        self.batch, self.hypotheses = batch, tuple(hypotheses)
+        joints = [batch.model.joint(name) for name in machine.joints]
+        self._places = np.array([int(joint.qposadr[0]) for joint in joints])
+        self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
+        self._actuators = len(machine.actuators)
+        self._pulls = any(map(_has_torque, hypotheses))
+        driven = [e for hypothesis in hypotheses for e, _ in _driven(hypothesis)]
+        self._feeds = any(type(e).feedback is not DrivenEffect.feedback for e in driven)
+        self._own_models: list[mujoco.MjModel] = []
+        if any(type(e).dry_friction is not DrivenEffect.dry_friction for e in driven):
+            models = batch.model if batch.models is None else batch.models
+            several = models if isinstance(models, (list, tuple)) else [models] * batch.nsim
+            # each simulation has its own friction
+            self._own_models = [copy.deepcopy(model) for model in several]
+            batch.set_models(self._own_models)
+            self._losses = [model.dof_frictionloss for model in self._own_models]
+            self._base = np.array([loss[self._dofs] for loss in self._losses])
+
+    def rollout(
+        self,
+        count: int,
+        control: Array,
+        control_spec: int,
+        record: Sequence[str],
+        ids: NDArray[np.intp],
+    ) -> dict[str, Array]:
+        """Advance some simulations, as `mujoco.batch.Batch.rollout` does.
+
+        Readings and forces are those at the beginning of each step, under its own command. A
+        simulation with a MuJoCo warning is NaN from the beginning, since a term may make it
+        diverge.
+        """
+        batch = self.batch
+        # requested first: a field is computed from the next call on
+        needed = (*record, "qpos", "qvel", "qacc", "qfrc_actuator", "qfrc_bias")
+        fields = {name: batch.bind(name) for name in needed}
+        commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
+        found = {name: np.empty((len(ids), count, *fields[name].shape[1:])) for name in record}
+        read = [name for name in record if name not in _STATES]
+        every = len(ids) == batch.nsim
+        own, called = (slice(None), None) if every else (ids, ids)
+        acting = (own, self._dofs) if every else (ids[:, None], self._dofs)
+        simulated = [self.hypotheses[i] for i in ids]
+        rows, groups = _rows(simulated), _groups(simulated)
+        warned = np.array(batch.warning[ids])
+        models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
+        step = float(models[0].opt.timestep)
+        looks_ahead = int(models[0].opt.integrator) == _RUNGE_KUTTA
+        if self._own_models and not looks_ahead:
+            batch.forward(called)  # drive torques of the first step
+        owed = mean = np.zeros((len(ids), len(self._dofs)))
+        before: State | None = None
+        for k in range(count):
+            now = fields["qpos"][own][:, self._places], fields["qvel"][own][:, self._dofs]
+            commands[own] = self._commands(groups, control[:, k], now)
+            if self._pulls:
+                applied[acting] = _terms(rows, (now[0][None], now[1][None]))[0]
+            ahead = 0.0 * now[1]
+            if looks_ahead:
+                batch.forward(called)
+                for name in read:
+                    found[name][:, k] = fields[name][own]
+                ahead = fields["qacc"][own][:, self._dofs]
+                if self._pulls and before is not None:
+                    along = _terms(rows, _nodes_between(before, now, step))
+                    owed = 0.5 * (along[0] + along[1]) - mean
+                if self._pulls:
+                    first, second = _terms(rows, _ahead(now, ahead, step * _NODES))
+                    mean = 0.5 * (first + second)
+                    applied[acting] = mean + owed
+                before = now
+            if self._feeds:
+                middle = _ahead(now, ahead, 0.5 * step)
+                commands[own] = self._commands(groups, control[:, k], middle)
+            if self._own_models:
+                drive = fields["qfrc_actuator"][own][:, self._dofs]
+                load = -fields["qfrc_bias"][own][:, self._dofs]
+                self._set_friction(ids, groups, drive, load, now[1])
+            batch.step(called)
+            for name in record:
+                if not (looks_ahead and name in read):
+                    found[name][:, k] = fields[name][own]
+        applied[own] = 0.0
+        diverged = (batch.warning[ids] != warned).any(axis=(1, 2))
+        for values in found.values():
+            values[diverged] = np.nan
+        return found
+
+    def _commands(self, groups: _Groups, command: Array, state: State) -> Array:
+        """Commands (sims, actuators) that reach the actuators in a state."""
+        if not self._feeds:
+            return command
+        found, (position, speed) = command.copy(), state
+        for driven, own in groups:
+            given = command[own, : self._actuators]
+            found[own, : self._actuators] = _fed(driven, given, position[own], speed[own])
+        return found
+
+    def _set_friction(
+        self, ids: NDArray[np.intp], groups: _Groups, drive: Array, load: Array, speed: Array
+    ) -> None:
+        """Set the dry friction of some simulations from drive, load and speed (ids, joints)."""
+        friction = self._base[ids]
+        for driven, own in groups:
+            for effect, values in driven:
+                friction[own] += effect.dry_friction(drive[own], load[own], speed[own], values)
+        for number, row in zip(ids.tolist(), friction, strict=True):
+            self._losses[number][self._dofs] = row
+        self.batch.set_models(self._own_models)
+
+
+_Places = slice | NDArray[np.intp]
+"""Indices of simulations; a slice where they are all, which makes views."""
+_Rows = Sequence[tuple[Hypothesis, _Places]]
+_Groups = Sequence[tuple[_Driven, _Places]]
+
+
+def _where(mask: Sequence[bool]) -> _Places:
+    return slice(None) if all(mask) else np.flatnonzero(mask)
+
+
+def _rows(each: Sequence[Hypothesis]) -> _Rows:
+    """Hypotheses with torque terms, and their simulations."""
+    known = {id(hypothesis): hypothesis for hypothesis in each if _has_torque(hypothesis)}
+    return [(h, _where([other is h for other in each])) for h in known.values()]
+
+
+def _groups(each: Sequence[Hypothesis]) -> _Groups:
+    """Driven effects with the values of all simulations that have them."""
+    keys = [tuple(id(effect) for effect, _ in _driven(hypothesis)) for hypothesis in each]
+    found = []
+    for key in dict.fromkeys(key for key in keys if key):
+        mask = [other == key for other in keys]
+        members = [_driven(h) for h, own in zip(each, mask, strict=True) if own]
+        stacked = [
+            (same[0][0], np.stack([values for _, values in same], axis=-1))
+            for same in zip(*members, strict=True)
+        ]
+        found.append((stacked, _where(mask)))
+    return found
+
+
+def _terms(rows: _Rows, state: State) -> Array:
+    """Torque terms in some states, one after the other (states, sims, joints)."""
+    position, speed = state
+    found = np.zeros(position.shape)
+    for hypothesis, own in rows:
+        found[:, own] = _torque_terms(hypothesis, position[:, own], speed[:, own])
+    return found
+
+
+def _ahead(now: State, rate: Array, time: Array | float) -> State:
+    """Positions and speeds some time later, at constant acceleration."""
+    position, speed = now
+    return position + time * (speed + 0.5 * time * rate), speed + time * rate
+
+
+def _nodes_between(before: State, now: State, step: float) -> State:
+    """Positions and speeds at the nodes of a finished step, by cubic Hermite splines."""
+    (first, start), (last, end) = before, now
+    slope = (last - first) / step
+    bend, twist = 3 * slope - 2 * start - end, start + end - 2 * slope
+    return (
+        first + step * _NODES * (start + _NODES * (bend + _NODES * twist)),
+        start + _NODES * (2 * bend + 3 * _NODES * twist),
+    )
+
+
+def _states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[str, Array]:
     """Interpolate the states of a simulation, for hinge and slide joints.
 
     Positions follow cubics through the positions and speeds at both ends of a step, within which
     commands are constant, and speeds their slopes; activations are linear.
-
-    Examples
-    --------
-    >>> fallen = {"qpos": np.array([[0.0], [1.0]]), "qvel": np.array([[0.0], [2.0]])}
-    >>> {name: float(v[0, 0]) for name, v in states_before(fallen, np.array([0.5]), 1.0).items()}
-    {'qpos': 0.25, 'qvel': 1.0}
     """
     count = len(states["qpos"])
     steps = np.clip(at / step, 0.0, count - 1.0)
@@ -113,90 +305,78 @@ def states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[s
     return found
 
 
-def show_late_sensors(
-    shown: Array,
-    machine: NominalModel,
-    hypothesis: Hypothesis,
-    model: mujoco.MjModel,
-    states: Mapping[str, Array],
-    commands: Array,
-    *,
-    late: Mapping[str, float],
-    step: float,
-    parts: int = 1,
-    first: int = 0,
-    threads: int,
-) -> None:
-    """Replace the columns of delayed sensors (T, sensors) in place."""
-    for name, delay in late.items():
-        then: Array = np.arange(first, first + len(shown), dtype=float) * step - delay
-        held = np.clip(np.floor(then / step + 1e-9).astype(int), 0, len(commands) - 1)
-        before = states_before(states, then, step / parts)
-        read = readings_at(machine, hypothesis, model, before, commands[held], threads)
-        sensor = model.sensor(name)
-        columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
-        shown[:, columns] = read[:, columns]
-
-
-def commands_at(hypothesis: Hypothesis, clock: Array, controls: Array) -> Array:
-    """Commands at the actuators at each step itself."""
-    for effect, own in hypothesis.pairs:
-        controls = effect.command_at(clock, controls, own)
-    return controls
-
-
-def readings_at(
-    machine: NominalModel,
-    hypothesis: Hypothesis,
-    model: mujoco.MjModel,
-    states: Mapping[str, Array],
-    controls: Array,
-    threads: int,
-) -> Array:
-    """Sensor values with instantaneous commands (T, sensors)."""
-    batch = Batch(model, min(_AT_A_TIME, len(controls)), threads)
-    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-    sensed = batch.bind("sensordata")
-    joints = [model.joint(name) for name in machine.joints]
-    places = [int(joint.qposadr[0]) for joint in joints]
-    dofs = [int(joint.dofadr[0]) for joint in joints]
-    found = np.empty((len(controls), model.nsensordata))
-    for first in range(0, len(controls), _AT_A_TIME):
-        count = min(_AT_A_TIME, len(controls) - first)
-        part = slice(first, first + count)
-        for name, values in states.items():
-            getattr(batch, name)[:count] = values[part]
-        given = controls[part]
-        if has_terms(hypothesis):
-            at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
-            given = Driven.of(hypothesis).commands(given, *at)
-            batch.qfrc_applied[:count, dofs] = torque_terms(hypothesis, *at)
-        batch.ctrl[:count, : controls.shape[1]] = given
-        batch.forward()
-        found[part] = sensed[:count]
-    return found
-
-
-_CHUNK = 2_000_000
-"""Numbers recorded at a time."""
-_AT_ONCE = 4_000_000
-"""Numbers of commands, readings and states that are held at a time, 32 MB; more where a thread
-would have no simulation."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Slot:
     """One simulation: a run under a hypothesis."""
 
     key: object
+    machine: NominalModel
     hypothesis: Hypothesis
     model: mujoco.MjModel
     number: int
     """Index of the run."""
     trial: Trial
-    """The run, aligned with the simulated steps."""
+    """The run."""
     parts: int
     """Number of substeps of each step of the run."""
+
+    def late(self, channels: Sequence[Channel]) -> dict[str, float]:
+        """Delayed sensors among the channels, each with its delay [s]."""
+        shown = {channel.column for channel in channels}
+        found: dict[str, float] = {}
+        for effect, own in self.hypothesis.pairs:
+            late = effect.sensor_delay(own)
+            if late is not None and late[1] > 0 and column_of(late[0]) in shown:
+                found[late[0]] = found.get(late[0], 0.0) + late[1]
+        return found
+
+    def reread(
+        self, shown: Array, states: Mapping[str, Array], late: Mapping[str, float], threads: int
+    ) -> None:
+        """Compute sensor values (T, sensors) anew, where commands change within a step or late.
+
+        The states are those before each substep.
+        """
+        commands, step = self.trial.controls, self.trial.step
+        clock: Array = np.arange(len(commands), dtype=float) * step
+        for effect, own in self.hypothesis.pairs:
+            commands = effect.command_at(clock, commands, own)
+        if self.parts > 1:
+            at_steps = {name: found[:: self.parts] for name, found in states.items()}
+            shown[:] = self._readings(at_steps, commands, threads)
+        for name, delay in late.items():
+            then: Array = clock - delay
+            held = np.clip(np.floor(then / step + 1e-9).astype(int), 0, len(commands) - 1)
+            before = _states_before(states, then, step / self.parts)
+            read = self._readings(before, commands[held], threads)
+            sensor = self.model.sensor(name)
+            columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
+            shown[:, columns] = read[:, columns]
+
+    def _readings(self, states: Mapping[str, Array], controls: Array, threads: int) -> Array:
+        """Sensor values in some states with instantaneous commands (T, sensors)."""
+        model = self.model
+        batch = Batch(model, min(_AT_A_TIME, len(controls)), threads)
+        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        sensed = batch.bind("sensordata")
+        joints = [model.joint(name) for name in self.machine.joints]
+        places = [int(joint.qposadr[0]) for joint in joints]
+        dofs = [int(joint.dofadr[0]) for joint in joints]
+        found = np.empty((len(controls), model.nsensordata))
+        for first in range(0, len(controls), _AT_A_TIME):
+            count = min(_AT_A_TIME, len(controls) - first)
+            part = slice(first, first + count)
+            for name, values in states.items():
+                getattr(batch, name)[:count] = values[part]
+            given = controls[part]
+            if has_terms(self.hypothesis):
+                at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
+                given = _fed(_driven(self.hypothesis), given, *at)
+                batch.qfrc_applied[:count, dofs] = _torque_terms(self.hypothesis, *at)
+            batch.ctrl[:count, : controls.shape[1]] = given
+            batch.forward()
+            found[part] = sensed[:count]
+        return found
 
 
 class Simulator:
@@ -213,17 +393,15 @@ class Simulator:
         self.machine, self.trials, self.channels = machine, list(trials), channels
         self.threads = threads
         self._batches: dict[tuple[object, ...], Batch] = {}
-        self.simulated = 0
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
         """Simulate every run under every hypothesis."""
         motions = {self._motion(hypothesis): hypothesis for hypothesis in hypotheses}
         alike: dict[tuple[object, ...], list[_Slot]] = {}
         for key, hypothesis in motions.items():
-            parts = PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
+            parts = _PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
             models: dict[tuple[float, bool], mujoco.MjModel] = {}
-            for t, laid_out in enumerate(self.trials):
-                trial = stepped(laid_out, self.machine, hypothesis.stepping)
+            for t, trial in enumerate(self.trials):
                 which = trial.step, trial.form == "free"
                 if which not in models:
                     step = trial.step / parts
@@ -233,8 +411,9 @@ class Simulator:
                 apart = -1 if has_terms(hypothesis) else trial.steps
                 group = (_layout(model), which, apart, parts)
                 slot = _Slot(
-                    key=key, hypothesis=hypothesis, model=model, number=t, trial=trial, parts=parts
-                )
+                    key=key, machine=self.machine, hypothesis=hypothesis, model=model, number=t,
+                    trial=trial, parts=parts,
+                )  # fmt: skip
                 alike.setdefault(group, []).append(slot)
         seen: dict[tuple[object, int], tuple[mujoco.MjModel, Array]] = {}
         with quiet():
@@ -253,7 +432,6 @@ class Simulator:
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:
         """Key of the motion: hypotheses that differ in readings alone share it."""
-        starts = (hypothesis.position, hypothesis.speed)
         return (
             hypothesis.factors.tobytes(),
             tuple(map(id, hypothesis.stepped_as)),
@@ -262,13 +440,15 @@ class Simulator:
                 for effect, values in hypothesis.pairs
                 if effect.moves or effect.sensor_delay(values) is not None
             ),
-            *(None if start is None else start.tobytes() for start in starts),
         )
 
     def _simulate(self, slots: list[_Slot]) -> list[Array]:
         """Simulate the sensors at the samples (T, sensors), by slot."""
         batch = self._batch(slots)
-        moved = with_terms(batch, self.machine, [slot.hypothesis for slot in slots])
+        hypotheses = [slot.hypothesis for slot in slots]
+        moved: Batch | _Stepped = batch
+        if any(map(has_terms, hypotheses)):
+            moved = _Stepped(batch, self.machine, hypotheses)
         parts = slots[0].parts
         first = max((slot.trial for slot in slots), key=lambda trial: trial.steps).finer(parts)
         steps, settle = first.steps, round(SETTLE / first.step)
@@ -282,47 +462,24 @@ class Simulator:
                 values = effect.command(clock[:count], values, own)
             controls[k, :count, : values.shape[1]] = values
             controls[k, count:] = controls[k, count - 1]  # a shorter run ends there
-            batch.act[k] = steady_activations(slot.model, controls[k, 0], slot.trial.step / parts)
+            batch.act[k] = steady_activations(slot.model, controls[k, 0])
         diverged = np.zeros(len(slots), dtype=bool)
         resting = np.array([slot.trial.resting for slot in slots])
         if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time
             held = np.repeat(controls[resting, :1], settle, axis=1)
-            diverged |= _advance(moved, settle, held, np.flatnonzero(resting), None)
-        self.simulated += len(slots) * steps
-        width = slots[0].model.nsensordata
+            _advance(moved, held, np.flatnonzero(resting), diverged, ("qpos",))
         # where a command changes within a step, or a sensor is delayed, sensors are recomputed
-        late = [late_sensors(slot.hypothesis, self.channels) for slot in slots]
-        names = STATES if parts > 1 or any(late) else ()
-        states: dict[str, list[Array]] = {name: [] for name in names}
-        size = max(1, min(steps, _CHUNK // max(1, len(slots) * width)) // parts) * parts
-        kept = np.empty((len(slots), -(-steps // parts), width))
-        for start in range(0, steps, size):
-            count = min(size, steps - start)
-            records: dict[str, Array] = {}
-            chunk = slice(start, start + count)
-            before = {name: np.array(getattr(batch, name)) for name in names}
-            diverged |= _advance(
-                moved, count, controls[:, chunk], np.arange(len(slots)), records, names
-            )
-            for name, found in states.items():
-                found += [before[name][:, None], records[name][:, :-1]]
-            found_here = records["sensordata"][:, ::parts]
-            kept[:, start // parts : start // parts + found_here.shape[1]] = found_here
-        begun = {name: np.concatenate(found, axis=1) for name, found in states.items()}
+        late = [slot.late(self.channels) for slot in slots]
+        names = _STATES if parts > 1 or any(late) else ()
+        before = {name: np.array(getattr(batch, name))[:, None] for name in names}
+        every = np.arange(len(slots))
+        records = _advance(moved, controls, every, diverged, ("sensordata", *names))
+        kept = records["sensordata"][:, ::parts]
+        begun = {n: np.concatenate([before[n], records[n][:, :-1]], axis=1) for n in names}
         for k in np.flatnonzero(~diverged).tolist() if names else ():
-            slot, count = slots[k], slots[k].trial.steps
+            count = slots[k].trial.steps
             passed = {name: found[k, : count * parts] for name, found in begun.items()}
-            commands = commands_at(
-                slot.hypothesis, clock[: count * parts : parts], slot.trial.controls
-            )
-            shown, of = kept[k, :count], (self.machine, slot.hypothesis, slot.model)
-            if parts > 1:
-                at_steps = {name: found[::parts] for name, found in passed.items()}
-                shown[:] = readings_at(*of, at_steps, commands, self.threads)
-            show_late_sensors(
-                shown, *of, passed, commands,
-                late=late[k], step=slot.trial.step, parts=parts, threads=self.threads,
-            )  # fmt: skip
+            slots[k].reread(kept[k, :count], passed, late[k], self.threads)
         kept[diverged] = np.nan
         return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
 
@@ -342,19 +499,13 @@ class Simulator:
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         qpos, qvel = batch.qpos, batch.qvel
         for k, slot in enumerate(slots):
-            trial, hypothesis = slot.trial, slot.hypothesis
             at = [slot.model.joint(name) for name in self.machine.joints]
             places = [int(j.qposadr[0]) for j in at]
             dofs = [int(j.dofadr[0]) for j in at]
-            position, speed = trial.position, trial.speed
-            if hypothesis.position is not None:
-                position = position + hypothesis.position[slot.number]
-            if hypothesis.speed is not None:
-                speed = speed + hypothesis.speed[slot.number]
             qpos[k] = slot.model.qpos0
-            qpos[k, places] = position
+            qpos[k, places] = slot.trial.position
             qvel[k] = 0.0
-            qvel[k, dofs] = speed
+            qvel[k, dofs] = slot.trial.speed
 
     def _columns(
         self, hypothesis: Hypothesis, model: mujoco.MjModel, whole: Array, trial: Trial
@@ -408,19 +559,16 @@ def _layout(model: mujoco.MjModel) -> tuple[object, ...]:
 
 
 def _advance(
-    batch: Batch | BatchWithTerms,
-    count: int,
+    batch: Batch | _Stepped,
     controls: Array,
     ids: NDArray[np.intp],
-    records: dict[str, Array] | None,
-    more: Sequence[str] = (),
-) -> NDArray[np.bool_]:
-    """Advance some slots; return the mask of diverged slots."""
-    names = ("sensordata", *more) if records is not None else ("qpos",)
-    diverged = np.zeros(batch.nsim, dtype=bool)
+    diverged: NDArray[np.bool_],
+    names: Sequence[str],
+) -> dict[str, Array]:
+    """Advance some slots; return what is recorded, and mark the slots that diverged."""
     try:
-        out = batch.rollout(
-            count,
+        out: dict[str, Array] = batch.rollout(
+            controls.shape[1],
             np.ascontiguousarray(controls),
             control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
             record=names,
@@ -428,10 +576,7 @@ def _advance(
         )
     except SimulationError as error:
         raise InvalidData(f"MuJoCo cannot simulate the model: {error}") from error
-    if records is not None:
-        records.update(out)
-    bad = ~np.isfinite(out[names[0]][:, -1]).all(axis=-1) | (
-        np.abs(out[names[0]]).max(axis=(1, 2)) > 1e9
-    )
+    first = out[names[0]]
+    bad = ~np.isfinite(first[:, -1]).all(axis=-1) | (np.abs(first).max(axis=(1, 2)) > 1e9)
     diverged[ids[bad]] = True
-    return diverged
+    return out

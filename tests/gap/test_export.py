@@ -12,8 +12,8 @@ import pytest
 from loose_env.errors import InvalidData
 from loose_env.gap import Effect, Hypothesis, write_model
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
-from loose_env.gap.model.effects.friction import CoulombFriction, ViscousFriction
-from loose_env.gap.model.effects.joint_elasticity import JointCompliance
+from loose_env.gap.model.effects.elasticity import JointCompliance
+from loose_env.gap.model.effects.joints import CoulombFriction, ViscousFriction
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
@@ -26,8 +26,10 @@ ARMS = {"planar": PLANAR, "spatial": SPATIAL}
 
 
 def stepped(arm: str) -> NominalModel:
-    """A machine with another step and integrator than its file has, as a comparison chooses."""
-    return NominalModel(mujoco.MjSpec.from_string(ARMS[arm]), step=0.0005, integrator=RK4)
+    """A machine with another step and integrator than the others."""
+    spec = mujoco.MjSpec.from_string(ARMS[arm])
+    spec.option.timestep, spec.option.integrator = 0.0005, RK4
+    return NominalModel(spec)
 
 
 def added(effect: Effect, values: Sequence[float]) -> Hypothesis:

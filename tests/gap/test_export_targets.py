@@ -28,7 +28,7 @@ from loose_env.gap import (
     read_result,
     write_export,
 )
-from loose_env.gap.model.effects.friction import CoulombFriction, StribeckFriction
+from loose_env.gap.model.effects.joints import CoulombFriction, StribeckFriction
 from tests.gap.cases.exported_result import ARM, LAG, write_result
 
 SERVO = ExportSettings(servo="xl330")

@@ -17,6 +17,7 @@ from loose_env.gap import (
     GapSession,
     GapSettings,
     Hypothesis,
+    JointEffect,
     Parameter,
     explain_gap,
     read_effects,
@@ -25,7 +26,6 @@ from loose_env.gap import (
     write_model,
 )
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
-from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import correction_code
 from loose_env.gap.runs import Channel, Trial
@@ -96,7 +96,9 @@ NOTHING = Hypothesis()
 
 
 def machine(integrator: int = RK4, step: float = STEP) -> NominalModel:
-    return NominalModel(mujoco.MjSpec.from_string(PLANAR), step=step, integrator=integrator)
+    spec = mujoco.MjSpec.from_string(PLANAR)
+    spec.option.timestep, spec.option.integrator = step, integrator
+    return NominalModel(spec)
 
 
 def of(effect: Effect, *values: float) -> Hypothesis:
@@ -114,7 +116,6 @@ def trial(**given: object) -> Trial:
         "name": "run-01.csv", "form": "forward", "time": np.arange(COUNT) * STEP,
         "measured": np.zeros((COUNT, len(CHANNELS))), "step": STEP, "steps": COUNT,
         "controls": commands(), "position": np.zeros(3), "speed": np.zeros(3), "resting": True,
-        "joints": ("joint1", "joint2", "joint3"),
     }  # fmt: skip
     return Trial(**(whole | given))  # type: ignore[arg-type]
 
@@ -193,7 +194,7 @@ def test_a_new_effect_joins_the_catalogue_once() -> None:
 
 
 CREEP = """
-from loose_env.gap.model.effects.catalogue import register
+from loose_env.gap import register
 from loose_env.gap.model.effects.sensors import SensorBias
 
 @register

@@ -78,7 +78,8 @@ class Compared:
         self.commands = swing(figures)
         signals = arm.run(Motion(commands=self.commands, straight=False))
         spec = mujoco.MjSpec.from_string(model_xml(figures))
-        self.machine = NominalModel(spec, step=5e-4, integrator=1)
+        spec.option.timestep, spec.option.integrator = 5e-4, 1
+        self.machine = NominalModel(spec)
         run = run_of(signals, self.commands)
         self.channels = channels_of([run])
         trial = align_run(run, self.machine, self.channels, step=5e-4)
@@ -192,7 +193,7 @@ def test_forces_of_tendons_count_as_torque_on_the_joints_they_pull() -> None:
 def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
     late = '<position name="servo2" delay="0.01" nsample="12"'
     spec = mujoco.MjSpec.from_string(PLANAR.replace('<position name="servo2"', late))
-    machine = NominalModel(spec, step=0.00025)
+    machine = NominalModel(spec)
     model = NOTHING.model(machine, 0.000125)
     data, shown = mujoco.MjData(model), []
     for _ in range(100):
@@ -200,4 +201,4 @@ def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
         mujoco.mj_step(model, data)
         shown.append(abs(data.actuator_force[1]) > 100.0)
     assert shown.index(True) == pytest.approx(80, abs=1)
-    assert corrected_spec(machine, NOTHING).actuators[1].nsample >= 40
+    assert corrected_spec(machine, NOTHING, step=0.00025).actuators[1].nsample >= 40

@@ -8,11 +8,9 @@ import pytest
 
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
-from loose_env.gap.model.effects.link_inertia import Payload, payload_notes
-from loose_env.gap.model.effects.mjcf.geometry import link_ends
-from loose_env.gap.model.element_names import naming_notes
+from loose_env.gap.model.effects.inertia import Payload, payload_notes
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, link_ends, naming_notes
 from loose_env.gap.output.corrected_model import corrected_spec
 
 NAMED = """

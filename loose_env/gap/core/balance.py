@@ -20,10 +20,9 @@ from scipy.optimize import minimize
 from loose_env.gap.core.effects import CommandInterpolation
 from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passed, rates
 from loose_env.gap.core.readings import Readings
-from loose_env.gap.model.driven_effect import DrivenEffect
-from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.drives.limits import DriveLimit
-from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
+from loose_env.gap.model.effect import DrivenEffect, Effect
+from loose_env.gap.model.effects.drives import DriveLimit
+from loose_env.gap.model.effects.sensors import column_of
 from loose_env.gap.model.hypothesis import compiled
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import joint_sensors

@@ -17,7 +17,7 @@ import numpy as np
 from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change
 from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.drives.limits import DriveLimit
+from loose_env.gap.model.effects.drives import DriveLimit
 from loose_env.typing import Array
 
 _MOVING = 20.0

@@ -18,7 +18,7 @@ from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import append
 from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
 from loose_env.gap.core.selection import Selection, Set, SetFit, at_joint, neighbours
-from loose_env.gap.model.parameter import free_of, values_of
+from loose_env.gap.model.effect import free_of, values_of
 from loose_env.typing import Array
 
 Verdict = Literal["named", "not needed", "cannot tell", "unexplained"]

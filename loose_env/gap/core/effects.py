@@ -12,12 +12,10 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import Effect, JointEffect, Parameter
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name
-from loose_env.gap.model.effects.mjcf.passive_actuators import add_constant
+from loose_env.gap.model.effects.mjcf import add_constant, added_name
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 

@@ -28,11 +28,10 @@ from loose_env.gap.core.selection import (
     at_joint,
 )
 from loose_env.gap.core.tolerances import Nuisance
-from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.drives.limits import DriveLimit
+from loose_env.gap.model.effect import Effect, Parameter, free_of, values_of
+from loose_env.gap.model.effects.drives import DriveLimit
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.parameter import Parameter, free_of, values_of
 from loose_env.gap.runs import Trial, align_run, channels_of, measured_runs
 from loose_env.gap.simulator import Simulator
 from loose_env.recording import Recording

@@ -12,8 +12,7 @@ import numpy as np
 
 from loose_env.gap.core.motion import FINER, Motion, finer
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.mjcf.sensor_columns import column_of
-from loose_env.gap.model.effects.sensors import delayed
+from loose_env.gap.model.effects.sensors import column_of, delayed
 from loose_env.typing import Array
 
 _NUDGE = 1e-4

@@ -15,13 +15,16 @@ import numpy as np
 
 from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.motion import rates
-from loose_env.gap.model.effects.link_inertia import LinkMass, links_with_mass
-from loose_env.gap.model.effects.mjcf.geometry import link_ends
-from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
-from loose_env.gap.model.effects.mjcf.joint_effect import added_name
-from loose_env.gap.model.effects.mjcf.passive_actuators import add_constant
+from loose_env.gap.model.effects.inertia import LinkMass, links_with_mass
+from loose_env.gap.model.effects.mjcf import (
+    Inertial,
+    add_constant,
+    added_name,
+    inertial_of,
+    set_inertial,
+)
 from loose_env.gap.model.effects.sensors import EncoderOffset, SensorDelay
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, link_ends
 from loose_env.typing import Array
 
 Edit = Callable[[mujoco.MjSpec, float], None]

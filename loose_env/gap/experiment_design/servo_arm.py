@@ -142,9 +142,7 @@ class ServoArm:
         spec = self._prepared.copy()
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         # typical loads and speeds scale the effects' starts
-        return NominalModel(
-            spec, uniform_steps=True, loads=0.3 * self.all_torque_limits, speeds=self._speeds
-        )
+        return NominalModel(spec, loads=0.3 * self.all_torque_limits, speeds=self._speeds)
 
     @cached_property
     def nominal(self) -> NominalParameters:
@@ -323,7 +321,6 @@ class ServoArm:
             position=position,
             speed=np.zeros(self.model.nv),
             resting=True,
-            joints=self.machine.joints,
         )
 
     def measured(self, readings: Array, rng: np.random.Generator) -> Array:

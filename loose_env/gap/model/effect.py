@@ -1,46 +1,21 @@
-"""Base class Effect: one physical effect at one location, on spec, command, torque or reading.
+"""Effect, a physical effect at one location on spec, command, torque or reading; Parameter.
 
 An effect acts in up to four ways, each a method that a subclass overrides: `Effect.edit` changes
 the MuJoCo spec, `Effect.command` the commands of the actuators, `Effect.torque` adds to the torque
-on the joints, `Effect.read` changes the sensor values.
-A new effect is one small class in one file:
-
-    class MotorConstant(Effect):
-        kind = "motor_constant"
-        acts_on = "actuator"
-
-        @classmethod
-        def locations(cls, machine):
-            return machine.actuators
-
-        @property
-        def parameters(self):
-            return (Parameter(name="factor", unit="", low=0.2, high=5.0, scale=1.0, log=True),)
-
-        @property
-        def starts(self):
-            return ((0.8,), (1.25,))
-
-        null_values = (1.0,)
-
-        def edit(self, spec, values):
-            ...
-
-How an effect finds starts in data is in `loose_env.gap.model.data_starts`.
+on the joints, `Effect.read` changes the sensor values. ``docs/gap.md`` has examples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 
-from loose_env.errors import UnknownName
-from loose_env.gap.model.data_starts import StartsFromData
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 _AT_BOUND = 1.02
@@ -50,7 +25,82 @@ Readings = dict[str, Array]
 """Column without axis -> readings (..., T) of a scalar, (..., T, 3) of a vector."""
 
 
-class Effect(StartsFromData):
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A bounded scalar parameter.
+
+    A fit works on a dimensionless free number: the value over its scale, or where ``log`` is set,
+    the logarithm of the value over the scale.
+
+    Examples
+    --------
+    >>> stiffness = Parameter(
+    ...     name="stiffness", unit="N·m/rad", low=10, high=1e6, scale=100, log=True
+    ... )
+    >>> round(stiffness.free(1000.0), 3), round(stiffness.value(stiffness.free(1000.0)), 6)
+    (2.303, 1000.0)
+    """
+
+    name: str
+    """Name, as in the result file."""
+    unit: str
+    """Unit of the value, "" for a ratio."""
+    low: float
+    """Smallest value allowed."""
+    high: float
+    """Largest value allowed."""
+    scale: float = 1.0
+    """A change of the value that matters; positive."""
+    log: bool = False
+    """Whether the scale is logarithmic; needs a positive ``low``."""
+    spread: float | None = None
+    """Prior standard deviation of a factor on a nominal value, in free units; None of others."""
+    usual: float | None = None
+    """Size of a change that would not surprise; None: ten times the scale."""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not self.low < self.high or self.scale <= 0 or (self.log and self.low <= 0):
+            raise InvalidSetting(
+                f"parameter {self.name!r} needs low < high, scale > 0, and low > 0 if it is "
+                f"logarithmic; got {self.low:g} to {self.high:g}, scale {self.scale:g}"
+            )
+
+    def free(self, value: float) -> float:
+        """Convert a value to a free number."""
+        return float(np.log(value / self.scale)) if self.log else value / self.scale
+
+    def value(self, free: float) -> float:
+        """Convert a free number to a value, within the bounds."""
+        raw = self.scale * np.exp(np.clip(free, -50, 50)) if self.log else self.scale * free
+        return float(np.clip(raw, self.low, self.high))
+
+    def clipped(self, value: float) -> float:
+        """Clip a value to the bounds."""
+        return float(np.clip(value, self.low, self.high))
+
+    @property
+    def unsurprising(self) -> float:
+        """Size of a change that would not surprise."""
+        return 10 * self.scale if self.usual is None else self.usual
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of the free number."""
+        return self.free(self.low), self.free(self.high)
+
+
+def free_of(parameters: tuple[Parameter, ...], values: Array) -> Array:
+    """Convert values (P,) to free numbers."""
+    return np.array([p.free(float(v)) for p, v in zip(parameters, values, strict=True)])
+
+
+def values_of(parameters: tuple[Parameter, ...], free: Array) -> Array:
+    """Convert free numbers (P,) to values."""
+    return np.array([p.value(float(f)) for p, f in zip(parameters, free, strict=True)])
+
+
+class Effect:
     """One physical effect at one location.
 
     Parameters
@@ -186,10 +236,14 @@ class Effect(StartsFromData):
         """Starting values of fits, each clearly visible."""
         raise NotImplementedError
 
-    @property
-    def inverse_starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts for inverse runs, which may have to lie closer together."""
-        return self.starts
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Propose starts from a joint's motion and the torque that is missing along it (T,) each.
+
+        Beside `starts`, or in their place where these cannot cover the range.
+        """
+        return ()
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Change the spec in place; names that the recording uses must stay valid."""
@@ -294,34 +348,6 @@ class Effect(StartsFromData):
             np.all((low <= np.array(self.null_values)) & (np.array(self.null_values) <= high))
         )
 
-    def is_negligible(self, values: Array) -> bool:
-        """Return whether it is too small to matter, however significant (P,)."""
-        return False
-
-    def resistance(self, speed: float, values: Array) -> float:
-        """Torque or force [N·m or N] against a steady motion at a speed [rad/s or m/s].
-
-        Zero for effects other than friction.
-        """
-        return 0.0
-
-    def displaced_mass(self, values: Array) -> float:
-        """Mass that it adds, or moves by the length of its link [kg]; zero for most."""
-        return 0.0
-
-    @property
-    def uncertain_mass(self) -> float:
-        """Mass with an assumed distribution along a link [kg]; zero for most."""
-        return 0.0
-
-    def passive_actuator_torque(self, angle: Array, speed: Array, values: Array) -> Array:
-        """Joint torque for a motion (T,) [N·m or N] that MuJoCo's inverse dynamics omit.
-
-        Zero except for effects whose edit adds an actuator without input: MuJoCo's inverse dynamics
-        of the edited model include dampers, springs and dry friction, but no actuators.
-        """
-        return np.zeros_like(angle)
-
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
         """Convert a joint's torque to the measured drive torque in inverse runs (T,).
 
@@ -365,3 +391,94 @@ class Effect(StartsFromData):
 
     def _clipped(self, values: Array) -> tuple[float, ...]:
         return tuple(p.clipped(float(v)) for p, v in zip(self.parameters, values, strict=True))
+
+
+class DrivenEffect(Effect):
+    """An effect that depends on commands or drive torques, applied step by step.
+
+    MJCF has no elements for such effects: a simulation is stepped from Python, which sets them
+    before each step, and so does the code in the result.
+    """
+
+    in_model: ClassVar[bool] = False
+
+    @property
+    def drives(self) -> bool:
+        """True if it changes the drives; a friction acts beside them."""
+        return type(self).feedback is not DrivenEffect.feedback or super().drives
+
+    @property
+    def moves(self) -> bool:
+        """True: it changes the motion."""
+        return True
+
+    def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
+        """Compute the commands that reach the actuators in some states.
+
+        A simulation holds them over each step, at its middle.
+        """
+        return command
+
+    def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
+        """Compute dry friction beyond the joints' friction loss; it holds a joint at rest."""
+        return np.zeros_like(drive)
+
+    def feedback_code(self, values: Array) -> str:
+        """Python lines that change ``command`` (actuators,) as `feedback` does; "" if none.
+
+        They read ``position`` and ``speed`` (joints,).
+        """
+        return ""
+
+    def friction_code(self, values: Array) -> str:
+        """Python lines that add `dry_friction` to ``friction``; "" if none.
+
+        They read ``drive``, ``load`` and ``speed`` (joints,).
+        """
+        return ""
+
+
+class JointEffect(Effect):
+    """An effect that can be at every joint."""
+
+    acts_on: ClassVar[str] = "joint"
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return every joint."""
+        return machine.joints
+
+    @property
+    def load(self) -> float:
+        """Typical torque [N·m] or force [N] of the joint."""
+        return self.machine.load(self.where)
+
+    @property
+    def speed(self) -> float:
+        """Typical speed of the joint [rad/s or m/s]."""
+        return self.machine.speed(self.where)
+
+    @property
+    def carried(self) -> float:
+        """Inertia that the joint moves without its own rotor [kg·m² or kg]."""
+        rotor = float(self.machine.model.dof_armature[self._dof])
+        return max(self.machine.inertia(self.where) - rotor, 1e-9)
+
+    @property
+    def _dof(self) -> int:
+        return int(self.machine.model.joint(self.where).dofadr[0])
+
+    @property
+    def turns(self) -> bool:
+        """Whether the joint is a hinge; else a slide."""
+        return self.machine.turns(self.where)
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of the joint's driving force."""
+        return "N·m" if self.turns else "N"
+
+    @property
+    def angle_unit(self) -> str:
+        """Unit of the joint's coordinate."""
+        return "rad" if self.turns else "m"

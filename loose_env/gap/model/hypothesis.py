@@ -37,10 +37,6 @@ class Hypothesis:
     """Uncertain parameters of the nominal model, applied before the effects; None: as they are."""
     factors: Array = field(default_factory=lambda: np.empty(0))
     """Values of the nominal parameters."""
-    position: Array | None = None
-    """Offsets of the measured initial positions [rad, m] (trials, joints)."""
-    speed: Array | None = None
-    """Offsets of the measured initial speeds [rad/s, m/s] (trials, joints)."""
     stepped_as: tuple[Effect, ...] = ()
     """Effects that it does not have, but is simulated with the time steps of: what an effect
     changes is a difference within one configuration of the integrator."""
@@ -55,29 +51,17 @@ class Hypothesis:
         """Effects with their values."""
         return tuple(zip(self.effects, self.values, strict=True))
 
-    @property
-    def of_model(self) -> Hypothesis:
-        """The same without the initial states, which belong to the runs."""
-        return replace(self, position=None, speed=None)
-
     def with_effects(self, pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
         """Copy with other effects and values, and the same nuisance parameters."""
         effects, values = tuple(e for e, _ in pairs), tuple(v for _, v in pairs)
         return replace(self, effects=effects, values=values)
 
-    def edit(self, spec: mujoco.MjSpec) -> None:
-        """Change a spec in place: nominal parameters first, then the effects."""
+    def edit(self, spec: mujoco.MjSpec, *, export: bool = False) -> None:
+        """Change a spec in place, that of the exported model too: factors first, then effects."""
         if self.nominal is not None:
             self.nominal.edit(spec, self.factors)
         for effect, values in self.pairs:
-            effect.edit(spec, values)
-
-    def export(self, spec: mujoco.MjSpec) -> None:
-        """Change the spec of the exported model in place, as `Effect.export`."""
-        if self.nominal is not None:
-            self.nominal.edit(spec, self.factors)
-        for effect, values in self.pairs:
-            effect.export(spec, values)
+            (effect.export if export else effect.edit)(spec, values)
 
     def model(
         self, machine: NominalModel, step: float, *, released: bool = False

@@ -1,17 +1,18 @@
-"""Nominal model of a machine: spec, names, step, typical loads and speeds of its joints."""
+"""Nominal model of a machine: spec, names, typical loads and speeds of its joints, geometry."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.gap.model.element_names import with_names
 from loose_env.typing import Array
 
 _MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
@@ -21,6 +22,8 @@ _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARE
 """Ways to drive a joint itself, the same for hinges and slides."""
 _POSES = 5
 """Poses in which it is looked up which joints an actuator acts on."""
+_LISTED = 6
+"""Names that a sentence lists."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +31,10 @@ class NominalModel:
     """A nominal model of hinges and slides."""
 
     spec: mujoco.MjSpec
-    step: float = 0.0
-    integrator: int | None = None
     loads: Array | None = None
+    """Typical torque [N·m] or force [N] of each joint (joints,); None: from gravity and inertia."""
     speeds: Array | None = None
-    merged_steps: int = 1
-    substeps: int = 1
-    uniform_steps: bool = False
+    """Typical speed of each joint [rad/s, m/s] (joints,); None: 1."""
 
     def __post_init__(self) -> None:
         """Check, and write every inertia explicitly, so that an edit finds it in the spec."""
@@ -63,13 +63,8 @@ class NominalModel:
         return self.spec.copy().compile()
 
     def fresh(self) -> mujoco.MjSpec:
-        """Return a copy of the spec, to be edited, with this machine's step."""
-        spec = self.spec.copy()
-        if self.step > 0:
-            set_step(spec, self.step)
-        if self.integrator is not None:
-            spec.option.integrator = self.integrator
-        return spec
+        """Return a copy of the spec, to be edited."""
+        return self.spec.copy()
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -103,8 +98,8 @@ class NominalModel:
 
     @property
     def time_step(self) -> float:
-        """Simulation step: `step`, or that of the model where it is 0 [s]."""
-        return self.step or float(self.model.opt.timestep)
+        """Simulation step [s]."""
+        return float(self.model.opt.timestep)
 
     @cached_property
     def affine_actuators(self) -> NDArray[np.bool_]:
@@ -113,24 +108,17 @@ class NominalModel:
 
     def gears(self, joint: str) -> Array:
         """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
-        return np.asarray(self._at_zero[self.joint_number(joint)])
+        return np.asarray(self._gears[self.joint_number(joint)])
+
+    def drives_of(self, joint: str) -> Array:
+        """Mask of the actuators that act on a joint in any of some poses (actuators,)."""
+        return np.asarray(self._acting[self.joint_number(joint)])
 
     @cached_property
-    def pose_dependent_joints(self) -> tuple[str, ...]:
-        """Joints with an actuator whose transmission depends on the pose."""
-        model: mujoco.MjModel = self.model
-        changing = [k for k in range(len(self.actuators)) if not _has_one_gear(model, k)]
-        if not changing:
-            return ()
-        rng = np.random.default_rng(0)
-        poses = [model.qpos0 + rng.uniform(-1.0, 1.0, model.nq) for _ in range(_POSES)]
-        acting = np.any([self._moments(pose)[:, changing] != 0 for pose in poses], axis=(0, 2))
-        for k in changing:
-            if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_BODY:  # acts only on contact
-                acting |= np.isin(
-                    model.jnt_bodyid, _up_from(model, int(model.actuator_trnid[k, 0]))
-                )
-        return tuple(n for n, acts in zip(self.joints, acting, strict=True) if acts)
+    def _acting(self) -> Array:
+        rng, zero = np.random.default_rng(0), self.model.qpos0
+        poses = [zero, *(zero + rng.uniform(-1.0, 1.0, len(zero)) for _ in range(_POSES))]
+        return np.asarray(np.any([self._moments(pose) != 0 for pose in poses], axis=0))
 
     def _moments(self, pose: Array) -> Array:
         """Torque on each joint per force of each actuator in a pose (joints, actuators)."""
@@ -145,8 +133,15 @@ class NominalModel:
         return np.asarray(dense[: len(self.actuators)].T)
 
     @cached_property
-    def _at_zero(self) -> Array:
+    def _gears(self) -> Array:
         return self._moments(self.model.qpos0)
+
+    @cached_property
+    def at_zero(self) -> mujoco.MjData:
+        """The evaluated model at its zero; not to be changed."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, data)
+        return data
 
     @cached_property
     def tool(self) -> str:
@@ -188,28 +183,17 @@ class NominalModel:
         """Return the name of the body that a joint moves."""
         return str(self.model.body(int(self.model.jnt_bodyid[self.joint_number(joint)])).name)
 
-    def first_joint(self, link: str) -> str:
-        """Return the first joint of a link."""
-        bodies = [int(b) for b in self.model.jnt_bodyid]
-        return self.joints[bodies.index(self.model.body(link).id)]
-
     @cached_property
     def inertias(self) -> Array:
         """Inertia on each joint with armature, the others locked [kg·m², kg] (joints,)."""
-        data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, data)
-        mass = np.zeros((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, data, mass)
-        return np.asarray(np.maximum(np.diag(mass), 1e-9))
+        return np.asarray(np.maximum(np.diag(mass_matrix(self.model, self.at_zero)), 1e-9))
 
     @cached_property
     def load_scales(self) -> Array:
         """Typical torque [N·m] or force [N] of each joint (joints,)."""
         if self.loads is not None:
             return np.asarray(np.maximum(self.loads, 1e-9), dtype=float)
-        data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, data)
-        return np.asarray(np.abs(data.qfrc_bias) + 2.0 * self.inertias)
+        return np.asarray(np.abs(self.at_zero.qfrc_bias) + 2.0 * self.inertias)
 
     @cached_property
     def speed_scales(self) -> Array:
@@ -241,6 +225,13 @@ def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return np.asarray(affine & np.isin(model.actuator_biastype, _AFFINE_BIASES))
 
 
+def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Mass matrix (nv, nv) in an evaluated pose."""
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    return mass
+
+
 def _joint_words(model: mujoco.MjModel, joint: int) -> str:
     """Say which joint of which body one is."""
     name, body = model.joint(joint).name, model.body(int(model.jnt_bodyid[joint])).name
@@ -256,36 +247,8 @@ def set_step(spec: mujoco.MjSpec, step: float) -> None:
 
 
 def history_for(delay: float, step: float) -> int:
-    """Number of samples in MuJoCo's history for a delay [s] at a step [s], or half.
-
-    Examples
-    --------
-    >>> history_for(0.0105, 0.001)
-    24
-    """
+    """Number of samples in MuJoCo's history for a delay [s] at a step [s], or half."""
     return 2 * ceil(delay / step - 1e-9) + 2
-
-
-def _has_one_gear(model: mujoco.MjModel, actuator: int) -> bool:
-    """Return whether an actuator has the same torque per force in all poses.
-
-    It does at a joint and at a fixed tendon, a weighted sum of joints; not at a spatial tendon, a
-    site, a crank or a body.
-    """
-    if int(model.actuator_trntype[actuator]) in _AT_JOINT:
-        return True
-    if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
-        return False
-    first = int(model.tendon_adr[model.actuator_trnid[actuator, 0]])
-    return bool(model.wrap_type[first] == mujoco.mjtWrap.mjWRAP_JOINT)
-
-
-def _up_from(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return a body and its ancestors."""
-    found = [body]
-    while found[-1] > 0:
-        found.append(int(model.body_parentid[found[-1]]))
-    return found
 
 
 def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -297,6 +260,7 @@ def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
         body.mass = float(model.body_mass[k])
         body.ipos = model.body_ipos[k].copy()
         body.iquat = model.body_iquat[k].copy()
+        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         body.inertia = model.body_inertia[k].copy()
         body.fullinertia = np.full(6, np.nan)
         body.explicitinertial = body.mass > 0
@@ -305,3 +269,106 @@ def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     spec.compiler.settotalmass = -1.0
     return spec
+
+
+def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Copy a spec so that every body, site and actuator has a name.
+
+    A link, the body that a joint moves, is named after its first joint; others by their index.
+    """
+    spec = given.copy()
+    _name(spec.bodies[1:], "body", spec.bodies)
+    _name(spec.sites, "site", spec.sites)
+    _name(spec.actuators, "actuator", spec.actuators)
+    return spec
+
+
+def naming_notes(given: mujoco.MjSpec) -> list[str]:
+    """Describe links of a model without a name of their own; none if all have one."""
+    before, after = given.bodies[1:], with_names(given).bodies[1:]
+    links = [new.name for old, new in zip(before, after, strict=True) if not old.name if new.joints]
+    if not links:
+        return []
+    shown = ", ".join(links[:_LISTED]) + (" and others" if len(links) > _LISTED else "")
+    return [
+        f"links of the model without a name are called after their joint, {shown}, here and in "
+        "model.xml; give their bodies names to see your own"
+    ]
+
+
+def _name(elements: Iterable[Any], noun: str, every: Iterable[Any]) -> None:
+    taken = {element.name for element in every}
+    for number, element in enumerate(elements):
+        if element.name:
+            continue
+        joint = element.joints[0].name if noun == "body" and element.joints else ""
+        wanted = f"{joint}_link" if joint else f"{noun}_{number}"
+        name, again = wanted, 2
+        while name in taken:
+            name, again = f"{wanted}_{again}", again + 1
+        element.name = name
+        taken.add(name)
+
+
+def normal_of(machine: NominalModel) -> Array | None:
+    """Normal (3,) of the machine's plane of motion, world frame; None if not planar."""
+    data = machine.at_zero
+    turning = machine.model.jnt_type == _MOVING[0]
+    hinges, slides = data.xaxis[turning], data.xaxis[~turning]
+    if not len(hinges):
+        return None
+    normal = hinges[0] * np.sign(hinges[0][np.argmax(np.abs(hinges[0]))])
+    parallel = np.allclose(np.abs(hinges @ normal), 1.0, atol=1e-6)
+    return np.array(normal) if parallel and np.allclose(slides @ normal, 0, atol=1e-6) else None
+
+
+def reach_of(machine: NominalModel) -> float:
+    """Length of the machine along its bodies, from its first joint on [m]."""
+    model = machine.model
+    along = np.zeros(model.nbody)
+    first = int(model.jnt_bodyid[0])
+    for body in range(first + 1, model.nbody):
+        along[body] = along[model.body_parentid[body]] + np.linalg.norm(model.body_pos[body])
+    beyond = np.zeros(model.nbody)
+    if model.nsite:
+        np.maximum.at(beyond, model.site_bodyid, np.linalg.norm(model.site_pos, axis=1))
+    beyond = np.maximum(beyond, np.linalg.norm(model.body_ipos, axis=1))
+    return max(float((along + beyond)[first:].max()), 1e-3)
+
+
+def link_ends(machine: NominalModel, link: str) -> tuple[Array, Array]:
+    """Ends of a link in its body's frame: at its joint, and at the next or the tool.
+
+    The end is the farthest of the bodies and sites that it carries; without any, twice the distance
+    to its centre of mass.
+    """
+    model = machine.model
+    body = model.body(link).id
+    start = np.array(model.jnt_pos[int(model.body_jntadr[body])])
+    ends = [model.body_pos[b] for b in range(body + 1, model.nbody) if _carries(model, body, b)]
+    if not ends:
+        ends = [model.site_pos[s] for s in range(model.nsite) if model.site_bodyid[s] == body]
+    if not ends:
+        ends = [start + 2 * (model.body_ipos[body] - start)]
+    far = max(ends, key=lambda end: float(np.linalg.norm(end - start)))
+    return start, np.array(far)
+
+
+def _carries(model: mujoco.MjModel, body: int, other: int) -> bool:
+    """Return whether a body is a child of another and carries a joint somewhere."""
+    if int(model.body_parentid[other]) != body:
+        return False
+    tree = {other}
+    for b in range(other, model.nbody):
+        if int(model.body_parentid[b]) in tree:
+            tree.add(b)
+    return any(int(model.body_jntnum[b]) > 0 for b in tree)
+
+
+def frame_about(axis: Array) -> Array:
+    """Right-handed unit vectors (3, 3), the first of them along ``axis``."""
+    first = axis / np.linalg.norm(axis)
+    second = np.eye(3)[int(np.argmin(np.abs(first)))]
+    second = second - first * (second @ first)
+    second /= np.linalg.norm(second)
+    return np.array([first, second, np.cross(first, second)])

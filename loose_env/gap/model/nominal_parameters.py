@@ -12,8 +12,8 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
+from loose_env.gap.model.effect import Parameter
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
 
 _BEYOND = 1.02
@@ -32,15 +32,7 @@ class _Entry:
 
 
 class NominalParameters:
-    """Factors on masses, inertias, dampings, frictions, rotor inertias and actuator gains.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> nominal = NominalParameters(NominalModel(planar(2).spec), tolerance=0.03)
-    >>> sorted({entry.field for entry in nominal.entries})
-    ['armature', 'damping', 'inertia', 'mass']
-    """
+    """Factors on masses, inertias, dampings, frictions, rotor inertias and actuator gains."""
 
     def __init__(self, machine: NominalModel, *, tolerance: float, drives: bool = True) -> None:
         self.machine, self.tolerance, self.drives = machine, tolerance, drives
@@ -80,15 +72,10 @@ class NominalParameters:
                 low=1 - wide,
                 high=1 + wide,
                 scale=self.tolerance,
-                centre=1.0,
                 spread=_SPREAD,
             )
             for entry in self.entries
         )
-
-    def by_name(self, factors: Array) -> dict[str, float]:
-        """Map the names of the parameters to their factors (P,)."""
-        return {p.name: float(v) for p, v in zip(self.parameters, factors, strict=True)}
 
     def edit(self, spec: mujoco.MjSpec, factors: Array) -> None:
         """Scale the nominal parameters by factors (P,)."""
@@ -98,24 +85,19 @@ class NominalParameters:
             elif entry.field == "inertia":
                 body = spec.body(entry.of)
                 body.inertia = np.asarray(body.inertia) * factor
-            elif entry.field == "damping":
+            elif entry.field in ("damping", "armature", "frictionloss"):
                 joint = spec.joint(entry.of)
-                joint.damping = np.asarray(joint.damping) * factor
-            elif entry.field in ("armature", "frictionloss"):
-                joint = spec.joint(entry.of)
-                setattr(joint, entry.field, getattr(joint, entry.field) * factor)
+                setattr(joint, entry.field, np.asarray(getattr(joint, entry.field)) * factor)
             else:
                 _scale_gain(spec.actuator(entry.of), factor, velocity=entry.field != "gain")
 
 
 def _scale_gain(actuator: mujoco.MjsActuator, factor: float, *, velocity: bool) -> None:
     """Scale the gain, or the velocity gain, of an actuator."""
-    bias = np.array(actuator.biasprm)
+    gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
     if velocity:
         bias[2] *= factor
     else:
-        gain = np.array(actuator.gainprm)
         gain[0] *= factor
-        actuator.gainprm = gain
         bias[:2] *= factor
-    actuator.biasprm = bias
+    actuator.gainprm, actuator.biasprm = gain, bias

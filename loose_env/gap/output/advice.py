@@ -2,114 +2,107 @@
 
 from __future__ import annotations
 
+_SPRING = (
+    "Hold the joint at many angles in two poses of the other joints: a spring goes by its own "
+    "angle, gravity by that of the "
+)
 _PAIRS = {
-    (
-        "command_delay",
-        "joint_compliance",
-    ): "Tap the arm while it is held: a compliance rings at its "
-    "own frequency, a delay does not. A sensor on the link behind the joint separates them too.",
-    ("payload", "link_mass"): "Move the last joint by itself, with its axis level: the load at the "
-    "tool has the longer lever. Or record once with a known weight at the tool.",
-    (
-        "actuator_gain",
-        "payload",
-    ): "Hold several poses and move fast in one pose: a gain scales every "
-    "torque, a payload adds gravity and inertia.",
-    (
-        "backlash",
-        "coulomb_friction",
-    ): "Reverse slowly with gravity pulling to one side, then where it "
-    "pulls to neither: a gap shows only where the load changes sides, friction always.",
-    ("base_tilt", "sensor_bias"): "Hold several poses that turn the sensor: a bias stays with the "
-    "sensor, gravity from elsewhere turns with the base.",
-    (
-        "joint_spring",
-        "link_mass",
-    ): "Hold the joint at many angles in two poses of the other joints: a "
-    "spring goes by its own angle, gravity by that of the link.",
-    (
-        "joint_spring",
-        "link_com",
-    ): "Hold the joint at many angles in two poses of the other joints: a "
-    "spring goes by its own angle, gravity by that of the link.",
-    (
-        "joint_spring",
-        "payload",
-    ): "Hold the joint at many angles in two poses of the other joints: a "
-    "spring goes by its own angle, gravity by that of the tool.",
-    ("base_tilt", "joint_spring"): "Hold the joint at many angles with the others folded and "
-    "stretched: gravity's share changes, a spring's does not.",
-    (
-        "actuator_gain",
-        "viscous_friction",
-    ): "Move at several constant speeds and hold several loads at "
-    "rest: friction vanishes at rest, a gain does not.",
-    (
-        "base_tilt",
-        "encoder_offset",
-    ): "With the first joint's axis level these are the same for every "
-    "motion; a spirit level on the base decides.",
-    (
-        "command_delay",
-        "sensor_delay",
-    ): "Command a motion that two sensors of different kinds see: a "
-    "late command moves both, a late sensor only itself.",
-    (
-        "joint_compliance",
-        "link_flexibility",
-    ): "Put an accelerometer on the link between the joint and "
-    "the tool: a compliant joint moves it, a flexible link moves only what lies beyond.",
-    (
-        "actuator_lag",
-        "command_delay",
-    ): "Command a sweep to well above 1 / (2π time constant): behind "
-    "a lag the motion fades, behind a delay it keeps its size.",
-    ("coulomb_friction", "stribeck_friction"): "Move at a few speeds down to creeping: Coulomb "
-    "friction is the same at all, Stribeck's grows towards rest.",
-    (
-        "coulomb_friction",
-        "viscous_friction",
-    ): "Move at several constant speeds: Coulomb friction is "
-    "the same at all, viscous friction grows with the speed.",
-    (
-        "quadratic_drag",
-        "viscous_friction",
-    ): "Move at several constant speeds, the highest included: drag grows with the square.",
-    ("link_com", "link_mass"): "Hold the link level and upright, and move it fast: the mass alone "
-    "changes what the joints before it carry.",
-    (
-        "link_mass",
-        "rotor_inertia",
-    ): "Accelerate the joint alike in poses of different reach and hold "
-    "several: a rotor's inertia never changes and has no weight.",
-    (
-        "backlash",
-        "joint_compliance",
-    ): "Reverse slowly under small and under large load: a gap has the "
-    "same size at both, a compliance yields in proportion.",
-    (
-        "load_friction",
-        "coulomb_friction",
-    ): "Reverse slowly under several loads: one share grows with the load, dry friction does not.",
-    ("asymmetric_friction", "joint_spring"): "Move slowly both ways at many angles: a friction has "
-    "its sign from the direction, a spring from the angle.",
-    ("gravity_compensation", "link_mass"): "Hold poses, then accelerate hard where the link is "
-    "upright: a carried weight leaves the inertia as it is.",
-    (
-        "torque_limit",
-        "voltage_limit",
-    ): "Stall the drive, then move at its highest speed: a limit "
-    "of the torque is the same at both.",
-    ("torque_constant", "actuator_gain"): "Hold a known load and read the torque: a wrong constant "
-    "shows another one.",
-    ("structural_looseness", "backlash"): "Shake one joint at a time with an accelerometer at the "
-    "tool: a loose link moves along a direction of its own, a joint about its axis.",
+    "command_delay joint_compliance": (
+        "Tap the arm while it is held: a compliance rings at its own frequency, a delay does not. "
+        "A sensor on the link behind the joint separates them too."
+    ),
+    "payload link_mass": (
+        "Move the last joint by itself, with its axis level: the load at the tool has the longer "
+        "lever. Or record once with a known weight at the tool."
+    ),
+    "actuator_gain payload": (
+        "Hold several poses and move fast in one pose: a gain scales every torque, a payload adds "
+        "gravity and inertia."
+    ),
+    "backlash coulomb_friction": (
+        "Reverse slowly with gravity pulling to one side, then where it pulls to neither: a gap "
+        "shows only where the load changes sides, friction always."
+    ),
+    "base_tilt sensor_bias": (
+        "Hold several poses that turn the sensor: a bias stays with the sensor, gravity from "
+        "elsewhere turns with the base."
+    ),
+    "joint_spring link_mass": _SPRING + "link.",
+    "joint_spring link_com": _SPRING + "link.",
+    "joint_spring payload": _SPRING + "tool.",
+    "base_tilt joint_spring": (
+        "Hold the joint at many angles with the others folded and stretched: gravity's share "
+        "changes, a spring's does not."
+    ),
+    "actuator_gain viscous_friction": (
+        "Move at several constant speeds and hold several loads at rest: friction vanishes at "
+        "rest, a gain does not."
+    ),
+    "base_tilt encoder_offset": (
+        "With the first joint's axis level these are the same for every motion; a spirit level on "
+        "the base decides."
+    ),
+    "command_delay sensor_delay": (
+        "Command a motion that two sensors of different kinds see: a late command moves both, a "
+        "late sensor only itself."
+    ),
+    "joint_compliance link_flexibility": (
+        "Put an accelerometer on the link between the joint and the tool: a compliant joint moves "
+        "it, a flexible link moves only what lies beyond."
+    ),
+    "actuator_lag command_delay": (
+        "Command a sweep to well above 1 / (2π time constant): behind a lag the motion fades, "
+        "behind a delay it keeps its size."
+    ),
+    "coulomb_friction stribeck_friction": (
+        "Move at a few speeds down to creeping: Coulomb friction is the same at all, Stribeck's "
+        "grows towards rest."
+    ),
+    "coulomb_friction viscous_friction": (
+        "Move at several constant speeds: Coulomb friction is the same at all, viscous friction "
+        "grows with the speed."
+    ),
+    "quadratic_drag viscous_friction": (
+        "Move at several constant speeds, the highest included: drag grows with the square."
+    ),
+    "link_com link_mass": (
+        "Hold the link level and upright, and move it fast: the mass alone changes what the "
+        "joints before it carry."
+    ),
+    "link_mass rotor_inertia": (
+        "Accelerate the joint alike in poses of different reach and hold several: a rotor's "
+        "inertia never changes and has no weight."
+    ),
+    "backlash joint_compliance": (
+        "Reverse slowly under small and under large load: a gap has the same size at both, a "
+        "compliance yields in proportion."
+    ),
+    "load_friction coulomb_friction": (
+        "Reverse slowly under several loads: one share grows with the load, dry friction does not."
+    ),
+    "asymmetric_friction joint_spring": (
+        "Move slowly both ways at many angles: a friction has its sign from the direction, a "
+        "spring from the angle."
+    ),
+    "gravity_compensation link_mass": (
+        "Hold poses, then accelerate hard where the link is upright: a carried weight leaves the "
+        "inertia as it is."
+    ),
+    "torque_limit voltage_limit": (
+        "Stall the drive, then move at its highest speed: a limit of the torque is the same at "
+        "both."
+    ),
+    "torque_constant actuator_gain": (
+        "Hold a known load and read the torque: a wrong constant shows another one."
+    ),
+    "structural_looseness backlash": (
+        "Shake one joint at a time with an accelerometer at the tool: a loose link moves along a "
+        "direction of its own, a joint about its axis."
+    ),
 }
-
+"""Two kinds, in either order -> what tells them apart."""
 
 _GRAVITY = "hold many poses, the level ones and the stretched ones among them"
-
-
 _SEE = {
     "viscous_friction": "move at several constant speeds, the highest included",
     "coulomb_friction": "reverse the joint slowly, many times",
@@ -145,8 +138,6 @@ _SEE = {
     "gear_eccentricity": "turn slowly over a whole turn or as far as it goes",
     "sensor_quantisation": "move slowly over many of the sensor's steps",
 }
-
-
 _OF_KIND = {
     "sensor": "Let a second sensor see the same motion.",
     "actuator": "Hold known loads at rest, and move at several speeds and accelerations.",
@@ -166,8 +157,8 @@ def how_to_separate(kind: str, where: str, other: str, elsewhere: str) -> str:
     >>> how_to_separate("command_delay", "motor1", "command_delay", "all")
     'Command the drives one at a time.'
     """
-    known = _PAIRS.get((kind, other)) or _PAIRS.get((other, kind))
-    if known and (kind != other):
+    known = _PAIRS.get(f"{kind} {other}") or _PAIRS.get(f"{other} {kind}")
+    if known:
         return known
     if kind == other and "all" in (where, elsewhere):
         return "Command the drives one at a time."

@@ -6,7 +6,7 @@ The file loads in any MuJoCo without this package, and lists at its head what wa
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -14,11 +14,10 @@ import numpy as np
 
 from loose_env.arms import files_of
 from loose_env.errors import InvalidData
-from loose_env.gap.model.driven_effect import DrivenEffect
+from loose_env.gap.model.effect import DrivenEffect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, set_step
 from loose_env.gap.output.result import NamedEffect
-from loose_env.gap.simulator import step_with
 from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
@@ -35,17 +34,13 @@ def corrected_spec(
 ) -> mujoco.MjSpec:
     """Build the nominal model with all effects that MJCF can express.
 
-    The time step is the one these effects need. Keyframes keep the positions of the model's own
-    joints; coordinates added by an effect are zero.
+    The time step is that of the nominal model unless one is given. Keyframes keep the positions of
+    the model's own joints; coordinates added by an effect are zero.
     """
-    spec = machine.spec.copy()
+    spec = machine.fresh()
     if step is not None:
         set_step(spec, step)
-    elif machine.step > 0:
-        set_step(spec, step_with(machine, hypothesis.effects))
-    if machine.integrator is not None:
-        spec.option.integrator = machine.integrator
-    hypothesis.export(spec)
+    hypothesis.edit(spec, export=True)
     _keep_keyframes(spec, machine)
     return spec
 
@@ -56,7 +51,7 @@ def step_for(machine: NominalModel, hypothesis: Hypothesis) -> float:
     A filter that is much shorter than a step makes a Runge-Kutta method diverge, and MJCF delays
     commands from step to step.
     """
-    step = step_with(machine, hypothesis.effects)
+    step = machine.time_step
     late = [
         float(value)
         for effect, values in hypothesis.pairs
@@ -235,23 +230,12 @@ def model_notes(named: Sequence[NamedEffect], pulled: Sequence[str]) -> list[str
     notes = ["Corrected by loose gap."]
     if named:
         notes.append("Added to the nominal model:")
-        notes += [
-            _words(each.kind, each.where, each.parameters, each.units, each.in_model)
-            for each in named
-        ]
+        for each in named:
+            place = "" if each.in_model else " (not in model.xml: see result.json, code)"
+            notes.append(f"{each.kind} at {each.where}: {each.values_in_words()}{place}")
     else:
         notes.append("No effect was added to the nominal model.")
     if pulled:
         notes.append("Not changed, though the data pull them out of their tolerances:")
         notes += pulled
     return notes
-
-
-def _words(
-    kind: str, where: str, values: Mapping[str, float], units: Mapping[str, str], in_model: bool
-) -> str:
-    numbers = ", ".join(
-        f"{name} {value:.4g} {units.get(name, '')}".rstrip() for name, value in values.items()
-    )
-    place = "" if in_model else " (not in model.xml: see result.json, code)"
-    return f"{kind} at {where}: {numbers}{place}"

@@ -5,7 +5,7 @@ The format of the file is ``loose-gap/1``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -58,6 +58,13 @@ class NamedEffect:
     """Largest coefficient over its standard deviation."""
     held_out_gain: Mapping[str, float] = field(default_factory=dict)
     """Rise of twice the log likelihood of held-out data with it: by "run" and by "stretch"."""
+
+    def values_in_words(self, names: Iterable[str] | None = None) -> str:
+        """Format some of its parameters, by default all, with their units."""
+        return ", ".join(
+            f"{name} {self.parameters[name]:.4g} {self.units.get(name, '')}".rstrip()
+            for name in (self.parameters if names is None else names)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

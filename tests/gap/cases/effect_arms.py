@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from loose_env.gap.model.driven_effect import DrivenEffect
-from loose_env.gap.model.effect import Effect, Readings
+from loose_env.gap.model.effect import DrivenEffect, Effect, Readings
 from loose_env.gap.model.effects.sensors import delayed
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array

@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.backlash import Backlash
-from loose_env.gap.model.effects.drives.actuators import ActuatorGain, ActuatorLag, CommandDelay
-from loose_env.gap.model.effects.drivetrain import RotorInertia
-from loose_env.gap.model.effects.friction import (
+from loose_env.gap.model.effects.drives import ActuatorGain, ActuatorLag, CommandDelay
+from loose_env.gap.model.effects.elasticity import Backlash
+from loose_env.gap.model.effects.joints import (
     CoulombFriction,
     QuadraticDrag,
+    RotorInertia,
     StribeckFriction,
     ViscousFriction,
 )

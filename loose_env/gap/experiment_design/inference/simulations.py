@@ -8,7 +8,7 @@ import numpy as np
 
 from loose_env.gap.experiment_design.inference.local_models import LocalModels
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.torque_terms import has_terms
+from loose_env.gap.simulator import has_terms
 from loose_env.typing import Array
 
 _Key = tuple[object, ...]

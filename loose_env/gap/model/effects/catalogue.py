@@ -14,42 +14,7 @@ from typing import TypeVar
 
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.backlash import Backlash
-from loose_env.gap.model.effects.drives.actuators import ActuatorGain, ActuatorLag, CommandDelay
-from loose_env.gap.model.effects.drives.dead_zone import DeadZone
-from loose_env.gap.model.effects.drives.limits import TorqueLimit, VoltageLimit
-from loose_env.gap.model.effects.drives.load_friction import LoadFriction
-from loose_env.gap.model.effects.drives.torque_constant import TorqueConstant
-from loose_env.gap.model.effects.drivetrain import GearEccentricity, RotorInertia, TorqueRipple
-from loose_env.gap.model.effects.friction import (
-    AsymmetricFriction,
-    CoulombFriction,
-    QuadraticDrag,
-    StribeckFriction,
-    ViscousFriction,
-)
-from loose_env.gap.model.effects.joint_elasticity import (
-    BaseCompliance,
-    JointCompliance,
-    JointSpring,
-)
-from loose_env.gap.model.effects.link_flexibility import LinkFlexibility
-from loose_env.gap.model.effects.link_inertia import (
-    BaseTilt,
-    GravityCompensation,
-    LinkCom,
-    LinkMass,
-    Payload,
-)
-from loose_env.gap.model.effects.sensors import (
-    EncoderOffset,
-    SensorBias,
-    SensorDelay,
-    SensorGain,
-    SensorMisalignment,
-    SensorQuantisation,
-)
-from loose_env.gap.model.effects.structural_looseness import StructuralLooseness
+from loose_env.gap.model.effects import drives, elasticity, inertia, joints, sensors
 from loose_env.gap.model.nominal_model import NominalModel
 
 Kind = TypeVar("Kind", bound=type[Effect])
@@ -57,39 +22,39 @@ Kind = TypeVar("Kind", bound=type[Effect])
 CATALOGUE: dict[str, type[Effect]] = {
     effect.kind: effect
     for effect in (
-        ViscousFriction,
-        CoulombFriction,
-        StribeckFriction,
-        QuadraticDrag,
-        JointCompliance,
-        Backlash,
-        StructuralLooseness,
-        LinkFlexibility,
-        LinkMass,
-        LinkCom,
-        Payload,
-        RotorInertia,
-        ActuatorGain,
-        ActuatorLag,
-        CommandDelay,
-        EncoderOffset,
-        SensorMisalignment,
-        SensorGain,
-        SensorBias,
-        SensorDelay,
-        BaseTilt,
-        TorqueRipple,
-        JointSpring,
-        LoadFriction,
-        AsymmetricFriction,
-        TorqueLimit,
-        VoltageLimit,
-        DeadZone,
-        GravityCompensation,
-        TorqueConstant,
-        BaseCompliance,
-        GearEccentricity,
-        SensorQuantisation,
+        joints.ViscousFriction,
+        joints.CoulombFriction,
+        joints.StribeckFriction,
+        joints.QuadraticDrag,
+        elasticity.JointCompliance,
+        elasticity.Backlash,
+        elasticity.StructuralLooseness,
+        elasticity.LinkFlexibility,
+        inertia.LinkMass,
+        inertia.LinkCom,
+        inertia.Payload,
+        joints.RotorInertia,
+        drives.ActuatorGain,
+        drives.ActuatorLag,
+        drives.CommandDelay,
+        sensors.EncoderOffset,
+        sensors.SensorMisalignment,
+        sensors.SensorGain,
+        sensors.SensorBias,
+        sensors.SensorDelay,
+        inertia.BaseTilt,
+        joints.TorqueRipple,
+        joints.JointSpring,
+        joints.LoadFriction,
+        joints.AsymmetricFriction,
+        drives.TorqueLimit,
+        drives.VoltageLimit,
+        drives.DeadZone,
+        inertia.GravityCompensation,
+        sensors.TorqueConstant,
+        elasticity.BaseCompliance,
+        sensors.GearEccentricity,
+        sensors.SensorQuantisation,
     )
 }
 """Identifier, as in the result file -> class."""

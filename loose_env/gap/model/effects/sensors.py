@@ -1,6 +1,7 @@
-"""Effects of sensors: bias, gain, quantisation, delay, misalignment, and encoder offset.
+"""Effects of sensors: bias, gain, quantisation, delay, misalignment, offset, eccentricity.
 
-An encoder offset shifts the zero of a joint's reading and of its servo.
+An encoder offset shifts the zero of a joint's reading and of its servo. An eccentric gear makes an
+error of the measured angle once a turn. A torque constant scales a drive's measured torque.
 """
 
 from __future__ import annotations
@@ -11,106 +12,150 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.effect import Effect, Readings
-from loose_env.gap.model.effects.drives.actuators import held_delay
-from loose_env.gap.model.effects.mjcf.joint_effect import JointEffect, added_name, angle_unit
-from loose_env.gap.model.effects.mjcf.sensor_columns import (
-    column_of,
-    is_position_or_speed,
-    reading_scale,
-    vectors,
-)
+from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter, Readings
+from loose_env.gap.model.effects.drives import DELAY_STARTS, LONGEST_DELAY, held_delay
+from loose_env.gap.model.effects.mjcf import added_name, angle_unit, site_pose
 from loose_env.gap.model.nominal_model import NominalModel, history_for
-from loose_env.gap.model.parameter import Parameter
 from loose_env.typing import Array
+
+_S = mujoco.mjtSensor
+_SMOOTH = tuple(
+    int(kind)
+    for kind in (
+        _S.mjSENS_JOINTPOS, _S.mjSENS_JOINTVEL, _S.mjSENS_FRAMEPOS, _S.mjSENS_FRAMELINVEL,
+        _S.mjSENS_FRAMEANGVEL, _S.mjSENS_VELOCIMETER, _S.mjSENS_GYRO,
+    )
+)  # fmt: skip
+"""Positions and speeds."""
+_TURNING = tuple(
+    int(kind)
+    for kind in (
+        _S.mjSENS_ACCELEROMETER, _S.mjSENS_GYRO, _S.mjSENS_VELOCIMETER, _S.mjSENS_FORCE,
+        _S.mjSENS_TORQUE, _S.mjSENS_MAGNETOMETER,
+    )
+)  # fmt: skip
+"""Vectors in the frame of their site."""
+
+
+def column_of(sensor: str) -> str:
+    """Column of a sensor, without axis."""
+    return f"sensor.{sensor}"
+
+
+def is_position_or_speed(machine: NominalModel, column: str) -> bool:
+    """Return whether a column is a position or a speed, not an acceleration or force."""
+    kind, _, name = column.partition(".")
+    return kind == "sensor" and int(machine.model.sensor(name).type[0]) in _SMOOTH
+
+
+def _reading_scale(machine: NominalModel, sensor: str) -> tuple[float, str]:
+    """Return the smallest change of a reading that matters, and its unit."""
+    model = machine.model
+    number = model.sensor(sensor).id
+    load, speed = float(machine.load_scales.max()), float(machine.speed_scales.max())
+    turns = True
+    if model.sensor_objtype[number] == mujoco.mjtObj.mjOBJ_JOINT:
+        joint = machine.joints[int(model.sensor_objid[number])]
+        load, speed, turns = machine.load(joint), machine.speed(joint), machine.turns(joint)
+    scales = {
+        _S.mjSENS_JOINTPOS: (0.01, "rad" if turns else "m"),
+        _S.mjSENS_JOINTVEL: (0.05 * speed, "rad/s" if turns else "m/s"),
+        _S.mjSENS_ACCELEROMETER: (0.2, "m/s²"),
+        _S.mjSENS_GYRO: (0.05 * speed, "rad/s"),
+        _S.mjSENS_VELOCIMETER: (0.05 * speed, "m/s"),
+        _S.mjSENS_FORCE: (0.05 * load, "N"),
+        _S.mjSENS_TORQUE: (0.05 * load, "N·m"),
+        _S.mjSENS_JOINTACTFRC: (0.05 * load, "N·m" if turns else "N"),
+        _S.mjSENS_ACTUATORFRC: (0.05 * load, ""),
+        _S.mjSENS_FRAMELINACC: (0.2, "m/s²"),
+        _S.mjSENS_FRAMEPOS: (0.005, "m"),
+    }
+    return scales.get(_S(int(model.sensor_type[number])), (0.05, ""))
+
+
+class SensorEffect(Effect):
+    """An effect on the reading of a sensor; servos see the joint itself, without it."""
+
+    acts_on = "sensor"
+    in_model = False
+    dims: ClassVar[tuple[int, ...]] = ()
+    """Numbers of axes of the sensors that can have it; all without."""
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return sensors with so many axes."""
+        dims = machine.model.sensor_dim
+        return tuple(
+            name
+            for k, name in enumerate(machine.sensors)
+            if name and (not cls.dims or int(dims[k]) in cls.dims)
+        )
+
+    @property
+    def dim(self) -> int:
+        """Axes of the sensor."""
+        return int(self.machine.model.sensor(self.where).dim[0])
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Change the sensor's column."""
+        column = column_of(self.where)
+        if column not in readings:
+            return readings
+        return {**readings, column: self.shown(time, readings[column], values)}
+
+    def shown(self, time: Array, reading: Array, values: Array) -> Array:
+        """Reading with the effect (..., T) of a scalar, (..., T, 3) of a vector."""
+        raise NotImplementedError
+
 
 _AXES = {1: ("bias",), 3: ("bias_x", "bias_y", "bias_z")}
 
 
-class SensorBias(Effect):
-    """Constant bias of a sensor, one for each axis; servos see the joint itself."""
+class SensorBias(SensorEffect):
+    """Constant bias of a sensor, one for each axis."""
 
     kind = "sensor_bias"
-    acts_on: ClassVar[str] = "sensor"
-    in_model: ClassVar[bool] = False
-    is_additive: ClassVar[bool] = True
-
-    @classmethod
-    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return sensors of one axis or three."""
-        dims = machine.model.sensor_dim
-        return tuple(n for k, n in enumerate(machine.sensors) if n and int(dims[k]) in _AXES)
+    is_additive = True
+    dims = tuple(_AXES)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        self._size = int(machine.model.sensor(where).dim[0])
-        self.null_values = (0.0,) * self._size  # type: ignore[misc]
+        self.null_values = (0.0,) * self.dim  # type: ignore[misc]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Bias of each axis."""
-        scale, unit = reading_scale(self.machine, self.where)
+        scale, unit = _reading_scale(self.machine, self.where)
         return tuple(
             Parameter(name=name, unit=unit, low=-500 * scale, high=500 * scale, scale=scale)
-            for name in _AXES[self._size]
+            for name in _AXES[self.dim]
         )
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: visible on every axis."""
-        scale, _ = reading_scale(self.machine, self.where)
-        return ((scale,) * self._size,)
+        return (tuple(p.scale for p in self.parameters),)
 
-    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """Add to the sensor's column."""
-        column = column_of(self.where)
-        if column not in readings:
-            return readings
-        bias = values[0] if self._size == 1 else np.asarray(values)
-        return {**readings, column: readings[column] + bias}
+    def shown(self, time: Array, reading: Array, values: Array) -> Array:
+        """Add the bias."""
+        return np.asarray(reading + (values[0] if self.dim == 1 else np.asarray(values)))
 
     def code(self, values: Array) -> str:
         """Python line: the reading plus the bias."""
         return f"data.sensor({self.where!r}).data += {[float(v) for v in values]}"
 
 
-_NEGLIGIBLE = 1e-3
-"""Error of a gain that no sensor is calibrated to."""
-
-
-class SensorGain(Effect):
-    """Gain of a sensor: a factor on its reading; servos see the joint itself."""
+class SensorGain(SensorEffect):
+    """Gain of a sensor: a factor on its reading."""
 
     kind = "sensor_gain"
-    acts_on: ClassVar[str] = "sensor"
-    in_model: ClassVar[bool] = False
-    null_values: ClassVar[tuple[float, ...] | None] = (1.0,)
+    null_values = (1.0,)
+    parameters = (Parameter(name="gain", unit="", low=0.1, high=10.0, scale=0.05),)
+    starts = ((0.9,), (1.1,))
 
-    @classmethod
-    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return every sensor."""
-        return tuple(name for name in machine.sensors if name)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Gain factor."""
-        return (Parameter(name="gain", unit="", low=0.1, high=10.0, scale=0.05),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a tenth less and more."""
-        return ((0.9,), (1.1,))
-
-    def is_negligible(self, values: Array) -> bool:
-        """Return whether the gain is within the accuracy of sensor calibration."""
-        return abs(float(values[0]) - 1.0) < _NEGLIGIBLE
-
-    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """Scale the sensor's column."""
-        column = column_of(self.where)
-        if column not in readings:
-            return readings
-        return {**readings, column: float(values[0]) * readings[column]}
+    def shown(self, time: Array, reading: Array, values: Array) -> Array:
+        """Scale the reading."""
+        return float(values[0]) * reading
 
     def code(self, values: Array) -> str:
         """Python line: the reading times the gain."""
@@ -118,49 +163,32 @@ class SensorGain(Effect):
 
 
 _STEPS = (0.2, 1.0)
-"""Steps of a sensor from which fits start where the data show none, over a change that matters."""
+"""Steps of a sensor from which fits start, over a change that matters."""
 
 
-class SensorQuantisation(Effect):
-    """Quantisation of a sensor: its reading is rounded to whole steps; servos see the joint itself.
-
-    The step is found in the readings: their distances are multiples of it.
-    """
+class SensorQuantisation(SensorEffect):
+    """Quantisation of a sensor: its reading is rounded to whole steps."""
 
     kind = "sensor_quantisation"
-    acts_on: ClassVar[str] = "sensor"
-    in_model: ClassVar[bool] = False
-    limit: ClassVar[tuple[tuple[str, str], ...]] = (("step", "low"),)
-
-    @classmethod
-    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return sensors of one axis."""
-        dims = machine.model.sensor_dim
-        return tuple(n for k, n in enumerate(machine.sensors) if n and int(dims[k]) == 1)
+    limit = (("step", "low"),)
+    dims = (1,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Step of the reading."""
-        scale, unit = reading_scale(self.machine, self.where)
+        scale, unit = _reading_scale(self.machine, self.where)
         low, high = 1e-4 * scale, 1e3 * scale
         return (Parameter(name="step", unit=unit, low=low, high=high, scale=scale, log=True),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: visible steps."""
-        scale, _ = reading_scale(self.machine, self.where)
-        return tuple((share * scale,) for share in _STEPS)
+        return tuple((share * self.parameters[0].scale,) for share in _STEPS)
 
-    def propose_from(self, resolution: float) -> tuple[tuple[float, ...], ...]:
-        """Propose the step that the readings show."""
-        return ((self.parameters[0].clipped(resolution),),) if resolution > 0 else ()
-
-    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """Round the sensor's column."""
-        column, step = column_of(self.where), float(values[0])
-        if column not in readings:
-            return readings
-        return {**readings, column: step * np.round(readings[column] / step)}
+    def shown(self, time: Array, reading: Array, values: Array) -> Array:
+        """Round the reading."""
+        step = float(values[0])
+        return np.asarray(step * np.round(reading / step))
 
     def code(self, values: Array) -> str:
         """Python lines: the reading in whole steps."""
@@ -172,55 +200,34 @@ class SensorQuantisation(Effect):
         )
 
 
-_LONGEST = 0.25
-"""Longest delay that is tried [s]."""
-
-
-class SensorDelay(Effect):
+class SensorDelay(SensorEffect):
     """Delay of a sensor; servos see the joint itself, undelayed.
 
     Exported as MuJoCo's own sensor delay.
     """
 
     kind = "sensor_delay"
-    acts_on: ClassVar[str] = "sensor"
-    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
-    is_time_shift: ClassVar[bool] = True
-
-    @classmethod
-    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return every sensor."""
-        return tuple(name for name in machine.sensors if name)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Sensor delay."""
-        return (Parameter(name="delay", unit="s", low=0.0, high=_LONGEST, scale=0.01),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts from a fast bus to that of hobby servos."""
-        return ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
+    in_model = True
+    null_values = (0.0,)
+    is_time_shift = True
+    parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST_DELAY, scale=0.01),)
+    starts = DELAY_STARTS
 
     @property
     def _jumps(self) -> bool:
         """True if the reading is no position or speed and has no delay in the model."""
-        spec_sensor = self.machine.spec.sensor(self.where)
         smooth = is_position_or_speed(self.machine, column_of(self.where))
-        return not smooth and float(spec_sensor.delay) == 0.0
+        return not smooth and float(self.machine.spec.sensor(self.where).delay) == 0.0
 
     def sensor_delay(self, values: Array) -> tuple[str, float] | None:
         """Return the delay of an acceleration or a force."""
         return (self.where, float(values[0])) if self._jumps else None
 
-    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """Shift the column of a position or a speed."""
-        column = column_of(self.where)
-        if column not in readings or values[0] <= 0 or self._jumps:
-            return readings
-        vector = int(self.machine.model.sensor(self.where).dim[0]) > 1
-        late = delayed(time, readings[column], float(values[0]), axis=-2 if vector else -1)
-        return {**readings, column: late}
+    def shown(self, time: Array, reading: Array, values: Array) -> Array:
+        """Shift a position or a speed."""
+        if values[0] <= 0 or self._jumps:
+            return reading
+        return delayed(time, reading, float(values[0]), axis=-2 if self.dim > 1 else -1)
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Export as a history and a delay of the sensor, on top of its existing delay."""
@@ -233,13 +240,7 @@ class SensorDelay(Effect):
 
 
 def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Array:
-    """Delay values, linear between samples; the first one is held before the start.
-
-    Examples
-    --------
-    >>> delayed(np.arange(4.0), np.array([0.0, 2.0, 4.0, 6.0]), 0.5)
-    array([0., 1., 3., 5.])
-    """
+    """Delay values, linear between samples; the first one is held before the start."""
     at = np.interp(time - delay, time, np.arange(len(time), dtype=float))
     low = np.floor(at).astype(int)
     high = np.minimum(low + 1, len(time) - 1)
@@ -248,51 +249,36 @@ def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Arra
     return np.moveaxis(moved[..., low] * (1 - share) + moved[..., high] * share, -1, axis)
 
 
-class SensorMisalignment(Effect):
+class SensorMisalignment(SensorEffect):
     """Misalignment of a vector sensor: a rotation vector in the site's own frame."""
 
     kind = "sensor_misalignment"
-    acts_on: ClassVar[str] = "sensor"
-    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 0.0)
-    is_additive: ClassVar[bool] = True
+    in_model = True
+    null_values = (0.0, 0.0, 0.0)
+    is_additive = True
+    parameters = tuple(
+        Parameter(name=f"turn_{axis}", unit="rad", low=-1.6, high=1.6, scale=0.05) for axis in "xyz"
+    )
+    starts = ((0.05, 0.05, 0.05),)  # three degrees about every axis, as small rotations add up
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return sensors of three axes that are fixed to a site."""
-        return vectors(machine)
+        model = machine.model
+        at_site = (model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE) & (model.sensor_refid < 0)
+        chosen = at_site & np.isin(model.sensor_type, _TURNING)
+        return tuple(name for k, name in enumerate(machine.sensors) if name and chosen[k])
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Rotation vector."""
-        return tuple(
-            Parameter(name=f"turn_{axis}", unit="rad", low=-1.6, high=1.6, scale=0.05)
-            for axis in "xyz"
-        )
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: three degrees about every axis at once, as small rotations add up."""
-        return ((0.05, 0.05, 0.05),)
-
-    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+    def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Rotate the vector to the misaligned frame."""
-        column = column_of(self.where)
-        if column not in readings:
-            return readings
         turn = Rotation.from_rotvec(np.asarray(values, dtype=float)).as_matrix()
-        return {**readings, column: readings[column] @ turn}
+        return np.asarray(reading @ turn)
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Move the sensor to a rotated site of its own."""
-        sensor, model = spec.sensor(self.where), self.machine.model
+        sensor = spec.sensor(self.where)
         site = spec.site(sensor.objname)
-        place, turned = np.array(site.pos), np.array(site.quat)
-        if any(model.site(k).name == site.name for k in range(model.nsite)):
-            # with angles resolved; one that was rotated before is written as a quaternion
-            number = model.site(site.name).id
-            turned = model.site_quat[number]
-            if site.frame is not None or not np.isfinite(place).all():
-                place = model.site_pos[number]
+        place, turned = site_pose(self.machine, site)
         askew = added_name(spec, self.where, self.kind)
         x, y, z, w = (
             Rotation.from_quat(turned, scalar_first=True)
@@ -300,6 +286,35 @@ class SensorMisalignment(Effect):
         ).as_quat()
         site.parent.add_site(name=askew, pos=place, quat=[w, x, y, z])
         sensor.objname = askew
+
+
+class TorqueConstant(JointEffect):
+    """Factor of a joint's measured torque: the drive's current times a wrong constant."""
+
+    kind = "torque_constant"
+    exact_law = True
+    in_model = False
+    null_values = (1.0,)
+    parameters = (Parameter(name="factor", unit="", low=0.02, high=50.0, scale=0.1),)
+    starts = ((0.8,), (1.25,))
+
+    def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
+        """Scale the joint's torque."""
+        return torque * float(values[0]) if joint == self.where else torque
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Scale the joint's column of measured torque."""
+        column = f"torque.{self.where}"
+        if column not in readings:
+            return readings
+        return {**readings, column: float(values[0]) * readings[column]}
+
+    def code(self, values: Array) -> str:
+        """Python line: the measured torque of the joint."""
+        return (
+            f"measured_torque_{self.machine.joint_number(self.where)} = "
+            f"{float(values[0])!r} * data.joint({self.where!r}).qfrc_actuator"
+        )
 
 
 class EncoderOffset(JointEffect):
@@ -310,13 +325,13 @@ class EncoderOffset(JointEffect):
     """
 
     kind = "encoder_offset"
-    exact_law: ClassVar[bool] = True
-    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+    exact_law = True
+    null_values = (0.0,)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Offset: reading minus truth."""
-        if self.machine.turns(self.where):
+        if self.turns:
             return (Parameter(name="offset", unit="rad", low=-1.0, high=1.0, scale=0.02),)
         return (Parameter(name="offset", unit="m", low=-0.3, high=0.3, scale=0.005),)
 
@@ -334,3 +349,117 @@ class EncoderOffset(JointEffect):
         joint.springref += offset
         if self.machine.model.jnt_limited[self.machine.joint_number(self.where)]:
             joint.range = np.array(joint.range) + offset
+
+
+class GearEccentricity(DrivenEffect, JointEffect):
+    """Once-per-turn error of the measured angle: a gear or a code wheel that turns off its centre.
+
+    The encoder shows q + sine · sin q + cosine · cos q, and the servo closes its loop on that.
+    """
+
+    kind = "gear_eccentricity"
+    is_additive = True
+    null_values = (0.0, 0.0)
+    parameters = tuple(
+        Parameter(name=name, unit="rad", low=-0.5, high=0.5, scale=0.005)
+        for name in ("sine", "cosine")
+    )
+    starts = ((0.005, 0.005),)  # a third of a degree in either phase, which add up
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return hinges with an encoder."""
+        joints = enumerate(machine.joints)
+        return tuple(n for k, n in joints if machine.turns(n) and _names(machine, k, _POSITION))
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        self._joint = machine.joint_number(where)
+        self._encoders = _names(machine, self._joint, _POSITION)
+        self._rates = _names(machine, self._joint, _SPEED)
+        model = machine.model
+        self._servos: list[tuple[int, float, float, float]] = [
+            (k, float(model.actuator_gear[k, 0]), *self._gains(k))
+            for k, name in enumerate(machine.actuators)
+            if machine.actuated_joint.get(name) == where and model.actuator_biasprm[k, 1] != 0
+        ]
+
+    def _gains(self, actuator: int) -> tuple[float, float]:
+        """Position and velocity feedback of a servo over the gain of its command."""
+        model = self.machine.model
+        gain = model.actuator_gainprm[actuator, 0] or 1.0
+        bias = model.actuator_biasprm[actuator]
+        return float(bias[1] / gain), float(bias[2] / gain)
+
+    def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
+        """Shift the commands of the joint's servos as the shown position and speed do."""
+        error, slope = _eccentric(position[..., self._joint], values)
+        found = command.copy()
+        for number, gear, per_angle, per_speed in self._servos:
+            shift = per_angle * error + per_speed * slope * speed[..., self._joint]
+            found[..., number] += gear * shift
+        return found
+
+    def feedback_code(self, values: Array) -> str:
+        """Python lines: the commands shifted by the error of what the servo sees."""
+        joint = self._joint
+        error, slope = _eccentric_code(f"position[{joint}]", values)
+        return "\n".join(
+            f"command[{number}] += {gear!r} * ({p!r} * ({error}) + {d!r} * ({slope}) * "
+            f"speed[{joint}])"
+            for number, gear, p, d in self._servos
+        )
+
+    def read(self, time: Array, readings: Readings, values: Array) -> Readings:
+        """Add the error to the encoder's reading, its rate to that of the speed.
+
+        A speed is shown by its own slope of the error where the position is shown too.
+        """
+        found = dict(readings)
+        shown = [c for name in self._encoders if (c := column_of(name)) in readings]
+        for column in shown:
+            found[column] = readings[column] + _eccentric(readings[column], values)[0]
+        for name in self._rates if shown else ():
+            if (column := column_of(name)) in readings:
+                slope = _eccentric(readings[shown[0]], values)[1]
+                found[column] = readings[column] * (1 + slope)
+        return found
+
+    def code(self, values: Array) -> str:
+        """Python lines: the readings with the error."""
+        error, slope = _eccentric_code("angle", values)
+        lines = [
+            "import numpy as np",
+            f"angle = float(data.sensor({self._encoders[0]!r}).data[0])",
+            *(f"data.sensor({name!r}).data *= 1 + {slope}" for name in self._rates),
+            *(f"data.sensor({name!r}).data += {error}" for name in self._encoders),
+        ]
+        return "\n".join(lines)
+
+
+_POSITION, _SPEED = int(_S.mjSENS_JOINTPOS), int(_S.mjSENS_JOINTVEL)
+
+
+def _names(machine: NominalModel, joint: int, kind: int) -> list[str]:
+    """Names of the sensors of a kind at a joint."""
+    model = machine.model
+    own = np.flatnonzero((model.sensor_type == kind) & (model.sensor_objid == joint))
+    return [machine.sensors[k] for k in own]
+
+
+def _eccentric(angle: Array, values: Array) -> tuple[Array, Array]:
+    """Error of the shown angle, and its slope."""
+    sine, cosine = values
+    return (
+        sine * np.sin(angle) + cosine * np.cos(angle),
+        sine * np.cos(angle) - cosine * np.sin(angle),
+    )
+
+
+def _eccentric_code(angle: str, values: Array) -> tuple[str, str]:
+    """Python text of both."""
+    sine, cosine = (float(v) for v in values)
+    return (
+        f"{sine!r} * np.sin({angle}) + {cosine!r} * np.cos({angle})",
+        f"{sine!r} * np.cos({angle}) - {cosine!r} * np.sin({angle})",
+    )

@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from pathlib import Path
 
-from loose_env.gap.output.result import NamedEffect
-from loose_env.gap.output.targets.drives import JointDrive, JointValues, joint_values
-from loose_env.gap.output.targets.source import (
+from loose_env.gap.output.export_source import (
     ALL,
     Export,
+    ExportSettings,
     ExportSource,
+    JointDrive,
+    JointValues,
     not_carried,
     number,
 )
+from loose_env.gap.output.result import NamedEffect
 
 _CARRIED = {
     "viscous_friction": ALL,
@@ -36,30 +38,25 @@ _AT_DRIVE = frozenset({"actuator_gain", "command_delay", "torque_limit", "voltag
 """Kinds that only the configuration of a drive carries."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Config:
-    """One configuration: its class and arguments."""
-
-    kind: str
-    """Name of the class."""
-    arguments: dict[str, str]
-    """Argument -> Python text."""
+_Config = tuple[str, dict[str, str]]
+"""Name of a class, and its arguments with their Python text."""
 
 
-def mjlab_export(source: ExportSource, timestep: float | None = None) -> Export:
+def mjlab_export(source: ExportSource, settings: ExportSettings, urdf: Path | None) -> Export:
     """Write actuator configurations for mjlab."""
-    step = _step(source, timestep)
-    joints, configs, left = joint_values(source.model), [], []
-    for joint in joints:
-        lags, lost = _lags(source.result.effects, joint, step)
+    step = settings.timestep or float(source.model.opt.timestep)
+    configs: list[_Config] = []
+    left: list[str] = []
+    for joint in source.joints:
+        lags, lost = _lags(source.effects, joint, step)
         left += lost
         if joint.drive is None:
-            left += _undriven(source.result.effects, joint)
+            left += _undriven(source.effects, joint)
             continue
-        left += _remarks(joint)
+        left += joint.drive.remarks
         drive = joint.drive
         own = {"target_names_expr": f"({re.escape(joint.name)!r},)"}
-        motor = _motor(source.result.effects, joint)
+        motor = _motor(source.effects, joint)
         if drive.mode == "effort" and motor:
             left += _effort_scale(drive)
             kind, own = "DcMotorActuatorCfg", own | {"stiffness": "0.0", "damping": "0.0"} | motor
@@ -86,8 +83,8 @@ def mjlab_export(source: ExportSource, timestep: float | None = None) -> Export:
         }
         if lags[1]:
             own |= {"delay_min_lag": str(lags[0]), "delay_max_lag": str(lags[1])}
-        configs.append(_Config(kind=kind, arguments=own))
-    left = [*not_carried(source.result.effects, _CARRIED), *left]
+        configs.append((kind, own))
+    left = [*not_carried(source.effects, _CARRIED), *left]
     lines = [f"    {_call(config)}," for config in configs]
     text = _module("mjlab", "mjlab.actuator", configs, left, step, ["ACTUATORS = (", *lines, ")"])
     return Export(
@@ -101,25 +98,26 @@ def mjlab_export(source: ExportSource, timestep: float | None = None) -> Export:
     )
 
 
-def isaaclab_export(source: ExportSource, timestep: float | None = None) -> Export:
+def isaaclab_export(source: ExportSource, settings: ExportSettings, urdf: Path | None) -> Export:
     """Write actuator configurations for Isaac Lab."""
-    step = _step(source, timestep)
-    configs, left = {}, []
-    for joint in joint_values(source.model):
-        lags, lost = _lags(source.result.effects, joint, step)
+    step = settings.timestep or float(source.model.opt.timestep)
+    configs: dict[str, _Config] = {}
+    left: list[str] = []
+    for joint in source.joints:
+        lags, lost = _lags(source.effects, joint, step)
         left += lost
         own = {"joint_names_expr": f"[{re.escape(joint.name)!r}]"}
         drive = joint.drive
         if drive is None:  # a joint that nothing drives has friction and inertia too
-            left += [w for w in _undriven(source.result.effects, joint) if joint.reason]
+            left += [w for w in _undriven(source.effects, joint) if joint.reason]
             own |= {"stiffness": "0.0", "damping": "0.0"}
         else:
-            left += _remarks(joint)
+            left += drive.remarks
             left += _effort_scale(drive)
             own |= {"stiffness": number(drive.stiffness), "damping": number(drive.damping)}
             if drive.effort_limit is not None:
                 own["effort_limit"] = number(drive.effort_limit)
-        falls = _fall_of_friction(source.result.effects, joint.name)
+        falls = _fall_of_friction(source.effects, joint.name)
         own |= {
             "armature": number(joint.armature),
             "friction": number(joint.frictionloss),
@@ -127,17 +125,17 @@ def isaaclab_export(source: ExportSource, timestep: float | None = None) -> Expo
             "viscous_friction": number(joint.damping),
         }
         kind = "ImplicitActuatorCfg" if drive is None else "IdealPDActuatorCfg"
-        if motor := _motor(source.result.effects, joint):
+        if motor := _motor(source.effects, joint):
             kind, own = "DCMotorCfg", own | motor
             if lags[1]:
                 left.append(f"the delay of {joint.name}: DCMotorCfg has none")
         elif lags[1]:
             kind = "DelayedPDActuatorCfg"
             own |= {"min_delay": str(lags[0]), "max_delay": str(lags[1])}
-        configs[joint.name] = _Config(kind=kind, arguments=own)
+        configs[joint.name] = (kind, own)
     left = [
         *not_carried(
-            source.result.effects,
+            source.effects,
             _CARRIED_BY_ISAACLAB,
             remedy="change the USD asset or the environment accordingly",
         ),
@@ -157,10 +155,6 @@ def isaaclab_export(source: ExportSource, timestep: float | None = None) -> Expo
             "velocity_limit is that of the USD asset where none is written",
         ),
     )
-
-
-def _step(source: ExportSource, timestep: float | None) -> float:
-    return float(source.model.opt.timestep) if timestep is None else timestep
 
 
 def _lags(
@@ -191,10 +185,6 @@ def _undriven(effects: Sequence[NamedEffect], joint: JointValues) -> list[str]:
     own = [e.kind for e in effects if e.where == joint.name and e.kind not in _AT_DRIVE]
     words = f": {', '.join(own)}" if own else ""
     return [f"the configuration of joint {joint.name}{words}, because {reason}"]
-
-
-def _remarks(joint: JointValues) -> list[str]:
-    return [] if joint.drive is None else list(joint.drive.remarks)
 
 
 def _effort_scale(drive: JointDrive) -> list[str]:
@@ -229,8 +219,8 @@ def _fall_of_friction(effects: Sequence[NamedEffect], joint: str) -> float:
 
 
 def _call(config: _Config) -> str:
-    given = "".join(f"\n        {name}={text}," for name, text in config.arguments.items())
-    return f"{config.kind}({given}\n    )"
+    given = "".join(f"\n        {name}={text}," for name, text in config[1].items())
+    return f"{config[0]}({given}\n    )"
 
 
 def _module(
@@ -242,7 +232,7 @@ def _module(
     lines: Sequence[str],
 ) -> str:
     """Python text with its imports, and the list of what it does not contain."""
-    kinds = sorted({config.kind for config in configs})
+    kinds = sorted({kind for kind, _ in configs})
     head = [
         f'"""Actuators for {target}, identified by \'loose gap\'.',
         "",

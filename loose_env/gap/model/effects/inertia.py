@@ -7,18 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.mjcf.geometry import link_ends, normal_of, reach_of
-from loose_env.gap.model.effects.mjcf.inertia import Inertial, inertial_of, set_inertial
-from loose_env.gap.model.effects.mjcf.joint_effect import added_name
-from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.parameter import Parameter
+from loose_env.gap.model.effect import Effect, Parameter
+from loose_env.gap.model.effects.mjcf import (
+    Inertial,
+    added_name,
+    inertial_of,
+    set_inertial,
+    site_pose,
+)
+from loose_env.gap.model.nominal_model import NominalModel, link_ends, normal_of, reach_of
 from loose_env.typing import Array
 
 
@@ -28,12 +30,10 @@ def links_with_mass(machine: NominalModel) -> tuple[str, ...]:
     return tuple(name for name in machine.links if mass[machine.model.body(name).id] > 0)
 
 
-class LinkMass(Effect):
-    """Mass added to a link at its own centre; its inertia grows in proportion."""
+class LinkEffect(Effect):
+    """An effect of a link."""
 
-    kind = "link_mass"
-    acts_on: ClassVar[str] = "link"
-    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+    acts_on = "link"
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -41,23 +41,32 @@ class LinkMass(Effect):
         return links_with_mass(machine)
 
     @property
+    def own_mass(self) -> float:
+        """Mass of the link [kg]."""
+        return float(self.machine.model.body(self.where).mass[0])
+
+    def in_link(self, vector: Array) -> Array:
+        """Turn a vector (3,) from the world into the link's frame, at the model's zero."""
+        turn = self.machine.at_zero.body(self.where).xmat.reshape(3, 3)
+        return np.asarray(turn.T @ vector)
+
+
+class LinkMass(LinkEffect):
+    """Mass added to a link at its own centre; its inertia grows in proportion."""
+
+    kind = "link_mass"
+    null_values = (0.0,)
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Added mass."""
-        own = self._own
+        own = self.own_mass
         return (Parameter(name="mass", unit="kg", low=-0.9 * own, high=20 * own, scale=0.1 * own),)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: a quarter less and more."""
-        return ((-0.25 * self._own,), (0.25 * self._own,))
-
-    @property
-    def _own(self) -> float:
-        return float(self.machine.model.body(self.where).mass[0])
-
-    def displaced_mass(self, values: Array) -> float:
-        """Mass added or removed."""
-        return abs(float(values[0]))
+        return ((-0.25 * self.own_mass,), (0.25 * self.own_mass,))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Scale the link's mass and inertia."""
@@ -67,7 +76,7 @@ class LinkMass(Effect):
         set_inertial(self.machine, spec, self.where, scaled)
 
 
-class LinkCom(Effect):
+class LinkCom(LinkEffect):
     """Shift of the centre of mass along the body's axes; mass and inertia stay.
 
     Of a machine that moves in a plane only the shift in the plane counts; an axis of the body that
@@ -75,23 +84,13 @@ class LinkCom(Effect):
     """
 
     kind = "link_com"
-    acts_on: ClassVar[str] = "link"
-    is_additive: ClassVar[bool] = True
-
-    @classmethod
-    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return links that have mass."""
-        return links_with_mass(machine)
+    is_additive = True
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        self._axes: tuple[int, ...] = (0, 1, 2)
         normal = normal_of(machine)
-        if normal is not None:
-            data = mujoco.MjData(machine.model)
-            mujoco.mj_kinematics(machine.model, data)
-            along = data.body(where).xmat.reshape(3, 3).T @ normal
-            self._axes = tuple(k for k in range(3) if abs(along[k]) < 1 - 1e-6)
+        across = np.zeros(3) if normal is None else self.in_link(normal)
+        self._axes = tuple(k for k in range(3) if abs(across[k]) < 1 - 1e-6)
         self.null_values = (0.0,) * len(self._axes)  # type: ignore[misc]
         start, end = link_ends(machine, where)
         self._length = max(float(np.linalg.norm(end - start)), 0.05 * reach_of(machine))
@@ -99,26 +98,15 @@ class LinkCom(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Shift along the body's axes."""
+        far, scale = 1.5 * self._length, 0.1 * self._length
         return tuple(
-            Parameter(
-                name="xyz"[k],
-                unit="m",
-                low=-1.5 * self._length,
-                high=1.5 * self._length,
-                scale=0.1 * self._length,
-            )
-            for k in self._axes
+            Parameter(name="xyz"[k], unit="m", low=-far, high=far, scale=scale) for k in self._axes
         )
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: a tenth of the link's length along one axis after the other."""
         return tuple(tuple(row) for row in 0.1 * self._length * np.eye(len(self._axes)))
-
-    def displaced_mass(self, values: Array) -> float:
-        """Mass of the link, by the share of its length that the centre shifts."""
-        own = float(self.machine.model.body(self.where).mass[0])
-        return own * float(np.linalg.norm(values)) / self._length
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Shift the link's centre."""
@@ -141,8 +129,8 @@ class Payload(Effect):
     """
 
     kind = "payload"
-    acts_on: ClassVar[str] = "arm"
-    variants: ClassVar[tuple[str, ...]] = ("", "centre")
+    acts_on = "arm"
+    variants = ("", "centre")
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
@@ -178,8 +166,7 @@ class Payload(Effect):
         light, heavy = 0.05 * self._moved, 0.3 * self._moved
         if not self.variant:
             return ((light,), (heavy,))
-        off = 0.3 * _FAR_OFF * reach_of(self.machine)
-        axes = [tuple(side * off * row) for row in np.eye(3) for side in (-1.0, 1.0)]
+        axes = [tuple(side * self._off * row) for row in np.eye(3) for side in (-1.0, 1.0)]
         return tuple((light, *(float(v) for v in axis)) for axis in axes)
 
     @property
@@ -187,8 +174,7 @@ class Payload(Effect):
         """A mass at the tool and beside it along each axis: forces add up by mass and moment."""
         if not self.variant:
             return ()
-        off = 0.3 * _FAR_OFF * reach_of(self.machine)
-        beside = np.vstack([np.zeros(3), off * np.eye(3)])
+        beside = np.vstack([np.zeros(3), self._off * np.eye(3)])
         return tuple((0.1 * self._moved, *(float(v) for v in row)) for row in beside)
 
     def combined(self, shares: Array) -> tuple[float, ...]:
@@ -213,9 +199,10 @@ class Payload(Effect):
         first = int(model.jnt_bodyid[0])
         return float(model.body_subtreemass[first]) / len(self.machine.joints)
 
-    def displaced_mass(self, values: Array) -> float:
-        """Mass of the payload."""
-        return float(values[0])
+    @property
+    def _off(self) -> float:
+        """Distance of a centre from the tool at which fits start [m]."""
+        return 0.3 * _FAR_OFF * reach_of(self.machine)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add a body to the one that carries the tool."""
@@ -225,9 +212,7 @@ class Payload(Effect):
         centre = [float(v) for v in values[1:]] if self.variant else [0.0, 0.0, 0.0]
         if self.machine.tool:
             site = spec.site(self.machine.tool)
-            place, carrier = np.array(site.pos), site.parent
-            if site.frame is not None or not np.isfinite(place).all():
-                place = self.machine.model.site_pos[self.machine.model.site(site.name).id]
+            (place, _), carrier = site_pose(self.machine, site), site.parent
         else:
             name, place = _outermost(self.machine)
             carrier = spec.body(name)
@@ -274,8 +259,8 @@ class BaseTilt(Effect):
     """
 
     kind = "base_tilt"
-    acts_on: ClassVar[str] = "arm"
-    is_additive: ClassVar[bool] = True
+    acts_on = "arm"
+    is_additive = True
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -325,7 +310,7 @@ class BaseTilt(Effect):
 _ALL = "all"
 
 
-class GravityCompensation(Effect):
+class GravityCompensation(LinkEffect):
     """Share of a link's weight that a balancer or the drives carry, beyond that of the model.
 
     At "all": of every link alike, as software compensates gravity. Negative where the model has a
@@ -333,8 +318,9 @@ class GravityCompensation(Effect):
     """
 
     kind = "gravity_compensation"
-    acts_on: ClassVar[str] = "link"
-    null_values: ClassVar[tuple[float, ...] | None] = (0.0,)
+    null_values = (0.0,)
+    parameters = (Parameter(name="share", unit="", low=-1.5, high=1.5, scale=0.1),)
+    starts = ((-0.25,), (0.25,), (1.0,))  # a quarter, missing or too much, and all of it
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -343,16 +329,6 @@ class GravityCompensation(Effect):
             return ()
         links = links_with_mass(machine)
         return (*links, _ALL) if len(links) > 1 and _ALL not in links else links
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Share of the weight."""
-        return (Parameter(name="share", unit="", low=-1.5, high=1.5, scale=0.1),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a quarter, missing or too much, and all of it."""
-        return ((-0.25,), (0.25,), (1.0,))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the gravity compensation of the bodies."""

@@ -1,0 +1,451 @@
+"""Effects of drives: gain, lag, delay of commands, dead zone, and limits of torque and voltage."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import mujoco
+import numpy as np
+from scipy.signal import lfilter
+
+from loose_env.gap.model.effect import DrivenEffect, Effect, Parameter
+from loose_env.gap.model.nominal_model import NominalModel, history_for
+from loose_env.typing import Array
+
+
+class DriveEffect(Effect):
+    """An effect of one drive."""
+
+    acts_on = "actuator"
+
+    @property
+    def _number(self) -> int:
+        return self.machine.actuators.index(self.where)
+
+    def _with(self, controls: Array, own: Array) -> Array:
+        """Commands with others for this drive (T, actuators)."""
+        found = controls.copy()
+        found[:, self._number] = own
+        return found
+
+
+class ActuatorGain(DriveEffect):
+    """Factor on the gain of an actuator.
+
+    Variant "" scales its force, limits included, as another motor constant does. Variant "command"
+    scales the command only; without a feedback term both are the same. Variant "servo" scales the
+    force and leaves its limits, as other servo gains do: by far more than motors differ.
+    """
+
+    kind = "actuator_gain"
+    exact_law = True
+    variants = ("", "command", "servo")
+    null_values = (1.0,)
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return actuators whose force is linear in command, position and speed."""
+        affine = machine.affine_actuators
+        return tuple(n for k, n in enumerate(machine.actuators) if n and affine[k])
+
+    @classmethod
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+        """Return all variants where there is feedback and a limit."""
+        number = machine.model.actuator(where).id
+        if not np.any(machine.model.actuator_biasprm[number] != 0):
+            return cls.variants[:1]
+        return cls.variants if machine.model.actuator_forcelimited[number] else cls.variants[:2]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Scale factor."""
+        if self.variant == "servo":
+            return (Parameter(name="gain", unit="", low=1e-3, high=20.0, scale=1.0, log=True),)
+        return (Parameter(name="gain", unit="", low=0.02, high=20.0, scale=0.1),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a tenth of a command is visible; with feedback forces have to vary more."""
+        if self.variant == "servo":
+            return ((0.01,), (0.03,), (0.1,), (0.3,))
+        return ((0.9,), (1.1,)) if self.variant else ((0.8,), (1.25,))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Scale the actuator's parameters."""
+        actuator, gain = spec.actuator(self.where), float(values[0])
+        actuator.gainprm = gain * np.array(actuator.gainprm)
+        if self.variant != "command":
+            actuator.biasprm = gain * np.array(actuator.biasprm)
+        if not self.variant:
+            actuator.forcerange = gain * np.array(actuator.forcerange)
+
+    def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
+        """Convert torque to measured torque: a stronger drive shows less for the same.
+
+        Not where it is one of several at the joint: a joint torque alone does not give each one's
+        share.
+        """
+        machine = self.machine
+        if self.variant == "command" or machine.actuated_joint.get(self.where) != joint:
+            return torque
+        alone = np.count_nonzero(machine.drives_of(joint)) == 1
+        return torque / float(values[0]) if alone else torque
+
+
+_SHORTEST = 1e-9  # a lag below this is zero [s]
+_STABLE = 0.5
+"""Lag over the step from which on a Runge-Kutta method of fourth order is surely stable: its limit
+is 1 / 2.785."""
+
+
+class ActuatorLag(DriveEffect):
+    """First-order lag: commands pass a low-pass with a time constant.
+
+    Commands are held from step to step, and the filter's response is exact: its mean moves the arm,
+    its value at a step is visible in sensors there. MuJoCo's filters, used in the exported file,
+    start at zero, not at the first command. A Runge-Kutta method integrates ``filter`` within its
+    step; other methods use the value of ``filterexact`` at the beginning of a step for all of it.
+    """
+
+    kind = "actuator_lag"
+    null_values = (0.0,)
+    is_time_shift = True
+    parameters = (Parameter(name="time_constant", unit="s", low=0.0, high=1.0, scale=0.01),)
+    # from a fast drive to a very slow one: a servo's response is not linear
+    starts = ((0.001,), (0.003,), (0.008,), (0.02,), (0.06,), (0.15,))
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return actuators without dynamics of their own."""
+        plain = machine.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
+        return tuple(n for k, n in enumerate(machine.actuators) if n and plain[k])
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Filter the actuator's commands: means over each step."""
+        state, held = self._filtered(time, controls, values)
+        if state is None:
+            return controls
+        lag, step = float(values[0]), time[1] - time[0]
+        mean = held + (state - held) * (lag / step) * (1.0 - np.exp(-step / lag))
+        return self._with(controls, mean)
+
+    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
+        """Filter the actuator's commands: instantaneous values at each step."""
+        state, _ = self._filtered(time, controls, values)
+        return controls if state is None else self._with(controls, state)
+
+    def _filtered(self, time: Array, controls: Array, values: Array) -> tuple[Array | None, Array]:
+        """State of the filter at each step (T,), None without a lag; held commands."""
+        model, number = self.machine.model, self._number
+        held = controls[:, number]
+        if model.actuator_ctrllimited[number]:  # as MuJoCo clamps before filtering
+            held = np.clip(held, *model.actuator_ctrlrange[number])
+        if values[0] < _SHORTEST or len(time) < 2:
+            return None, held
+        share = 1.0 - np.exp(-(time[1] - time[0]) / float(values[0]))
+        after, _ = lfilter([share], [1.0, share - 1.0], held, zi=[(1.0 - share) * held[0]])
+        return np.concatenate([held[:1], after[:-1]]), held
+
+    def export(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Export as MuJoCo's filter that suits the integrator."""
+        lag, step = float(values[0]), float(spec.option.timestep)
+        if lag < _SHORTEST:
+            return
+        actuator = spec.actuator(self.where)
+        if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
+            lag = max(lag, _STABLE * step)
+        else:
+            actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+            # the value at a step's beginning is half a step behind its mean
+            lag = max(lag - 0.5 * step, 0.1 * lag)
+        actuator.dynprm = [lag, *np.array(actuator.dynprm)[1:]]
+
+
+LONGEST_DELAY = 0.25
+"""Longest delay that is tried [s]."""
+DELAY_STARTS = ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
+"""Delays from which fits start, from a fast bus to hobby servos: a servo is not linear."""
+_LINEAR = 1  # MuJoCo's interpolation order
+
+
+class CommandDelay(Effect):
+    """Delay of the commands, at one actuator or ("all") at all of them.
+
+    A command is held from its step to the next. Held commands delayed by a fraction of a step
+    change within it; their mean over the step is a linear interpolation between the two. MuJoCo's
+    own delay, used in the exported file, does the same from one step upward.
+    """
+
+    kind = "command_delay"
+    acts_on = "actuator"
+    null_values = (0.0,)
+    is_time_shift = True
+    parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST_DELAY, scale=0.01),)
+    starts = DELAY_STARTS
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return every actuator, and "all" if there are several."""
+        named = tuple(name for name in machine.actuators if name)
+        return (*named, "all") if len(machine.actuators) > 1 else named
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Shift the commands; before the first sample the first one holds."""
+        delay = float(values[0])
+        if delay <= 0:
+            return controls
+        late = controls.copy()
+        for number in self._numbers:
+            late[:, number] = np.interp(time - delay, time, controls[:, number])
+        return late
+
+    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
+        """Shift the commands, each held until the next."""
+        delay = float(values[0])
+        if delay <= 0 or len(time) < 2:
+            return controls
+        late = controls.copy()
+        back = np.floor(np.arange(len(time)) - delay / (time[1] - time[0]) + 1e-9)
+        late[:, self._numbers] = controls[np.maximum(back, 0).astype(int)][:, self._numbers]
+        return late
+
+    def export(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Export as a history and a delay of the actuators, on top of existing ones."""
+        if values[0] <= 0:
+            return
+        for number in self._numbers:
+            actuator = spec.actuators[number]
+            delay = _as_line(actuator, spec.option) + float(values[0])
+            actuator.delay, actuator.interp = delay, _LINEAR
+            needed = history_for(delay, spec.option.timestep)
+            actuator.nsample = max(needed, int(actuator.nsample))
+
+    @property
+    def _numbers(self) -> list[int]:
+        actuators = self.machine.actuators
+        if self.where == "all":
+            return list(range(len(actuators)))
+        return [actuators.index(self.where)]
+
+
+def _as_line(actuator: mujoco.MjsActuator, option: mujoco.MjOption) -> float:
+    """Delay [s] with linear interpolation, equivalent to an actuator's own delay."""
+    own, step = float(actuator.delay), float(option.timestep)
+    if own > 0 and actuator.interp:
+        return own
+    if option.integrator != mujoco.mjtIntegrator.mjINT_RK4:
+        return held_delay(own, step)
+    # The history is also read within the step: interpolated on average half a step later, held
+    # commands at its beginning, middle and end with weights 1, 4 and 1 sixths.
+    stages = ((0.0, 1 / 6), (0.5, 4 / 6), (1.0, 1 / 6))
+    return sum(share * held_delay(own - at * step, step) for at, share in stages) + 0.5 * step
+
+
+def held_delay(delay: float, step: float) -> float:
+    """Delay of a history that holds its samples [s]: whole steps, rounded up."""
+    return max(ceil(delay / step - 1e-9), 0) * step
+
+
+_LOWEST = 0.02
+"""Lowest limit that is tried, over the typical torque."""
+_HIGHEST = 20.0
+"""Highest one of a drive whose model has none."""
+_STARTS = (0.4, 0.8, 1.5, 2.5)
+"""Limits from which fits start."""
+_LEAST_GIVEN = 0.05
+"""Lowest limit that is sought in data, over the largest torque given."""
+_GRID, _SPEED_GRID = 150, 16
+"""Limits, 2 % apart, and no-load speeds that are tried on data."""
+_SPEEDS = (1.5, 4.0)
+"""No-load speeds from which fits start, over the typical speed."""
+
+
+class JointDriveEffect(DriveEffect):
+    """An effect of the drive of one joint, its force linear in command, position and speed."""
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return drives of a joint without states of their own."""
+        return tuple(n for n in ActuatorGain.locations(machine) if n in machine.actuated_joint)
+
+    @property
+    def joint(self) -> str:
+        """Joint that it drives."""
+        return self.machine.actuated_joint[self.where]
+
+    @property
+    def gear(self) -> float:
+        """Torque on the joint per force of the drive, with its sign."""
+        return float(self.machine.model.actuator_gear[self._number, 0]) or 1.0
+
+
+class DriveLimit(JointDriveEffect):
+    """A limit of the force of a drive, which may fall with speed."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Largest force of the actuator, at most that of the model; times its gear on the joint."""
+        model, usual = self.machine.model, self.machine.load(self.joint) / abs(self.gear)
+        high = _HIGHEST * usual
+        if model.actuator_forcelimited[self._number]:
+            high = float(np.max(np.abs(model.actuator_forcerange[self._number])))
+        unit, low = (
+            "N·m" if self.machine.turns(self.joint) else "N",
+            min(_LOWEST * usual, 0.5 * high),
+        )
+        name = self.limit[0][0]
+        return (Parameter(name=name, unit=unit, low=low, high=high, scale=usual, log=True),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts around the typical torque, below the limit of the model, and typical speed."""
+        limit, *more = self.parameters
+        torques = (limit.clipped(min(s * limit.scale, 0.8 * limit.high)) for s in _STARTS)
+        speeds = [[share * p.scale] for p in more for share in _SPEEDS] or [[]]
+        return tuple((t, *speed) for t in dict.fromkeys(torques) for speed in speeds)
+
+    def propose_limit(
+        self, speed: Array, asked: Array, needed: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Start at the limit that turns what was asked into what was given, by least deviations.
+
+        Without such a limit that is the largest torque given.
+        """
+        gear = abs(self.gear)
+        rate, asked, needed = speed * gear, asked / gear, needed / gear
+        limit, *more = self.parameters
+        most = limit.clipped(float(np.max(np.abs(needed))))
+        least = min(max(limit.low, _LEAST_GIVEN * most), most)
+        # from the largest on: of limits that explain as much the first is taken
+        torques = np.geomspace(most, least, _GRID).tolist()
+        speeds = [[v] for p in more for v in np.geomspace(p.high, p.low, _SPEED_GRID).tolist()]
+        tried = [(t, *speed) for speed in speeds or [[]] for t in torques]
+        off = [np.mean(np.abs(needed - _limited(asked, rate, *each))) for each in tried]
+        return (tried[int(np.argmin(off))],)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Set the actuator's force range."""
+        actuator, limit = spec.actuator(self.where), float(values[0])
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        actuator.forcerange = [-limit, limit]
+
+
+def _limited(force: Array, speed: Array, stall: float, free: float = np.inf) -> Array:
+    """Force (T,) of a limited actuator, of that without limit and its speed."""
+    back = stall / free * speed
+    return np.asarray(np.clip(force + back, -stall, stall) - back)
+
+
+class TorqueLimit(DriveLimit):
+    """Limit of a drive's torque, below that of the model: saturation of its current."""
+
+    kind = "torque_limit"
+    limit = (("limit", "high"),)
+
+
+class VoltageLimit(DriveLimit):
+    """Limit of a drive's voltage: its largest torque falls with speed, by the back-EMF.
+
+    At standstill the force is at most ``stall_torque``, at speed v at most
+    ``stall_torque (1 - v / no_load_speed)`` in the direction of motion, and more against it. A
+    voltage that is not at its limit compensates for the back-EMF as the servo's gains do.
+    """
+
+    kind = "voltage_limit"
+    limit = (("stall_torque", "high"), ("no_load_speed", "high"))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Largest force at standstill; speed of the actuator at which none is left."""
+        usual = self.machine.speed(self.joint) * abs(self.gear)
+        unit = "rad/s" if self.machine.turns(self.joint) else "m/s"
+        speed = Parameter(
+            name="no_load_speed", unit=unit, low=0.2 * usual, high=50 * usual, scale=usual, log=True
+        )
+        return (*super().parameters, speed)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Limit the force without back-EMF, which acts beyond the limit as the actuator's damping.
+
+        With stall torque T and back-EMF b v, clipping a force f to ± T - b v is the same as
+        clipping f + b v to ± T and taking b v off again.
+        """
+        super().edit(spec, values)
+        actuator, back = spec.actuator(self.where), float(values[0] / values[1])
+        bias, damping = np.array(actuator.biasprm), np.array(actuator.damping)
+        if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
+            bias[:3] = 0.0
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        bias[2] += back
+        damping[0] += back
+        actuator.biasprm, actuator.damping = bias, damping
+
+
+class DeadZone(DrivenEffect, JointDriveEffect):
+    """Dead zone: an error of less than ``width`` gives no torque, a larger one that beyond it.
+
+    Of a position servo the error of position, of a motor without feedback the command.
+    """
+
+    kind = "dead_zone"
+    null_values = (0.0,)
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return drives of a joint with a position feedback, or with none."""
+        model = machine.model
+        kept = []
+        for name in super().locations(machine):
+            number = machine.actuators.index(name)
+            gain, _, rate = model.actuator_gainprm[number, :3]
+            offset, stiffness, damping = model.actuator_biasprm[number, :3]
+            servo = gain != 0 and np.isclose(stiffness, -gain) and offset == 0
+            if servo or (stiffness == 0 and damping == 0 and rate == 0):
+                kept.append(name)
+        return tuple(kept)
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        model, number = machine.model, self._number
+        self._place = machine.joint_number(self.joint)
+        self._servo = bool(model.actuator_biasprm[number, 1] != 0)
+        limited = model.actuator_ctrllimited[number]
+        self._limits = model.actuator_ctrlrange[number].tolist() if limited else None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Half width of the dead zone."""
+        machine, joint = self.machine, self.joint
+        gain = abs(float(machine.model.actuator_gainprm[self._number, 0])) or 1.0
+        usual = machine.load(joint) / (abs(self.gear) * gain)
+        unit = "" if not self._servo else "rad" if machine.turns(joint) else "m"
+        return (Parameter(name="width", unit=unit, low=0.0, high=5 * usual, scale=0.1 * usual),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: errors of a thirtieth, a fifth and half of the typical torque."""
+        scale = self.parameters[0].scale
+        return ((0.3 * scale,), (2 * scale,), (5 * scale,))
+
+    def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
+        """Move the command towards the position by the dead zone, at most onto it."""
+        found, width = command.copy(), values[0]
+        own = found[..., self._number]
+        if self._limits:
+            own = np.clip(own, *self._limits)
+        at = self.gear * position[..., self._place] if self._servo else np.zeros_like(own)
+        found[..., self._number] = own - np.clip(own - at, -width, width)
+        return found
+
+    def feedback_code(self, values: Array) -> str:
+        """Python lines: the command less the part of the error in the dead zone."""
+        number, width = self._number, float(values[0])
+        at = f"{self.gear!r} * position[{self._place}]" if self._servo else "0.0"
+        error = f"command[{number}] - {at}"
+        limited = ""
+        if self._limits:
+            low, high = self._limits
+            limited = f"command[{number}] = np.clip(command[{number}], {low!r}, {high!r})\n"
+        named = f"# dead zone of {self.where}\n"
+        return f"{named}{limited}command[{number}] -= np.clip({error}, {-width!r}, {width!r})"

@@ -1,0 +1,615 @@
+"""Effects that add a degree of freedom: springs, play, and looseness in joints, links and base.
+
+A compliant drive is a spring and a damper between motor side and link side of a joint, backlash a
+clearance with stops there. A flexible link is cut in two parts with a hinge; a loose one slides on
+its seat. A base on rubber feet, or not bolted down, rocks.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import pi, sqrt
+
+import mujoco
+import numpy as np
+
+from loose_env.gap.model.effect import Effect, JointEffect, Parameter
+from loose_env.gap.model.effects.inertia import LinkEffect, links_with_mass
+from loose_env.gap.model.effects.mjcf import (
+    FASTEST,
+    Inertial,
+    add_extra_joint,
+    added_name,
+    inertial_of,
+    insert_first,
+    joint_inertia,
+    keep_from_touching,
+    keep_motor_side,
+    make_it_stick,
+    move_beyond,
+    set_inertial,
+    set_stops,
+    steiner,
+)
+from loose_env.gap.model.nominal_model import (
+    NominalModel,
+    frame_about,
+    link_ends,
+    normal_of,
+    reach_of,
+)
+from loose_env.typing import Array
+
+_SLOWEST_HZ = 0.3
+"""Mode of the softest spring that is tried."""
+_START_HZ = (4.0, 12.0, 35.0)
+"""Modes of the springs from which fits start."""
+_LIKELY_DAMPING = 0.05
+"""Damping ratio of a metal drive."""
+_START_DAMPING = 0.4
+"""Damping ratio from which fits start: a lightly damped mode rings, and what it rings agrees with
+a measurement only within some per cent of the true frequency; a damped one is led there."""
+_MOST_JOINTS = 6
+"""Joints of a body."""
+
+
+class SpringEffect(Effect):
+    """An effect with a joint on a spring and a damper; the limit of a stiff spring is rigid."""
+
+    limit = (("stiffness", "high"),)
+    adds_motion = True
+    needs_fine_steps = True
+
+    @property
+    def inertia(self) -> tuple[float, float]:
+        """Inertia on the spring [kg·m²] or mass [kg], and its inverse weight with all free."""
+        raise NotImplementedError
+
+    @property
+    def unit(self) -> str:
+        """Unit of the stiffness."""
+        return "N·m/rad"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness, up to the largest stable one, and damping ratio with all else locked."""
+        carried, weight = self.inertia
+        low = carried * (2 * pi * _SLOWEST_HZ) ** 2
+        high = max((FASTEST / self.machine.time_step) ** 2 / weight, 10 * low)
+        return (
+            Parameter(
+                name="stiffness", unit=self.unit, low=low, high=high, scale=sqrt(low * high),
+                log=True,
+            ),
+            Parameter(
+                name="damping_ratio", unit="", low=1e-3, high=2.0, scale=_LIKELY_DAMPING, log=True
+            ),
+        )  # fmt: skip
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Springs with modes from slow to fast, at most half the largest stiffness."""
+        stiffness = self.parameters[0]
+        wanted = (self.inertia[0] * (2 * pi * hz) ** 2 for hz in _START_HZ)
+        kept = dict.fromkeys(stiffness.clipped(min(k, 0.5 * stiffness.high)) for k in wanted)
+        return tuple((k, _START_DAMPING) for k in kept)
+
+    def damping(self, stiffness: float, ratio: float) -> float:
+        """Damping of a ratio [N·m·s/rad, N·s/m]."""
+        return 2 * ratio * sqrt(stiffness * self.inertia[0])
+
+
+class SplitJoint(JointEffect):
+    """A joint with a compliant drive: an extra joint on the same axis behind it.
+
+    The joint itself is the motor side: its sensors, servo, friction and rotor stay with it. A joint
+    without rotor gets one of a fiftieth of the inertia it carries, or the inertia its servo needs
+    for a stable simulation.
+    """
+
+    adds_motion = True
+    needs_fine_steps = True
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return joints that are the last of their body."""
+        last = dict(zip(machine.model.jnt_bodyid.tolist(), machine.joints, strict=True))
+        return tuple(joint for joint in machine.joints if joint in last.values())
+
+    def _split(
+        self, spec: mujoco.MjSpec, *, stiffness: float = 0.0, damping: float = 0.0
+    ) -> mujoco.MjsJoint:
+        """Add the link side; return its joint."""
+        machine, number = self.machine, self.machine.joint_number(self.where)
+        keep_motor_side(machine, spec, self.where, self.carried)
+        return add_extra_joint(
+            spec.body(machine.body_of(self.where)), added_name(spec, self.where, self.kind),
+            turns=self.turns, axis=machine.model.jnt_axis[number],
+            pos=machine.model.jnt_pos[number], stiffness=stiffness, damping=damping,
+        )  # fmt: skip
+
+    @cached_property
+    def weight(self) -> float:
+        """Inverse of the inertia on the link side [1/(kg·m²) or 1/kg], all others free."""
+        spec = self.machine.fresh()
+        return joint_inertia(spec, self._split(spec).name)[1]
+
+
+class JointCompliance(SplitJoint, SpringEffect):
+    """Joint compliance: spring and damper, the damping ratio with the motor locked."""
+
+    kind = "joint_compliance"
+
+    @property
+    def inertia(self) -> tuple[float, float]:
+        """Inertia behind the joint, and its inverse weight."""
+        return self.carried, self.weight
+
+    @property
+    def unit(self) -> str:
+        """Torque per angle, or force per way."""
+        return f"{self.torque_unit}/{self.angle_unit}"
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add the spring behind the joint."""
+        stiffness, ratio = float(values[0]), float(values[1])
+        self._split(spec, stiffness=stiffness, damping=self.damping(stiffness, ratio))
+
+
+_DRAG_RATE = 2.0
+"""How fast oil stops a link that floats in the gap [1/s]."""
+_FASTEST = 1.2
+"""Largest angle by which a mode on a stop may turn in a step, at the model's zero [rad]: more than
+that of an added spring, since a stop is damped."""
+_LEAST_LOAD = 0.05
+"""Least usual load of a joint, as a share of that of the most loaded one."""
+_STARTS = (0.02, 0.06, 0.15, 0.3, 0.7, 3.0)
+"""Gaps from which fits start, as shares of a hundredth of a radian or of the reach."""
+_TRAVEL_S = 0.5
+"""Time in which a slide travels a typical distance at its typical speed [s]."""
+_RUBBING_STARTS = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""The same for play in front of a friction, where a wide gap is common."""
+_SOFTER = (1.0, 0.3, 0.1)
+"""Stiffnesses of stops from which fits start, over the usual one: on soft stops a wrong gap or
+friction is told from none, and a fit finds the right ones from further off."""
+_DAMPING = 0.3
+"""Damping ratio of a mode on a stop."""
+
+
+class Backlash(SplitJoint):
+    """Backlash: an extra joint between stops, which are spring-dampers.
+
+    Variant "rubbing": what lies beyond the play is held by dry friction, as in a damper or a brake
+    with slack. Either explains little alone: friction at the motor side acts in the gap as well,
+    and play in front of a free link hardly shows in a torque. It is the friction of a tendon over
+    both joints, whose length is the position of the link.
+    """
+
+    kind = "backlash"
+    has_stops = True
+    limit = (("gap", "low"), ("stiffness", "high"))
+    variants = ("", "rubbing")
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Clearance, stiffness of the stops, damping ratio on them, friction beyond the play."""
+        load, length = self.load, 1.0
+        if not self.turns:
+            # a lone slide has no reach, but it travels
+            length = max(reach_of(self.machine), _TRAVEL_S * self.speed)
+        play = (
+            Parameter(
+                name="gap", unit=self.angle_unit, low=1e-5 * length, high=0.5 * length,
+                scale=0.01 * length, log=True,
+            ),
+            *_stops(self.weight, self.machine.time_step, f"{self.torque_unit}/{self.angle_unit}"),
+        )  # fmt: skip
+        if not self.variant:
+            return play
+        friction = Parameter(
+            name="friction", unit=self.torque_unit, low=1e-3 * load, high=20 * load,
+            scale=0.3 * load, log=True,
+        )  # fmt: skip
+        return (*play, friction)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: clearances of 0.01° to 2°; a wrong one fits no better than none."""
+        gap, stiffness, ratio, *_ = (p.scale for p in self.parameters)
+        if self.variant:
+            return tuple(
+                (share * gap, stiffness, ratio, size * self.load)
+                for share in _RUBBING_STARTS
+                for size in (0.3, 1.0)
+            )
+        return tuple(
+            (share * gap, softer * stiffness, ratio) for softer in _SOFTER for share in _STARTS
+        )
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add the clearance behind the joint."""
+        joint = self._split(spec, damping=_DRAG_RATE * self.carried)
+        gap, stiffness, ratio, *friction = (float(v) for v in values)
+        if friction:
+            tendon = spec.add_tendon(
+                name=f"{joint.name}_{self.variant}", frictionloss=friction[0], limited=False
+            )
+            tendon.wrap_joint(self.where, 1.0)
+            tendon.wrap_joint(joint.name, 1.0)
+            make_it_stick(tendon, spec.option.timestep)
+        # a small load is raised to that of slight shaking
+        load = max(self.load, _LEAST_LOAD * float(np.max(self.machine.load_scales)))
+        set_stops(joint, 0.5 * gap, stiffness=stiffness, ratio=ratio, weight=self.weight, load=load)
+
+
+def _stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]:
+    """Stiffness of stops and damping ratio of the mode on them.
+
+    The stiffness is about a quarter of the largest that is stable at the step [s].
+    """
+    high = (_FASTEST / step) ** 2 / weight
+    return (
+        Parameter(
+            name="stiffness", unit=unit, low=1e-3 * high, high=high, scale=0.25 * high, log=True
+        ),
+        Parameter(name="damping_ratio", unit="", low=0.02, high=1.0, scale=_DAMPING, log=True),
+    )
+
+
+_SAME = 0.999
+"""Cosine between two axes from which they are parallel."""
+_APART = 0.02
+"""Distance of parallel axes that makes them two, in lengths of the machine."""
+
+
+class BaseCompliance(SpringEffect):
+    """Base compliance: the base rocks on a spring and a damper about one axis of the world.
+
+    The hinge passes through the foot of the base: the origin of the body that is fixed to the
+    world, or of the world itself. Its axis is the variant; in a machine that moves in a plane only
+    the one across it is tried. About the axis of the first joint itself a base yields as that
+    joint does: such a variant is left out.
+    """
+
+    kind = "base_compliance"
+    acts_on = "arm"
+    variants = ("x", "y", "z")
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return the base, if its first link has room for another joint and is not the only one.
+
+        Under a single joint a base that gives way is not told from a compliant drive.
+        """
+        first = int(machine.model.jnt_bodyid[0])
+        room = machine.model.body_jntnum[first] < _MOST_JOINTS and len(machine.joints) > 1
+        return ("base",) if room and cls.variants_at(machine, "base") else ()
+
+    @classmethod
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+        """Return all axes in space, one in a plane, without that of the first joint."""
+        normal, data = normal_of(machine), machine.at_zero
+        axes = cls.variants if normal is None else (cls.variants[int(np.argmax(np.abs(normal)))],)
+        if machine.model.jnt_type[0] != mujoco.mjtJoint.mjJNT_HINGE:
+            return axes
+        away = data.xanchor[0] - _foot(machine)
+        kept = []
+        for axis in axes:
+            along = _axis(machine, axis)
+            parallel = abs(along @ data.xaxis[0]) > _SAME
+            apart = float(np.linalg.norm(away - along * (away @ along)))
+            if not parallel or apart > _APART * reach_of(machine):
+                kept.append(axis)
+        return tuple(kept)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Insert the hinge before the first joint."""
+        stiffness, ratio = float(values[0]), float(values[1])
+        self._rock(spec, stiffness, self.damping(stiffness, ratio))
+
+    def _rock(self, spec: mujoco.MjSpec, stiffness: float, damping: float) -> str:
+        """Insert the hinge; return its name."""
+        model, data = self.machine.model, self.machine.at_zero
+        first = int(model.jnt_bodyid[0])
+        turn = data.xmat[first].reshape(3, 3)
+        name = added_name(spec, "base", f"{self.kind}_{self.variant}")
+        body = spec.body(model.body(first).name)
+        add_extra_joint(
+            body, name, turns=True, axis=turn.T @ _axis(self.machine, self.variant),
+            pos=turn.T @ (_foot(self.machine) - data.xpos[first]), stiffness=stiffness,
+            damping=damping,
+        )  # fmt: skip
+        insert_first(spec, body, name)
+        return name
+
+    @cached_property
+    def inertia(self) -> tuple[float, float]:
+        """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
+        spec = self.machine.fresh()
+        return joint_inertia(spec, self._rock(spec, 0.0, 0.0))
+
+
+def _foot(machine: NominalModel) -> Array:
+    """Foot of the base (3,) in the world [m]: of what is fixed to it, or the world's origin."""
+    first = int(machine.model.jnt_bodyid[0])
+    foot = int(machine.model.body_rootid[first])
+    return np.array(machine.at_zero.xpos[foot]) if foot != first else np.zeros(3)
+
+
+def _axis(machine: NominalModel, variant: str) -> Array:
+    """Axis of a variant (3,) in the world: exactly across the plane of a planar machine."""
+    normal = normal_of(machine)
+    return np.eye(3)["xyz".index(variant)] if normal is None else normal
+
+
+_GRAVITY = 9.81
+"""Usual load of a seat, over the mass on it [m/s²]."""
+_GAPS = (1e-4, 6e-4)
+"""Gaps of a seat from which fits start, as shares of the reach."""
+
+
+class StructuralLooseness(LinkEffect):
+    """Structural looseness: a slide behind the link's joint, with stops and friction.
+
+    Its direction is fixed in the link. In a machine that moves in a plane it lies in that plane, at
+    ``angle`` from the body's axis nearest to it; in space ``azimuth`` counts about the body's z
+    axis from its x axis, and ``elevation`` from the plane of both.
+    """
+
+    kind = "structural_looseness"
+    limit = (("friction", "high"),)
+    adds_motion = True
+    needs_fine_steps = True
+    has_stops = True
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return links with room for another joint, and two more in a corrected model."""
+        count = machine.model.body_jntnum
+        room = _MOST_JOINTS - 3
+        return tuple(n for n in machine.links if count[machine.model.body(n).id] <= room)
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        normal = normal_of(machine)
+        self._plane = None if normal is None else frame_about(self.in_link(normal))[1:]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Direction, clearance, friction, stiffness of the stops, damping ratio on them."""
+        names = ("angle",) if self._plane is not None else ("azimuth", "elevation")
+        length, force = reach_of(self.machine), 1.0 / self._mean_weight
+        return (
+            *(Parameter(name=n, unit="rad", low=-2 * pi, high=2 * pi, scale=0.5) for n in names),
+            Parameter(
+                name="gap", unit="m", low=1e-5 * length, high=0.05 * length, scale=1e-3 * length,
+                log=True,
+            ),
+            Parameter(
+                name="friction", unit="N", low=1e-3 * force, high=100 * force, scale=force, log=True
+            ),
+            *_stops(self._mean_weight, self.machine.time_step, "N/m"),
+        )  # fmt: skip
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: directions all round, a small and a larger clearance, little friction."""
+        length = reach_of(self.machine)
+        friction, stiffness, ratio = (p.scale for p in self.parameters[-3:])
+        rests = [(share * length, 0.3 * friction, stiffness, ratio) for share in _GAPS]
+        if self._plane is not None:
+            return tuple((turn, *rest) for rest in rests for turn in (0.0, pi / 3, 2 * pi / 3))
+        tilt = 0.55  # of the six axes of an icosahedron, one of them moved to z
+        axes = (*((2 * pi * k / 5, tilt) for k in range(5)), (0.0, pi / 2))
+        return tuple((*axis, *rest) for rest in rests for axis in axes)
+
+    def direction(self, values: Array) -> Array:
+        """Unit vector (3,) of the slide, in the body's frame."""
+        if self._plane is not None:
+            return np.asarray(np.array([np.cos(values[0]), np.sin(values[0])]) @ self._plane)
+        azimuth, up = values[0], values[1]
+        flat = np.cos(up)
+        return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(up)])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add the slide behind the link's joints."""
+        direction = self.direction(values)
+        gap, friction, stiffness, ratio = (float(v) for v in values[-4:])
+        joint = self._slide(spec, direction, friction)
+        make_it_stick(joint, spec.option.timestep)
+        weight = self._weight(direction)
+        # the same contact mode in every direction
+        set_stops(
+            joint, 0.5 * gap, stiffness=stiffness * self._mean_weight / weight, ratio=ratio,
+            weight=weight, load=_GRAVITY / weight,
+        )  # fmt: skip
+
+    def _slide(
+        self, spec: mujoco.MjSpec, direction: Array, friction: float = 0.0
+    ) -> mujoco.MjsJoint:
+        """Add the slide, and keep inertia on the drive's side of others, which may lie along it."""
+        machine = self.machine
+        body = machine.model.body(self.where).id
+        for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
+            if owner == body and not machine.turns(joint):
+                keep_motor_side(machine, spec, joint, machine.inertia(joint))
+        return add_extra_joint(
+            spec.body(self.where), added_name(spec, self.where, self.kind), turns=False,
+            axis=direction, pos=np.zeros(3), friction=friction,
+        )  # fmt: skip
+
+    def _weight(self, direction: Array) -> float:
+        """Inverse of the mass on the slide [1/kg], all joints free."""
+        spec = self.machine.fresh()
+        return joint_inertia(spec, self._slide(spec, direction).name)[1]
+
+    @cached_property
+    def _mean_weight(self) -> float:
+        axes = np.eye(3) if self._plane is None else self._plane
+        return float(np.exp(np.mean([np.log(self._weight(axis)) for axis in axes])))
+
+
+_SHORTEST = 0.03
+"""Shortest link that can bend, in lengths of the machine."""
+_ALONG = 0.1
+"""Sine of the smallest angle between joint and link at which the joint's axis is one of bending."""
+_MIDDLE, _SCATTER, _NEAREST = 0.5, 0.1, 0.25
+"""Where along it a link gives way: mean, scatter, and nearest to its joint, as shares of its
+length."""
+
+
+class LinkFlexibility(LinkEffect, SpringEffect):
+    """A flexible link: two parts with a hinge, a spring and a damper between them.
+
+    The near part keeps the body's name and its joint; the far part, a body of its own, carries
+    everything beyond the hinge: bodies, sites, geoms. Mass, centre and inertia of the straight link
+    stay. The location of the hinge along the link is fitted too, since the stiffness depends on it.
+    Variant "": it bends about its joint's axis, in a machine that moves in a plane within that
+    plane; variant "across": about the axis perpendicular to that and the link.
+    """
+
+    kind = "link_flexibility"
+    variants = ("", "across")
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return links with mass that are not too short."""
+        shortest = _SHORTEST * reach_of(machine)
+        return tuple(
+            link
+            for link in links_with_mass(machine)
+            if np.linalg.norm(np.subtract(*link_ends(machine, link))) > shortest
+        )
+
+    @classmethod
+    def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
+        """Return both variants in space, one in a plane."""
+        return cls.variants if normal_of(machine) is None else cls.variants[:1]
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        start, end = link_ends(machine, where)
+        self._start, self._length = start, float(np.linalg.norm(end - start))
+        self._along = (end - start) / self._length
+        normal = normal_of(machine)
+        if normal is not None:
+            axis = self.in_link(normal)
+        else:
+            axis = machine.model.jnt_axis[int(machine.model.body(where).jntadr[0])]
+        axis = axis - self._along * (axis @ self._along)
+        if np.linalg.norm(axis) < _ALONG:
+            axis = frame_about(self._along)[1]
+        axis = axis / np.linalg.norm(axis)
+        self._axis = np.cross(self._along, axis) if self.variant else axis
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness, damping ratio with the near part locked, and location of the hinge."""
+        place = Parameter(name="position", unit="", low=_NEAREST, high=1 - _NEAREST, scale=_SCATTER)
+        return (*super().parameters, place)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: modes from slow to fast."""
+        return tuple((*spring, _MIDDLE) for spring in super().starts)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Cut the link and insert the spring."""
+        stiffness, ratio, place = (float(v) for v in values)
+        self._cut(spec, stiffness, self.damping(stiffness, ratio), place)
+
+    def _cut(self, spec: mujoco.MjSpec, stiffness: float, damping: float, share: float) -> str:
+        """Cut the link; return the name of the far part and of its hinge."""
+        kind = f"{self.kind}_{self.variant}" if self.variant else self.kind
+        name = added_name(spec, self.where, kind)
+        whole = inertial_of(self.machine, spec, self.where)
+        start, end = self._start, self._start + self._length * self._along
+        near, far = parts(whole, start, end, share)
+        old, here = spec.body(self.where), start + share * (end - start)
+        new = old.add_body(name=name, pos=here)
+        move_beyond(self.machine, spec, old, new, self._along)
+        set_inertial(self.machine, spec, self.where, near)
+        place = far.centre - here
+        set_inertial(self.machine, spec, name, Inertial(far.mass, place, far.tensor))
+        add_extra_joint(
+            new, name, turns=True, axis=self._axis, pos=np.zeros(3), stiffness=stiffness,
+            damping=damping,
+        )  # fmt: skip
+        keep_from_touching(spec, old, new)
+        return name
+
+    @cached_property
+    def inertia(self) -> tuple[float, float]:
+        """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
+        spec = self.machine.fresh()
+        return joint_inertia(spec, self._cut(spec, 0.0, 0.0, _MIDDLE))
+
+
+def parts(
+    whole: Inertial, start: Array, end: Array, share: float = _MIDDLE
+) -> tuple[Inertial, Inertial]:
+    """Split a body into two that together have the same mass, centre and inertia.
+
+    They are the pieces of a bar whose mass per length rises or falls linearly, so that its centre
+    lies where the link's does. Their centres are as far apart as those pieces' are, or less where
+    the link's inertia does not allow that.
+    """
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / length
+    mass, apart, spread = _cut_bar(float((whole.centre - start) @ along) / length, share)
+    lever = apart * length * along
+    reduced = mass * (1 - mass) * whole.mass
+    left = whole.tensor - steiner(reduced, lever)
+    while not _solid(left):
+        lever = 0.9 * lever
+        if np.linalg.norm(lever) < 1e-6 * length:
+            lever = np.zeros(3)
+        left = whole.tensor - steiner(reduced, lever)
+        if not lever.any():
+            break
+    near = _piece(left, along, mass, spread)
+    if not (_solid(near) and _solid(left - near)):
+        near = mass * left
+    return (
+        Inertial(mass * whole.mass, whole.centre - (1 - mass) * lever, near),
+        Inertial((1 - mass) * whole.mass, whole.centre + mass * lever, left - near),
+    )
+
+
+def _cut_bar(centre: float, share: float) -> tuple[float, float, float]:
+    """Cut a bar of unit length and mass.
+
+    Its mass per length is 1 + fall (1 - 2 x), nowhere below zero.
+    """
+    fall = float(np.clip(6 * (0.5 - centre), -1.0, 1.0))
+    near, whole = (
+        np.array(
+            [
+                x + fall * (x - x**2),
+                x**2 / 2 + fall * (x**2 / 2 - 2 * x**3 / 3),
+                x**3 / 3 + fall * (x**3 / 3 - x**4 / 2),
+            ]
+        )
+        for x in (share, 1.0)
+    )
+    far = whole - near
+    own = [float(m[2] - m[1] ** 2 / m[0]) for m in (near, far)]
+    return float(near[0]), float(far[1] / far[0] - near[1] / near[0]), own[0] / sum(own)
+
+
+def _piece(tensor: Array, along: Array, mass: float, spread: float) -> Array:
+    """Inertia (3, 3) of one of two pieces of a bar, from their joint inertia.
+
+    It has its share of the mass spread lengthwise, and of that across in proportion to its mass.
+    """
+    moments = 0.5 * np.trace(tensor) * np.eye(3) - tensor
+    lengthwise = np.outer(along, along)
+    scale = np.sqrt(mass) * (np.eye(3) - lengthwise) + np.sqrt(spread) * lengthwise
+    own = scale @ moments @ scale
+    return np.asarray(np.trace(own) * np.eye(3) - own)
+
+
+def _solid(tensor: Array) -> bool:
+    """Return whether an inertia (3, 3) is physically possible."""
+    low, middle, high = np.linalg.eigvalsh(tensor)
+    return bool(low > 1e-3 * high and high < (low + middle) * (1 - 1e-9))

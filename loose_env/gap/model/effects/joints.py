@@ -1,0 +1,548 @@
+"""Effects at a joint: frictions, drag, rotor inertia, torque ripple (cogging), and springs.
+
+Viscous friction is proportional to speed. Coulomb friction is a constant torque against the motion,
+which holds a joint at rest. Stribeck friction is larger near rest than in motion, so that a slow
+joint sticks and slips. Quadratic drag is proportional to the speed squared. Asymmetric friction is
+a Coulomb friction that differs by direction. Torque ripple is periodic in the joint's angle, from
+cogging or gear teeth. Springs across a joint are cables, hoses, balancers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import atan2, hypot, pi
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from scipy.signal import lombscargle
+
+from loose_env.gap.model.effect import DrivenEffect, JointEffect, Parameter
+from loose_env.gap.model.effects.mjcf import (
+    add_constant,
+    add_passive,
+    added_name,
+    angle_unit,
+    make_it_stick,
+)
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.typing import Array
+
+
+class _Resistance(JointEffect):
+    """A force against the motion by a power of the speed, added to that of the model."""
+
+    null_values = (0.0,)
+    name: ClassVar[str]
+    """Name of the parameter."""
+    power: ClassVar[int]
+    """Power of the speed."""
+    most: ClassVar[float]
+    """Largest value added, over the one that gives the typical torque at the typical speed."""
+    shares: ClassVar[tuple[float, ...]]
+    """Values from which fits start, over that one."""
+
+    @property
+    def usual(self) -> float:
+        """Value that gives the typical torque at the typical speed."""
+        return self.load / self.speed**self.power
+
+    @property
+    def nominal(self) -> float:
+        """Value of the model."""
+        return 0.0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Added value; negative down to a total of zero."""
+        angle, nominal, usual = self.angle_unit, self.nominal, self.usual
+        unit = self.torque_unit + ("", f"·s/{angle}", f"·s²/{angle}²")[self.power]
+        low, high = 0.0 - nominal, nominal + self.most * usual
+        return (Parameter(name=self.name, unit=unit, low=low, high=high, scale=0.1 * usual),)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a weak and a strong one."""
+        return tuple((share * self.usual,) for share in self.shares)
+
+
+class ViscousFriction(_Resistance):
+    """Viscous damping added to that of the model; negative down to a total of zero."""
+
+    kind = "viscous_friction"
+    name, power, most, shares = "damping", 1, 50.0, (0.05, 0.3)
+
+    @property
+    def nominal(self) -> float:
+        """Damping of the model."""
+        return float(self.machine.model.dof_damping[self._dof])
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: 5 % and 30 % of typical torque at typical speed, and half the nominal.
+
+        The damping of a model is often set for a stable simulation, ten times the machine's:
+        removing half of it shows that, where it matters.
+        """
+        starts, much = super().starts, 0.5 * self.nominal
+        return (*starts, (-much,)) if much > starts[-1][0] else starts
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add to the joint's damping, or remove a share of the model's.
+
+        A share keeps the sensitivity of a joint that has no damping at all.
+        """
+        joint, added = spec.joint(self.where), float(values[0])
+        damping = np.array(joint.damping)
+        if added < 0:
+            damping[0] *= max(1.0 + added / self.nominal, 0.0)
+        else:
+            damping[0] += added
+        joint.damping = damping
+
+
+class CoulombFriction(_Resistance):
+    """Coulomb friction added to that of the model; negative down to a total of zero.
+
+    MuJoCo's own friction creeps: with its default impedance, 0.9, a joint that is held against 10
+    rad/s² drifts at about 0.01 rad/s. The stiffest impedance makes that 1e-6 rad/s at a step of 1
+    ms.
+    """
+
+    kind = "coulomb_friction"
+    needs_fine_steps = True
+    name, power, most, shares = "torque", 0, 20.0, (0.03, 0.2)
+
+    @property
+    def nominal(self) -> float:
+        """Friction of the model."""
+        return float(self.machine.model.dof_frictionloss[self._dof])
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add to the joint's friction loss."""
+        if values[0] == 0:
+            return
+        joint = spec.joint(self.where)
+        joint.frictionloss = max(joint.frictionloss + float(values[0]), 0.0)
+        make_it_stick(joint, spec.option.timestep)
+
+
+class QuadraticDrag(_Resistance):
+    """Quadratic drag -c v |v|: second coefficient of MuJoCo's damping polynomial."""
+
+    kind = "quadratic_drag"
+    name, power, most, shares = "drag", 2, 50.0, (0.05, 0.3)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add to the joint's damping polynomial."""
+        joint = spec.joint(self.where)
+        damping = np.array(joint.damping)
+        damping[1] += float(values[0])
+        joint.damping = damping
+
+
+class RotorInertia(JointEffect):
+    """Rotor inertia added to that of the model; negative down to a total of zero."""
+
+    kind = "rotor_inertia"
+    exact_law = True
+    null_values = (0.0,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Added inertia; ten times what the joint moves is usual: the gear's ratio squared."""
+        moved, unit = self.machine.inertia(self.where), "kg·m²" if self.turns else "kg"
+        low = -float(self.machine.model.dof_armature[self._dof])
+        return (
+            Parameter(
+                name="inertia", unit=unit, low=low, high=100 * moved, scale=0.1 * moved,
+                usual=10 * moved,
+            ),
+        )  # fmt: skip
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a fifth of the inertia that the joint moves, and the same again."""
+        moved = self.machine.inertia(self.where)
+        return ((0.2 * moved,), (1.0 * moved,))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add to the joint's armature."""
+        joint = spec.joint(self.where)
+        joint.armature = max(joint.armature + float(values[0]), 0.0)
+
+
+class AsymmetricFriction(JointEffect):
+    """Coulomb friction that differs by direction: a gear, a seal or a screw under preload.
+
+    Equal to a Coulomb friction of the mean of both directions and a constant torque of half their
+    difference, at rest as well.
+    """
+
+    kind = "asymmetric_friction"
+    extends = "coulomb_friction"
+    needs_fine_steps = True
+    null_values = (0.0, 0.0)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Friction in the positive and in the negative direction."""
+        unit, load = self.torque_unit, self.load
+        return tuple(
+            Parameter(name=name, unit=unit, low=0.0, high=20 * load, scale=0.1 * load)
+            for name in ("forward", "backward")
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a weak and a strong one, each larger in either direction."""
+        weak, strong = 0.03 * self.load, 0.2 * self.load
+        return tuple(
+            sides for size in (weak, strong) for sides in ((size, 0.3 * size), (0.3 * size, size))
+        )
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add friction loss and a constant torque."""
+        forward, backward = float(values[0]), float(values[1])
+        if forward + backward <= 0:
+            return
+        joint = spec.joint(self.where)
+        joint.frictionloss += 0.5 * (forward + backward)
+        make_it_stick(joint, spec.option.timestep)
+        name = added_name(spec, self.where, self.kind)
+        add_constant(spec, self.where, name, 0.5 * (backward - forward))
+
+
+_KNOTS = (0.19, 1.58)
+"""Speeds, over the Stribeck speed, at which the pieces of the fall meet."""
+_FALLEN = (0.028, 1.0)
+"""What has fallen there: the straight lines nearest to 1 - exp(-x²), 0.03 off in the mean."""
+_SLOPES = (_FALLEN[0] / _KNOTS[0], (_FALLEN[1] - _FALLEN[0]) / (_KNOTS[1] - _KNOTS[0]))
+_PIECES = (_SLOPES[1], _KNOTS[1]), (_SLOPES[0] - _SLOPES[1], _KNOTS[0])
+"""Slope and end of two ramps from zero whose sum is the decrease."""
+
+
+_START_SPEED = 0.3
+"""Stribeck speed from which fits start, over the typical speed."""
+
+
+def _stribeck_speed(speed: float, unit: str) -> Parameter:
+    """Speed over which a friction falls from its height at rest, at a typical speed."""
+    low, high = 1e-3 * speed, 2.0 * speed
+    return Parameter(name="speed", unit=unit, low=low, high=high, scale=0.1 * speed, log=True)
+
+
+class StribeckFriction(JointEffect):
+    """Stribeck friction: Coulomb friction, larger near rest.
+
+    Torque in steady motion: Fc + (Fs - Fc) exp(-(v/vs)²), with the Coulomb torque Fc, the static
+    torque Fs = ratio · Fc and the Stribeck speed vs. At rest it is MuJoCo's friction loss, which
+    truly sticks; two limited dampers compensate in motion for the decrease, which is piecewise
+    linear with three segments. A bristle model (LuGre) would be a stiff equation.
+    """
+
+    kind = "stribeck_friction"
+    extends = "coulomb_friction"
+    needs_fine_steps = True
+    proportional = 0
+    limit = (("torque", "low"),)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Coulomb torque, ratio of static torque to it, Stribeck speed."""
+        load = self.load
+        return (
+            Parameter(
+                name="torque", unit=self.torque_unit, low=1e-4 * load, high=20 * load,
+                scale=0.1 * load, log=True,
+            ),
+            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
+            _stribeck_speed(self.speed, f"{self.angle_unit}/s"),
+        )  # fmt: skip
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: a weak and a strong one, each half as strong again at rest."""
+        speed = _START_SPEED * self.speed
+        return (0.04 * self.load, 1.6, speed), (0.2 * self.load, 1.6, speed)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add friction loss, and actuators without input for the decrease in motion."""
+        torque, ratio, speed = (float(v) for v in values)
+        joint = spec.joint(self.where)
+        joint.frictionloss += ratio * torque
+        make_it_stick(joint, spec.option.timestep)
+        fall = max(ratio - 1, 1e-6) * torque
+        for number, (slope, end) in enumerate(_PIECES):
+            name = added_name(spec, self.where, f"{self.kind}_{number}")
+            bias, limit = (0.0, 0.0, fall * slope / speed), fall * abs(slope) * end
+            add_passive(spec, self.where, name, bias=bias, limit=limit)
+
+
+_TRACE = 1e-9
+"""Friction loss that a joint gets, so that it has a friction at all, over its typical torque."""
+_LEAST = 1e-3
+"""Smallest share of a load friction with a Stribeck peak."""
+
+
+class LoadFriction(DrivenEffect, JointEffect):
+    """Friction proportional to the drive's torque on the joint, as of teeth under load.
+
+    Dry friction ``share · |drive torque|``, beside that of the joint itself. Variants:
+
+    - "stribeck": ``share · |drive torque| · (1 + (static_ratio - 1) exp(-(v / speed)²))``,
+    - "external": ``share · |drive torque| + load_share · |load|``, the load being the torque of
+      gravity and inertial coupling, which stages and bearings behind the gear carry.
+
+    A share of s is a gear efficiency of 1 - s when the drive moves the load.
+
+    References
+    ----------
+    Duclusaud et al., Extended friction models for the physics simulation of servo actuators
+    (2025): models M3 to M5, with one Stribeck peak.
+    """
+
+    kind = "load_friction"
+    needs_fine_steps = True
+    variants = ("", "stribeck", "external")
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        if self.variant == "stribeck":
+            self.limit = (("share", "low"),)  # type: ignore[misc]
+        else:
+            self.null_values = (0.0, 0.0) if self.variant else (0.0,)  # type: ignore[misc]
+
+    @classmethod
+    def null_value(cls, parameters: Sequence[str], parameter: str) -> float:
+        """Without it the shares are zero; with a peak it vanishes in a limit."""
+        return float("nan") if "speed" in parameters else 0.0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Friction over drive torque, and over the load or with a peak's height and speed."""
+        if self.variant != "stribeck":
+            names = ("share", "load_share") if self.variant else ("share",)
+            return tuple(Parameter(name=n, unit="", low=0.0, high=0.95, scale=0.1) for n in names)
+        return (
+            Parameter(name="share", unit="", low=_LEAST, high=0.95, scale=0.1, log=True),
+            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
+            _stribeck_speed(self.speed, f"{self.angle_unit}/s"),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: of a good gear and of a hobby servo's."""
+        if not self.variant:
+            return ((0.08,), (0.4,))
+        if self.variant == "external":
+            return ((0.08, 0.08), (0.3, 0.2))
+        return ((0.08, 1.5, _START_SPEED * self.speed), (0.4, 1.5, _START_SPEED * self.speed))
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Give the joint a trace of dry friction, whose size follows the load step by step."""
+        if values[0] == 0 and not (self.variant == "external" and values[1]):
+            return
+        joint = spec.joint(self.where)
+        joint.frictionloss = max(joint.frictionloss, _TRACE * self.load)
+        make_it_stick(joint, spec.option.timestep)
+
+    def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
+        """Shares of the torques of drive and load."""
+        joint, share = self.machine.joint_number(self.where), np.asarray(values[0])
+        if self.variant == "stribeck":
+            share, ratio, slow = values
+            share = share * (1 + (ratio - 1) * np.exp(-((speed[..., joint] / slow) ** 2)))
+        found = np.zeros_like(drive)
+        found[..., joint] = share * np.abs(drive[..., joint])
+        if self.variant == "external":
+            found[..., joint] += values[1] * np.abs(load[..., joint])
+        return found
+
+    def friction_code(self, values: Array) -> str:
+        """Python line: the shares of the torques at that speed."""
+        joint = self.machine.joint_number(self.where)
+        share, *more = (float(v) for v in values)
+        own, beside = repr(share), ""
+        if self.variant == "stribeck":
+            ratio, slow = more
+            own += f" * (1 + {ratio - 1!r} * np.exp(-((speed[{joint}] / {slow!r}) ** 2)))"
+        elif self.variant == "external":
+            beside = f" + {more[0]!r} * abs(load[{joint}])"
+        return f"friction[{joint}] += {own} * abs(drive[{joint}]){beside}"
+
+
+_MOST_PERIODS = 400.0
+"""Periods per turn that are tried at most."""
+_TRIED = 4000
+"""Numbers of periods in the search, at most."""
+_PROPOSED = 3
+"""Peaks that become starts."""
+_SAMPLES = 4000
+"""Samples that the search looks at."""
+
+
+class TorqueRipple(JointEffect):
+    """Torque ripple: a sine of the joint's position, per turn or per metre.
+
+    A sin(N q + phase) on a hinge of N periods per turn, A sin(2π N q + phase) on a slide of N
+    periods per metre.
+    """
+
+    kind = "torque_ripple"
+    proportional = 0
+    needs_data_starts = True
+    null_values = (0.0, 1.0, 0.0)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitude, periods per turn or per metre, phase."""
+        load, one = self.load, 1.0 / self._rate
+        unit = "1/turn" if self.turns else "1/m"
+        return (
+            Parameter(
+                name="amplitude", unit=self.torque_unit, low=0.0, high=10 * load, scale=0.1 * load
+            ),
+            Parameter(name="periods", unit=unit, low=0.5 * one, high=2 * self._most, scale=one),
+            Parameter(name="phase", unit="rad", low=-2 * pi, high=2 * pi, scale=0.5),
+        )
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts with a few numbers of periods; only `propose` can cover all of them."""
+        lone = 1.0 if self.turns else 1 / 0.1
+        return tuple(
+            (0.1 * self.load, n * lone, phase) for n in (2.0, 6.0) for phase in (0.0, pi / 2)
+        )
+
+    @property
+    def _most(self) -> float:
+        return _MOST_PERIODS if self.turns else 1 / 1e-3
+
+    @property
+    def _rate(self) -> float:
+        """Phase per unit of position of one period per turn or per metre [1, rad/m]."""
+        return 1.0 if self.turns else 2 * pi
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add an actuator without input, with the ripple as its cogging."""
+        name = added_name(spec, self.where, self.kind)
+        amplitude, periods, phase = (float(v) for v in values)
+        add_passive(spec, self.where, name, cogging=(amplitude, self._rate * periods, phase))
+
+    def interval_includes_null(self, low: Array, high: Array) -> bool:
+        """Return whether the amplitude's interval includes zero."""
+        return bool(low[0] <= 0 <= high[0])
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Propose starts by a least-squares periodogram over a fine grid of periods.
+
+        The periodogram is that of Lomb and Scargle. The grid, of phase per unit of position, has
+        the resolution of the range of motion. The strongest peaks that are not neighbours become
+        starts.
+        """
+        good = np.isfinite(angle) & np.isfinite(torque)
+        every = max(1, int(good.sum()) // _SAMPLES)
+        q, force = angle[good][::every], -torque[good][::every]
+        width = float(np.ptp(q)) if len(q) else 0.0
+        if len(q) < 10 or width <= 0:
+            return ()
+        spacing = 0.25 * 2 * pi / width
+        lowest = max(0.5, pi / width)
+        highest = min(self._rate * self._most, lowest + _TRIED * spacing)
+        if highest <= lowest:
+            return ()
+        grid = np.arange(lowest, highest, spacing)
+        power = lombscargle(q, force - force.mean(), grid, floating_mean=True)
+        found: list[tuple[float, ...]] = []
+        amplitude, periods, _ = self.parameters
+        while len(found) < _PROPOSED and np.any(power > 0):
+            best = float(grid[int(np.argmax(power))])
+            power[np.abs(grid - best) < 2 * pi / width] = 0.0
+            waves = np.stack([np.sin(best * q), np.cos(best * q), np.ones(len(q))], axis=1)
+            sine, cosine, _ = np.linalg.lstsq(waves, force, rcond=None)[0]
+            size, count = amplitude.clipped(hypot(sine, cosine)), periods.clipped(best / self._rate)
+            found.append((size, count, atan2(cosine, sine)))
+        return tuple(found)
+
+
+class JointSpring(JointEffect):
+    """Joint spring -k (q - q0), combined exactly with the joint's existing spring."""
+
+    kind = "joint_spring"
+    proportional = 0
+    null_values = (0.0, 0.0)
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return joints without a nonlinear spring."""
+        bent = np.any(machine.model.jnt_stiffnesspoly != 0, axis=1)
+        return tuple(name for name, b in zip(machine.joints, bent, strict=True) if not b)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness and equilibrium coordinate of the spring."""
+        low, high = self._range
+        width = high - low
+        most = 50 * self.load / min(width, pi)
+        return (
+            Parameter(
+                name="stiffness", unit=f"{self.torque_unit}/{self.angle_unit}", low=0.0, high=most,
+                scale=0.2 * self.load / min(width, pi),
+            ),
+            Parameter(
+                name="reference", unit=self.angle_unit, low=low - 2 * width, high=high + 2 * width,
+                scale=0.2 * width,
+            ),
+        )  # fmt: skip
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Starts: half the typical torque over the range, equilibrium in and beside it."""
+        low, high = self._range
+        width = high - low
+        stiffness = 0.5 * self.load / min(width, pi)
+        rests = (0.5 * (low + high), low - 0.2 * width, high + 0.2 * width)
+        return tuple((stiffness, rest) for rest in rests)
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        """Range of the joint [rad or m], or half a turn about its zero."""
+        number = self.machine.joint_number(self.where)
+        if self.machine.model.jnt_limited[number]:
+            low, high = self.machine.model.jnt_range[number]
+            return float(low), float(high)
+        half = pi / 2 if self.turns else 0.5
+        return -half, half
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Set the joint's stiffness and spring reference to those of both springs."""
+        added, rest = float(values[0]), float(values[1])
+        if added == 0:
+            return
+        joint = spec.joint(self.where)
+        unit = angle_unit(joint)
+        stiffness = np.array(joint.stiffness)
+        both = stiffness[0] + added
+        rests = (stiffness[0] * joint.springref * unit + added * rest) / both
+        stiffness[0] = both
+        joint.stiffness, joint.springref = stiffness, rests / unit
+
+    def interval_includes_null(self, low: Array, high: Array) -> bool:
+        """Return whether the stiffness interval includes zero."""
+        return bool(low[0] <= 0 <= high[0])
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Propose a start by regression of torque on angle; its zero is the equilibrium."""
+        good = np.isfinite(angle) & np.isfinite(torque)
+        if good.sum() < 3 or not np.ptp(angle[good]):
+            return ()
+        rate, at_zero = np.polyfit(angle[good], torque[good], 1)
+        if rate <= 0:
+            return ()
+        stiffness, reference = self.parameters
+        return ((stiffness.clipped(rate), reference.clipped(-at_zero / rate)),)
