@@ -20,11 +20,11 @@ from loose_env.gap.core.balance import Balance
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import Channel, Evidence, whiten
 from loose_env.gap.core.find import Answer, silent
+from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Selection, Set, SetFit, neighbours
 from loose_env.gap.core.tolerances import nuisances
-from loose_env.gap.experiment_design.library import motion_library
-from loose_env.gap.experiment_design.motions import Motion
+from loose_env.gap.experiment_design.motions import Motion, motion_library
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.planned_motion import (
     MotionLimits,
@@ -401,10 +401,8 @@ class _Asked:
         # common effects may change by their priors; a law begins at its size
         own = np.isin(numbers, self.columns(shape)[self.evidence.tolerances :])
         centre = np.where(own, self.evidence.centre[numbers], 0.0)
-        normal = gram[np.ix_(numbers, numbers)] + np.diag(precision)
-        slope = gram[numbers, at] + precision * centre
-        gained = slope @ np.linalg.solve(normal, slope)
-        return float(gram[at, at] + precision @ centre**2 - gained)
+        normal, cross = gram[np.ix_(numbers, numbers)], gram[numbers, at][:, None]
+        return float(unexplained(gram[at, [at]], cross, normal, np.diag(precision), centre)[0])
 
     def narrowing(self, named: Set, terms: Set, old: Array, joint: Array) -> Gains:
         """Fall of the covariance of named effects beside all others and the tolerances."""

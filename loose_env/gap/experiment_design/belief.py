@@ -1,4 +1,4 @@
-"""Expected information of each motion [nats], its value in reward, and pairwise gains."""
+"""Belief: measured motions of one machine in, posterior over sets of effects and outlook out."""
 
 from __future__ import annotations
 
@@ -8,10 +8,59 @@ from functools import cache
 
 import numpy as np
 
-from loose_env.gap.experiment_design.inference.belief import Belief
-from loose_env.gap.experiment_design.inference.expansion import linear_fit, nominal
-from loose_env.inference import information_bound, squared_distances
+from loose_env.gap.core.identifiability import unexplained
+from loose_env.gap.experiment_design.bank import SignatureBank
+from loose_env.gap.experiment_design.comparison import Comparison
+from loose_env.gap.experiment_design.expansion import Data, LocalModels, linear_fit, nominal
+from loose_env.gap.experiment_design.screening import BeliefSettings, Posterior
+from loose_env.inference import information_bound
 from loose_env.typing import Array
+
+
+class Belief:
+    """Belief about one machine, updated by measured motions.
+
+    Parameters
+    ----------
+    models : LocalModels
+        Local models of the bank.
+    settings : BeliefSettings, optional
+        Priors and errors.
+    """
+
+    def __init__(self, models: LocalModels, settings: BeliefSettings | None = None) -> None:
+        self.models, self.settings = models, settings or BeliefSettings()
+        self.bank: SignatureBank = models.bank
+        self.sums: dict[int, Array] = {}
+        """Motion -> sum of the projected residuals of its repetitions (K,)."""
+        self.counts: dict[int, int] = {}
+        """Motion -> repetitions."""
+        self.rest: dict[int, float] = {}
+        """Motion -> rms of the latest residual beyond the bank's directions [noise sd]."""
+        self._comparison = Comparison(models, self.settings)
+        self._posterior: Posterior | None = None
+
+    def add(self, motion: int, readings: Array) -> None:
+        """Add measured readings (n, C) of a motion of the library, by its index."""
+        found = self.bank.signatures[motion]
+        inside, rest = found.projected(readings, self.bank.arm.noise)
+        self.sums[motion] = self.sums.get(motion, np.zeros(len(inside))) + inside
+        self.counts[motion] = self.counts.get(motion, 0) + 1
+        self.rest[motion] = rest
+        self._posterior = None
+
+    @property
+    def data(self) -> Data:
+        """Mean projected residuals of the motions (K,), and repetitions."""
+        return {k: (summed / self.counts[k], self.counts[k]) for k, summed in self.sums.items()}
+
+    @property
+    def posterior(self) -> Posterior:
+        """Posterior over sets of effects, given all motions so far."""
+        if self._posterior is None:
+            self._posterior = self._comparison.posterior(self.data)
+        return self._posterior
+
 
 _OPEN = 16
 """Sets of effects that count as open at most."""
@@ -38,10 +87,10 @@ def outlook(belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]],
     Bhattacharyya distances between the predictions of the sets (Kolchinsky and Tracey, Entropy 19,
     2017, 361):
 
-        I ≥ − Σ_i p_i ln Σ_j p_j exp(−B_ij),    B_ij = (1/8) Δᵀ S⁻¹ Δ
+        I ≥ − Σ_i p_i ln Σ_j p_j exp(−B_ij),    B_ij = (1/8) d²_ij
 
-    Δ is the difference of two predictions at the fitted parameters and S their mean covariance: the
-    noise, the linearisation error, and what the parameters are still uncertain by.
+    d² is what the parameters of one set, as uncertain as they still are, cannot do of the other's
+    prediction, in the noise and the linearisation error.
 
     The gain is the value of information: with readings y drawn from the predictions, and the
     verdict v* that is best now,
@@ -59,17 +108,11 @@ def outlook(belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]],
     rewards = np.array([[reward(named, truth) for truth in names] for named in names])
     information, gain = [], []
     for motion in range(len(belief.bank.library)):
-        products = _products(belief, weights, predictions, motion)
-        information.append(information_bound(weights, squared_distances(products)))
-        gain.append(value_of_information(weights, products, rewards))
+        squared = _distances(belief, weights, predictions, motion)
+        centred = np.eye(len(weights)) - weights
+        information.append(information_bound(weights, squared))
+        gain.append(value_of_information(weights, -centred @ squared @ centred.T / 2, rewards))
     return Outlook(np.array(information), np.array(gain))
-
-
-def pair_gains(belief: Belief, motion: int) -> Array:
-    """Expected difference of log evidence between open sets on a motion [nats] (sets, sets)."""
-    weights, _, predictions = _predictions(belief)
-    products = _products(belief, weights, predictions, motion)
-    return 0.5 * squared_distances(products)
 
 
 def value_of_information(weights: Array, products: Array, rewards: Array) -> float:
@@ -142,22 +185,23 @@ def _prior_predictions(
     return weights / weights.sum(), names, found
 
 
-def _products(
+def _distances(
     belief: Belief, weights: Array, predictions: Sequence[Prediction], motion: int
 ) -> Array:
-    """Inner products of the predictions on a motion over their covariance (sets, sets)."""
-    p = belief.bank.nuisances
-    vectors = belief.bank.signatures[motion].vectors
-    nominal, beyond = vectors[:, :p], vectors[:, p:]
-    count, eta = len(vectors), belief.settings.linearisation
-    spread, expected = np.eye(count), []
-    for weight, (found, covariance, own) in zip(weights, predictions, strict=True):
-        signature = beyond @ own.astype(np.float32)
-        rows = np.concatenate([nominal, signature[:, 1:]], axis=1).astype(float)
-        mean = rows @ found + signature[:, 0]
-        expected.append(mean)
-        spread += weight * (rows @ covariance @ rows.T)
-        spread[np.diag_indices(count)] += weight * eta**2 * float(mean @ mean) / count
-    root = np.linalg.cholesky(spread)
-    white = np.linalg.solve(root, np.array(expected).T).T
-    return np.asarray(white @ white.T)
+    """Squared distances that a motion adds between the predictions of the sets (sets, sets)."""
+    p, eta = belief.bank.nuisances, belief.settings.linearisation
+    vectors, rows, means = belief.models.products(motion)[0], [], []
+    for parameters, _, weight in predictions:
+        signature = vectors[:, p:] @ weight
+        rows.append(np.concatenate([vectors[:, :p], signature[:, 1:]], axis=1))
+        means.append(rows[-1] @ parameters + signature[:, 0])
+    mean = np.array(means)
+    noise = 1.0 + eta**2 * float(weights @ np.sum(mean**2, axis=1)) / mean.shape[1]
+    found = np.empty((len(mean), len(mean)))
+    for k, (own, (_, covariance, _)) in enumerate(zip(rows, predictions, strict=True)):
+        off, columns = (mean - mean[k]).T / np.sqrt(noise), own / np.sqrt(noise)
+        so_far = np.asarray(np.linalg.inv(covariance), float)
+        found[:, k] = unexplained(
+            np.sum(off**2, axis=0), columns.T @ off, columns.T @ columns, so_far
+        )
+    return np.maximum(found + found.T, 0.0) / 2
