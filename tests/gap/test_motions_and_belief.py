@@ -198,11 +198,10 @@ def test_a_stored_bank_is_read_and_a_broken_one_computed_anew(tmp_path: Path) ->
     assert [r.name for r in first.rays] == [r.name for r in again.rays]
     assert bank(said, motions=2).signatures[1].seconds > 0
     assert len(said) == 1 and "motion 2 of 2" in said[0]  # the motion that is new, alone
-    for file in tmp_path.glob("*/*.npz"):
+    for file in tmp_path.rglob("output.pkl"):
         file.write_bytes(file.read_bytes()[:200])
     found = bank(said)
     assert all(map(np.array_equal, found.sizes, first.sizes)) and len(said) > 2
-    assert '"kinds"' in next(tmp_path.glob("*/bank.json")).read_text()
 
 
 @pytest.mark.parametrize(

@@ -8,17 +8,16 @@ lose nothing to a model that is linear in them.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
+import joblib
 import numpy as np
+from joblib import Memory
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
@@ -26,7 +25,6 @@ from loose_env.gap.experiment_design.candidates import Ray, rays_of
 from loose_env.gap.experiment_design.motions import Motion, battery, check_motion
 from loose_env.gap.experiment_design.servo_arm import ServoArm
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.io import written_beside
 from loose_env.typing import Array
 
 STEP = 0.3
@@ -81,38 +79,6 @@ class SizedRays:
             tuple(self.visibilities[k] for k in kept),
         )
 
-    def write(self, path: Path) -> None:
-        """Write them to an .npz file."""
-
-        def stored(beside: Path) -> None:
-            with beside.open("wb") as out:
-                np.savez(
-                    out,
-                    rays=np.array([_key(ray) for ray in self.rays]),
-                    points=np.array([len(own) for own in self.sizes]),
-                    sizes=np.concatenate(self.sizes),
-                    visibilities=np.concatenate(self.visibilities),
-                )
-
-        written_beside(path, stored)
-
-    @classmethod
-    def read(cls, path: Path, rays: Sequence[Ray]) -> SizedRays | None:
-        """Stored ones among some rays; None where there are none, or none that can be read."""
-        every = {_key(ray): ray for ray in rays}
-        try:
-            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
-                ends = np.cumsum(stored["points"])[:-1]
-                sizes, seen = (np.split(stored[k], ends) for k in ("sizes", "visibilities"))
-                shown = tuple(every[str(key)] for key in stored["rays"])
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-            return None
-        return cls(shown, tuple(sizes), tuple(seen))
-
-
-def _key(ray: Ray) -> str:
-    return json.dumps([ray.name, ray.effect.variant, *np.round(ray.start, 9).tolist()])
-
 
 def residuals(arm: ServoArm, commands: Array, hypotheses: Sequence[Hypothesis]) -> list[Array]:
     """Readings in noise standard deviations, flat (n C,), of hypotheses in small batches."""
@@ -136,14 +102,15 @@ def nuisance_columns(arm: ServoArm, commands: Array, base: Array) -> Array:
     return np.asarray((moved - base).T / STEP * sds)
 
 
-def sized_rays(
+def _sized(
+    key: str,
     arm: ServoArm,
     rays: Sequence[Ray],
     reference: Sequence[Motion],
     settings: BankSettings,
     say: Say,
-) -> SizedRays:
-    """Rays that can be seen, with the sizes of their points and visibilities there."""
+) -> tuple[list[int], list[Array], list[Array]]:
+    """Indices of the rays that can be seen, the sizes of their points and visibilities there."""
     motions = [motion.commands(arm) for motion in reference]
     bases = [residuals(arm, commands, [Hypothesis()])[0] for commands in motions]
     columns = [nuisance_columns(arm, c, b) for c, b in zip(motions, bases, strict=True)]
@@ -202,7 +169,7 @@ def sized_rays(
         found = np.array([visibility(s, [shown[k] for k in curved]) for s in np.array(finer).T])
         for k, ends, values in zip(curved, finer, found.T, strict=True):
             own[k], their[k] = ends, np.nan_to_num(values)
-    return SizedRays(tuple(shown), tuple(own), tuple(their))
+    return [int(k) for k in keep], own, their
 
 
 def _next_size(tried: Sequence[tuple[Array, Array]], target: Array) -> Array:
@@ -251,31 +218,12 @@ class MotionSignatures:
         rest = float(residual @ residual - inside @ inside)
         return np.asarray(inside), float(np.sqrt(max(rest, 0.0) / max(len(residual), 1)))
 
-    def write(self, path: Path) -> None:
-        """Write them to an .npz file."""
-        arrays = {name: np.asarray(value) for name, value in vars(self).items()}
 
-        def stored(beside: Path) -> None:
-            with beside.open("wb") as out:
-                np.savez(out, **arrays)  # type: ignore[arg-type]
-
-        written_beside(path, stored)
-
-    @classmethod
-    def read(cls, path: Path) -> MotionSignatures | None:
-        """Stored ones; None where there are none, or none that can be read."""
-        try:
-            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
-                arrays = [stored[name] for name in ("basis", "nominal", "vectors")]
-                return cls(*arrays, *(float(stored[k]) for k in ("seconds", "wear")))
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-            return None
-
-
-def motion_signatures(
-    arm: ServoArm, motion: Motion, sized: SizedRays, rank: int
+def _motion_signatures(
+    key: str, arm: ServoArm, motion: Motion, sized: SizedRays, rank: int, say: Say, words: str
 ) -> MotionSignatures:
     """Simulate a motion with every candidate at every size, and project its signatures."""
+    say(f"signatures, {words}: {motion.description}")
     checked, commands = check_motion(motion, arm), motion.commands(arm)
     rays, sizes = sized.rays, sized.sizes
     base = residuals(arm, commands, [Hypothesis()])[0]
@@ -326,7 +274,7 @@ def _basis(vectors: NDArray[np.float32], rank: int) -> NDArray[np.float32]:
     return np.asarray((rough @ left)[:, :rank], dtype=np.float32)
 
 
-_FORMAT = "gap signatures 3"
+_FORMAT = "gap signatures 4"
 """Version of what is stored; a change of the computation changes it."""
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored banks."""
@@ -438,48 +386,27 @@ def signature_bank(
     reference : sequence of Motion, optional
         Motions on which sizes are sought; the fixed battery by default.
     cache : Path, optional
-        Folder of stored banks; None to store nothing. A bank is a folder in it, named by a digest
-        of arm, candidates, settings and format, with these as JSON. Each motion is a file of its
-        own: a computation that was cut short goes on, and a library may grow.
+        Folder of joblib's cache; None to store nothing. Each motion is an entry of its own: a
+        computation that was cut short goes on, and a library may grow.
     say : callable, optional
         Receives lines of progress.
     """
     settings, say = settings or BankSettings(), say or (lambda words: None)
-    found = rays_of(arm, settings.kinds)
-    configuration: dict[str, object] = {
-        "format": _FORMAT,
-        "arm": arm.key,
-        "settings": asdict(settings),
-        "rays": [[ray.name, ray.effect.variant, *ray.start.tolist()] for ray in found],
-    }
-    if reference is not None:
-        configuration["reference"] = [asdict(motion) for motion in reference]
-    text = json.dumps(configuration, sort_keys=True, indent=1)
-    folder = None if cache is None else Path(cache) / _digest(text)
-    sized = SizedRays.read(folder / "sizes.npz", found) if folder else None
-    if sized is None:
-        sized_on = battery(arm) if reference is None else tuple(reference)
-        sized = sized_rays(arm, found, sized_on, settings, say)
-        if folder is not None:
-            written_beside(folder / "bank.json", lambda path: path.write_text(text))
-            sized.write(folder / "sizes.npz")
-    if not sized.rays:
+    found, memory = rays_of(arm, settings.kinds), Memory(cache, verbose=0)
+    stated = (asdict(settings), [(r.name, r.effect.variant, *r.start.tolist()) for r in found])
+    on = battery(arm) if reference is None else tuple(reference)
+    key = joblib.hash((_FORMAT, arm.key, stated, on)) or ""
+    sizing = memory.cache(_sized, ignore=["arm", "rays", "reference", "settings", "say"])
+    kept, *points = sizing(key, arm, found, on, settings, say)
+    if not kept:
         raise InvalidData("no candidate effect can be seen on the battery of this arm")
-    signatures = []
-    for k, motion in enumerate(library):
-        file = folder / f"{_digest(json.dumps(asdict(motion)))}.npz" if folder else None
-        own = MotionSignatures.read(file) if file else None
-        if own is None:
-            say(f"signatures, motion {k + 1} of {len(library)}: {motion.description}")
-            own = motion_signatures(arm, motion, sized, settings.rank)
-            if file is not None:
-                own.write(file)
-        signatures.append(own)
-    return _distinct(SignatureBank(arm, tuple(library), settings, sized, tuple(signatures)))
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    sized = SizedRays(tuple(found[k] for k in kept), *map(tuple, points))
+    simulated = memory.cache(_motion_signatures, ignore=["arm", "sized", "rank", "say", "words"])
+    signatures = tuple(
+        simulated(key, arm, m, sized, settings.rank, say, f"motion {k} of {len(library)}")
+        for k, m in enumerate(library, 1)
+    )
+    return _distinct(SignatureBank(arm, tuple(library), settings, sized, signatures))
 
 
 def _distinct(bank: SignatureBank) -> SignatureBank:
