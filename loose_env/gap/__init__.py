@@ -10,7 +10,7 @@ from loose_env.gap.core.tolerances import Tolerances
 from loose_env.gap.experiment_design.bank import BankSettings, SignatureBank, signature_bank
 from loose_env.gap.experiment_design.belief import Belief, Outlook, outlook
 from loose_env.gap.experiment_design.candidates import Ray
-from loose_env.gap.experiment_design.expansion import LocalModels
+from loose_env.gap.experiment_design.local_models import LocalModels
 from loose_env.gap.experiment_design.motions import (
     Motion,
     battery,

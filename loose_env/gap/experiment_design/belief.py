@@ -10,9 +10,15 @@ import numpy as np
 
 from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.experiment_design.bank import SignatureBank
-from loose_env.gap.experiment_design.comparison import Comparison
-from loose_env.gap.experiment_design.expansion import Data, LocalModels, linear_fit, nominal
-from loose_env.gap.experiment_design.screening import BeliefSettings, Posterior
+from loose_env.gap.experiment_design.local_models import LocalModels, Products
+from loose_env.gap.experiment_design.screening import (
+    BeliefSettings,
+    HypothesisSet,
+    Posterior,
+    ScreenedSets,
+    linear_estimates,
+    screened,
+)
 from loose_env.inference import information_bound
 from loose_env.typing import Array
 
@@ -37,7 +43,6 @@ class Belief:
         """Motion -> repetitions."""
         self.rest: dict[int, float] = {}
         """Motion -> rms of the latest residual beyond the bank's directions [noise sd]."""
-        self._comparison = Comparison(models, self.settings)
         self._posterior: Posterior | None = None
 
     def add(self, motion: int, readings: Array) -> None:
@@ -50,16 +55,45 @@ class Belief:
         self._posterior = None
 
     @property
-    def data(self) -> Data:
-        """Mean projected residuals of the motions (K,), and repetitions."""
-        return {k: (summed / self.counts[k], self.counts[k]) for k, summed in self.sums.items()}
+    def products(self) -> Products:
+        """Products of the motions so far."""
+        data = {k: (summed / self.counts[k], self.counts[k]) for k, summed in self.sums.items()}
+        return Products.of(self.models, data, self.settings.linearisation)
 
     @property
     def posterior(self) -> Posterior:
         """Posterior over sets of effects, given all motions so far."""
         if self._posterior is None:
-            self._posterior = self._comparison.posterior(self.data)
+            first = screened(self.products, self.settings)
+            self._posterior = _posterior(self.products, first, self.settings.linearisation)
         return self._posterior
+
+
+_KEPT, _ESTIMATED = 40, 8
+"""Sets of a posterior, and those with estimates."""
+
+
+def _posterior(products: Products, first: ScreenedSets, eta: float) -> Posterior:
+    """Posterior over the sets that were compared."""
+    models = products.models
+    scores = np.array(list(first.score.values()))
+    shares = np.exp(scores - np.logaddexp.reduce(scores))
+    marginal = np.zeros(len(models.names))
+    sets: list[HypothesisSet] = []
+    members = list(first.score)
+    for k in np.argsort(-shares, kind="stable"):
+        marginal[list(members[k])] += shares[k]
+        if len(sets) < _KEPT:
+            own, known = first.best[members[k]], len(sets) < _ESTIMATED
+            sets.append(
+                HypothesisSet(
+                    names=tuple(sorted(models.names[m] for m in members[k])),
+                    probability=float(shares[k]),
+                    effects=linear_estimates(products, own, eta, first.misfit) if known else (),
+                    models=own,
+                )
+            )
+    return Posterior(tuple(sets), models.names, marginal, *first.alone(), first.misfit)
 
 
 _OPEN = 16
@@ -156,10 +190,9 @@ def _predictions(
     best = belief.posterior.best.probability
     sets = [s for s in belief.posterior.sets[:_OPEN] if s.probability > _LEAST * best]
     weights = np.array([each.probability for each in sets])
-    data, found = belief.data, []
-    about = nominal(belief.models, data)
+    products, found = belief.products, []
     for each in sets:
-        fit = linear_fit(belief.models, data, each.models, about, belief.settings.linearisation)
+        fit = products.fit(each.models)
         found.append((fit.parameters, fit.covariance, belief.models.columns(each.models)))
     return weights / weights.sum(), [each.names for each in sets], found
 
