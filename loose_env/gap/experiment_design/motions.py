@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.gap.experiment_design.servo_arm import ServoArm
+from loose_env.gap.experiment_design.servo_arm import ServoArm, touching
 from loose_env.typing import Array
 
 MotionKind = Literal[
@@ -340,42 +340,30 @@ def check_motion(motion: Motion, arm: ServoArm) -> MotionCheck:
     controls = arm.controls(commands)
     data.ctrl[:] = controls[0]
     mujoco.mj_forward(model, data)
-    apart = {_pair(data.contact[k]) for k in range(data.ncon)}  # what touches at home may
-    low, high = arm.ranges
-    gears = np.abs(model.actuator_gear[arm.actuators, 0])
-    torque, speed, wear, contact, beyond = 0.0, 0.0, 0.0, "", ""
+    apart = touching(model, data)  # what touches at home may
     for _ in range(round(0.4 / model.opt.timestep)):
         mujoco.mj_step(model, data)
-    for row in controls:
+    position, speed, force = np.empty((3, *commands.shape))
+    met: dict[tuple[str, str], None] = {}
+    for k, row in enumerate(controls):
         data.ctrl[:] = row
         for _ in range(parts):
             mujoco.mj_step(model, data)
-        shares = np.abs(gears * data.actuator_force[arm.actuators]) / arm.torque_limits
-        torque = max(torque, float(shares.max()))
-        wear += float(np.sum(shares**2)) / arm.sensing.rate
         # joints are hinges and slides: one position and one speed each
-        speed = max(speed, float(np.max(np.abs(data.qvel[arm.driven]) / arm.speed_limits)))
-        outside = (data.qpos[arm.driven] < low) | (data.qpos[arm.driven] > high)
-        if outside.any() and not beyond:
-            beyond = arm.joints[int(np.argmax(outside))]
-        for k in range(data.ncon):
-            if not contact and _pair(data.contact[k]) not in apart:
-                bodies = [
-                    model.body(int(model.geom_bodyid[g])).name for g in _pair(data.contact[k])
-                ]
-                contact = " and ".join(bodies)
+        position[k], speed[k] = data.qpos[arm.driven], data.qvel[arm.driven]
+        force[k] = data.actuator_force[arm.actuators]
+        met |= dict.fromkeys(sorted(touching(model, data) - apart))
+    low, high = arm.ranges
+    shares = np.abs(model.actuator_gear[arm.actuators, 0] * force) / arm.torque_limits
+    outside = np.flatnonzero(((position < low) | (position > high)).any(axis=0))
     return MotionCheck(
         seconds=len(commands) / arm.sensing.rate,
-        torque_share=torque,
-        speed_share=speed,
-        wear=wear,
-        contact=contact,
-        beyond=beyond,
+        torque_share=float(shares.max()),
+        speed_share=float(np.max(np.abs(speed) / arm.speed_limits)),
+        wear=float(np.sum(shares**2)) / arm.sensing.rate,
+        contact=" and ".join(next(iter(met), ())),
+        beyond=arm.joints[outside[0]] if len(outside) else "",
     )
-
-
-def _pair(contact: mujoco.MjContact) -> tuple[int, int]:
-    return int(min(contact.geom)), int(max(contact.geom))
 
 
 def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, MotionCheck]:
