@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import mujoco
 import numpy as np
@@ -14,6 +14,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.experiment_design.servo_arm import ServoArm, touching
 from loose_env.typing import Array
 
+T = TypeVar("T")
 MotionKind = Literal[
     "slow_triangle", "constant_speed", "chirp", "multisine", "steps", "holds", "random"
 ]
@@ -277,8 +278,8 @@ _TORQUE_SHARE = 0.8
 """Share of a torque limit that a motion may take in the nominal model."""
 _SPEED_SHARE = 1.25
 """Speed of the nominal arm over the limit of its commands: a servo overshoots after a step."""
-_SHRINK, _TRIES = 0.7, 8
-"""Factor on amplitude and speed of a motion that does not fit, and how often it is tried."""
+_SHRINK = 0.7
+"""Factor on amplitude and speed of a motion that does not fit."""
 _POSES = 400
 """Random poses among which those of small and of large load are chosen."""
 
@@ -374,20 +375,38 @@ def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, MotionCheck]:
     InvalidSetting
         If it does not fit at a twentieth of its size either: in its centre pose, say.
     """
-    reason = ""
-    for _ in range(_TRIES):
+
+    def checked(motion: Motion) -> tuple[MotionCheck | None, str]:
+        found = check_motion(motion, arm)
+        return found, found.refusal
+
+    fitting, found, reason = scaled_until(motion, checked)
+    if found is None or reason:
+        raise InvalidSetting(
+            f"{fitting.description} does not fit the arm: {reason}; give another centre pose"
+        )
+    return fitting, found
+
+
+def scaled_until(
+    motion: Motion, checked: Callable[[Motion], tuple[T | None, str]], tries: int = 8
+) -> tuple[Motion, T | None, str]:
+    """Reduce a motion until a check has no reason against it; with what it found, and the reason.
+
+    A check that cannot be made raises InvalidSetting.
+    """
+    for left in reversed(range(tries)):
+        found = None
         try:
-            found = check_motion(motion, arm)
-            reason = found.refusal
-            if not reason:
-                return motion, found
+            found, reason = checked(motion)
         except InvalidSetting as error:
             reason = str(error)
-        slower = motion.speed if "touch" in reason or "range" in reason else _SHRINK * motion.speed
+        if not reason or not left:
+            break
+        too_far = any(words in reason for words in ("touch", "its range", "would move"))
+        slower = motion.speed if too_far else _SHRINK * motion.speed
         motion = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
-    raise InvalidSetting(
-        f"{motion.description} does not fit the arm: {reason}; give another centre pose"
-    )
+    return motion, found, reason
 
 
 def loaded_poses(arm: ServoArm) -> tuple[Array, Array]:
@@ -417,24 +436,18 @@ def loaded_poses(arm: ServoArm) -> tuple[Array, Array]:
     return found[int(np.argmin(loads))], found[int(np.argmax(loads))]
 
 
-def motion_library(arm: ServoArm, *, brief: bool = True) -> tuple[Motion, ...]:
-    """Motions of an arm that fit its limits.
+def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
+    """Motions of an arm that fit its limits, reduced where need be, and brief ones of each kind."""
+    every = tuple(range(len(arm.joints)))
+    return _fitting([*long_motions(arm), *_brief_motions(every)], arm)
+
+
+def long_motions(arm: ServoArm) -> tuple[Motion, ...]:
+    """Motions of an arm, not yet reduced to its limits.
 
     For each joint: slow triangles under small and large load, several constant speeds, a chirp
     and steps. For all joints together: multisines, chirps, random excitations,
-    steps, triangles and poses held, under small and large load; and brief ones of each kind.
-
-    Parameters
-    ----------
-    arm : ServoArm
-        The arm.
-    brief : bool
-        False without the brief motions: excitations of 0.5 to 3 s.
-
-    Returns
-    -------
-    tuple of Motion
-        Those that fit, reduced where need be; what does not fit is left out.
+    steps, triangles and poses held, under small and large load.
     """
     every = tuple(range(len(arm.joints)))
     small, large = (tuple(map(float, pose)) for pose in loaded_poses(arm))
@@ -455,14 +468,13 @@ def motion_library(arm: ServoArm, *, brief: bool = True) -> tuple[Motion, ...]:
                    centre=centre),
         ]  # fmt: skip
     wanted += [
-        *battery(arm),
+        *_battery(every),
         Motion(kind="holds", joints=every, amplitude=0.7, speed=1.2, seconds=8.0, seed=1),
         Motion(kind="chirp", joints=every, amplitude=0.2, speed=0.8, highest=20.0),
         Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9),
         Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
-        *(_brief_motions(every) if brief else ()),
     ]  # fmt: skip
-    return _fitting(wanted, arm)
+    return tuple(wanted)
 
 
 def brief_library(arm: ServoArm) -> tuple[Motion, ...]:
@@ -512,9 +524,12 @@ def _brief_motions(every: tuple[int, ...]) -> tuple[Motion, ...]:
 def battery(arm: ServoArm) -> tuple[Motion, ...]:
     """Battery that an experienced engineer runs: slow triangle, multisine and steps, all joints."""
     every = tuple(range(len(arm.joints)))
-    wanted = (
+    return tuple(scaled_to_fit(motion, arm)[0] for motion in _battery(every))
+
+
+def _battery(every: tuple[int, ...]) -> tuple[Motion, ...]:
+    return (
         Motion(kind="slow_triangle", joints=every, amplitude=0.3, speed=0.3, seconds=8.0),
         Motion(kind="multisine", joints=every, amplitude=0.4, speed=1.2, seconds=8.0),
         Motion(kind="steps", joints=every, amplitude=0.06, speed=1.5, seconds=5.0),
     )
-    return tuple(scaled_to_fit(motion, arm)[0] for motion in wanted)
