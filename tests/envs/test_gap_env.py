@@ -93,7 +93,8 @@ def test_rewards_of_verdicts() -> None:
 )
 def test_agents_find_a_large_effect(rule: str) -> None:
     made = env()
-    agent = GapAgent(rule, made.layout, made.bank.seconds, (1, 0), sure=0.8, most=4)
+    # with this seed random takes both motions: the one of joint 2 leaves what joint 1 may lack open
+    agent = GapAgent(rule, made.layout, made.bank.seconds, (1, 0), sure=0.8, most=4, seed=4)
     observation, info = made.reset(seed=2, options={"names": ["coulomb_friction@joint2"]})
     state, terminated, start = None, False, True
     while not terminated:
