@@ -27,9 +27,7 @@ def main() -> None:
         )
         for e in answer.exact:
             words = ", ".join(f"{t.effect.kind}@{t.effect.where}" for t in e.terms)
-            print(
-                f"  exact {e.total:.0f}: {words}; rms {np.round(e.rms, 1)}"
-            )
+            print(f"  exact {e.total:.0f}: {words}; rms {np.round(e.rms, 1)}")
         for f in sorted(decision.findings, key=lambda f: f.term.name):
             values = ", ".join(
                 f"{p.name} {v:.4g} ({a:.4g} to {b:.4g}) {p.unit}"

@@ -7,33 +7,20 @@ session; experiment_design is beside the core, for `Gap-v0` and the next motion.
 from loose_env.gap.core.find import Answer, find_gap
 from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
 from loose_env.gap.core.tolerances import Tolerances
-from loose_env.gap.experiment_design import (
-    BankSettings,
-    Belief,
-    BeliefSettings,
-    EffectEstimate,
-    HypothesisSet,
-    LocalModels,
+from loose_env.gap.experiment_design.bank import BankSettings, SignatureBank, signature_bank
+from loose_env.gap.experiment_design.belief import Belief, Outlook, outlook
+from loose_env.gap.experiment_design.candidates import Ray
+from loose_env.gap.experiment_design.local_models import LocalModels
+from loose_env.gap.experiment_design.motions import (
     Motion,
-    MotionCheck,
-    MotionSignatures,
-    Outlook,
-    Posterior,
-    Ray,
-    Sensing,
-    ServoArm,
-    SignatureBank,
     battery,
     brief_library,
     check_motion,
     motion_library,
-    outlook,
-    pair_gains,
-    rays_of,
-    read_servo_arm,
     scaled_to_fit,
-    signature_bank,
 )
+from loose_env.gap.experiment_design.screening import BeliefSettings, HypothesisSet
+from loose_env.gap.experiment_design.servo_arm import ServoArm, read_servo_arm
 from loose_env.gap.explain import (
     GapSolution,
     check_gap,
@@ -89,7 +76,6 @@ __all__ = [
     "Correlation",
     "DrivenEffect",
     "Effect",
-    "EffectEstimate",
     "EffectLocation",
     "Export",
     "ExportSettings",
@@ -105,8 +91,6 @@ __all__ = [
     "JointExcitation",
     "LocalModels",
     "Motion",
-    "MotionCheck",
-    "MotionSignatures",
     "NamedEffect",
     "NextMotion",
     "NextMotionSettings",
@@ -115,12 +99,10 @@ __all__ = [
     "Overlay",
     "Parameter",
     "Played",
-    "Posterior",
     "RankedSet",
     "Ray",
     "ResidualTest",
     "Response",
-    "Sensing",
     "ServoArm",
     "SignatureBank",
     "TolerancePull",
@@ -141,9 +123,7 @@ __all__ = [
     "next_motion_lines",
     "note_source",
     "outlook",
-    "pair_gains",
     "pulled_words",
-    "rays_of",
     "read_effects",
     "read_next_motion",
     "read_result",

@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import Balance
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import Channel, Evidence, whiten
 from loose_env.gap.core.find import Answer, silent
+from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Selection, Set, SetFit, neighbours
 from loose_env.gap.core.tolerances import nuisances
-from loose_env.gap.experiment_design.library import motion_library
-from loose_env.gap.experiment_design.motions import Motion
+from loose_env.gap.experiment_design.motions import Motion, long_motions, scaled_until
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.planned_motion import (
     MotionLimits,
@@ -57,6 +57,8 @@ _STANDS = 0.05
 """Speed of a joint in a run over that in the fastest one, below which it stands."""
 _MEMORY = 40_000_000
 """Numbers of columns that are held at a time, 320 MB."""
+_TRIES = 8
+"""Sizes in which a motion of the library is tried."""
 _REPEATS = 2
 """How often a motion is recorded: each of the runs is held out in turn."""
 
@@ -401,10 +403,8 @@ class _Asked:
         # common effects may change by their priors; a law begins at its size
         own = np.isin(numbers, self.columns(shape)[self.evidence.tolerances :])
         centre = np.where(own, self.evidence.centre[numbers], 0.0)
-        normal = gram[np.ix_(numbers, numbers)] + np.diag(precision)
-        slope = gram[numbers, at] + precision * centre
-        gained = slope @ np.linalg.solve(normal, slope)
-        return float(gram[at, at] + precision @ centre**2 - gained)
+        normal, cross = gram[np.ix_(numbers, numbers)], gram[numbers, at][:, None]
+        return float(unexplained(gram[at, [at]], cross, normal, np.diag(precision), centre)[0])
 
     def narrowing(self, named: Set, terms: Set, old: Array, joint: Array) -> Gains:
         """Fall of the covariance of named effects beside all others and the tolerances."""
@@ -496,26 +496,24 @@ def _played(
 ) -> tuple[list[tuple[Motion, PlannedMotion]], tuple[tuple[str, str], ...]]:
     """Motions that keep the limits under the corrected model, and the reasons of the others."""
     arm = limits.arm(player.machine, player.rate)
+
+    def checked(motion: Motion) -> tuple[PlannedMotion | None, str]:
+        desired = motion.commands(arm)
+        if len(desired) > settings.next_seconds * player.rate + 1:
+            return None, f"it takes longer than {settings.next_seconds:g} s"
+        planned = player.play(desired)
+        return planned, limits.refusal(planned)
+
+    tries = 1
     if wanted is None:
-        least = min(settings.next_least_seconds, settings.next_seconds)
-        try:
-            library = motion_library(arm, brief=False)
-        except InvalidSetting as error:
-            raise InvalidData(str(error)) from error
-        wanted = [replace(m, seconds=max(m.seconds, least)) for m in library]
+        tries, least = _TRIES, min(settings.next_least_seconds, settings.next_seconds)
+        wanted = [replace(m, seconds=max(m.seconds, least)) for m in long_motions(arm)]
     found, refused = [], []
     for motion in dict.fromkeys(wanted):
-        try:
-            desired = motion.commands(arm)
-            reason = f"it takes longer than {settings.next_seconds:g} s"
-            if len(desired) <= settings.next_seconds * player.rate + 1:
-                planned = player.play(desired)
-                reason = limits.refusal(planned)
-                if not reason:
-                    found.append((motion, planned))
-        except InvalidSetting as error:
-            reason = str(error)
-        if reason:
+        fitting, planned, reason = scaled_until(motion, checked, tries)
+        if planned is not None and not reason:
+            found.append((fitting, planned))
+        else:
             refused.append((motion_words(motion, limits.joints), reason))
     if not found:
         raise InvalidData(

@@ -12,7 +12,7 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.gap.core.motion import Motion
-from loose_env.gap.experiment_design.servo_arm import Sensing, ServoArm
+from loose_env.gap.experiment_design.servo_arm import Sensing, ServoArm, touching
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import step_for
@@ -315,8 +315,8 @@ class Player:
                 data.act[model.actuator_actadr[own]] = data.ctrl[min(int(own), count - 1)]
             mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
         mujoco.mj_forward(model, data)
-        before = _touching(model, data)
-        touching: dict[tuple[str, str], None] = {}
+        before = touching(model, data)
+        met: dict[tuple[str, str], None] = {}
         saturated: dict[str, None] = {}
         position, speed, torque = np.zeros((3, *desired.shape))
         given = np.zeros((len(desired), count * (self.form == "forward")))
@@ -324,8 +324,8 @@ class Player:
         for row in range(len(desired)):
             for _ in range(self._parts if row else 0):
                 mujoco.mj_step(model, data)
-                for pair in _touching(model, data) - before:
-                    touching[pair] = None
+                for pair in touching(model, data) - before:
+                    met[pair] = None
             mujoco.mj_forward(model, data)
             position[row], speed[row] = data.qpos[self._at], data.qvel[self._dofs]
             torque[row] = data.qfrc_actuator[self._dofs]
@@ -347,7 +347,7 @@ class Player:
             time=np.arange(len(desired), dtype=float) * self._interval, desired=np.asarray(desired),
             controls=given, position=position, speed=speed, torque=torque,
             readings={name: np.squeeze(np.stack(values)) for name, values in seen.items()},
-            contacts=tuple(touching), saturated=tuple(saturated),
+            contacts=tuple(met), saturated=tuple(saturated),
         )  # fmt: skip
 
     def _effort(self, data: mujoco.MjData, at: Array, rate: Array) -> Array:
@@ -393,14 +393,3 @@ class Player:
                 found |= dict.fromkeys(names, float(self._motion.noise[row, k]))
         own = found.get(sensor, 0.0)
         return own * self._thinned if np.isfinite(own) else 0.0
-
-
-def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
-    """Pairs of bodies in contact."""
-    found = set()
-    for k in range(data.ncon):
-        contact = data.contact[k]
-        if contact.dist <= 0:
-            one, two = (model.body(int(model.geom_bodyid[g])).name for g in contact.geom)
-            found.add((min(one, two), max(one, two)))
-    return found

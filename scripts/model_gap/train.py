@@ -22,7 +22,6 @@ import numpy as np
 
 from loose_env.cli.command import command
 from loose_env.envs import ModelGapEnv
-from loose_env.gap import BeliefSettings
 from loose_env.io import Count, written_beside
 from scripts.model_gap.evaluate import made
 
@@ -40,8 +39,6 @@ class Options:
     """Motions and verdicts to train on, earlier ones included."""
     every: Count = 2_048
     """Steps between two states that are kept."""
-    simulations: int = 0
-    """Simulations of the belief after a motion."""
     seed: int = 1
     """Seed of the training."""
 
@@ -109,7 +106,7 @@ class _Ends:
 
 def run(options: Options) -> None:
     """Train in the environment of the package's arm."""
-    train(options, made(belief=BeliefSettings(simulations=options.simulations)))
+    train(options, made())
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ from loose_env.envs import GapPrices, ModelGapEnv, ModelGapSettings
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.gap import (
     BankSettings,
-    BeliefSettings,
     brief_library,
     read_servo_arm,
     signature_bank,
@@ -37,7 +36,7 @@ def env(**settings: Any) -> ModelGapEnv:
 
 
 def test_gymnasiums_checker_passes() -> None:
-    check_env(env(belief=BeliefSettings(simulations=0)), skip_render_check=True)
+    check_env(env(), skip_render_check=True)
 
 
 def test_an_episode_of_two_motions_and_a_verdict() -> None:
@@ -94,7 +93,8 @@ def test_rewards_of_verdicts() -> None:
 )
 def test_agents_find_a_large_effect(rule: str) -> None:
     made = env()
-    agent = GapAgent(rule, made.layout, made.bank.seconds, (1, 0), sure=0.8, most=4)
+    # with this seed random takes both motions: the one of joint 2 leaves what joint 1 may lack open
+    agent = GapAgent(rule, made.layout, made.bank.seconds, (1, 0), sure=0.8, most=4, seed=4)
     observation, info = made.reset(seed=2, options={"names": ["coulomb_friction@joint2"]})
     state, terminated, start = None, False, True
     while not terminated:
@@ -144,7 +144,7 @@ SHIPPED = Path(__file__).parents[2] / "agents/loose_agents/weights/gap-ppo/polic
 
 @pytest.mark.slow
 def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
-    settings = ModelGapSettings(belief=BeliefSettings(simulations=0), max_motions=2)
+    settings = ModelGapSettings(max_motions=2)
     env = ModelGapEnv(small_bank(), settings, models=small_models())
 
     for steps in (16, 24):  # the second one goes on
@@ -181,7 +181,7 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_shipped_weights_serve_another_library() -> None:
-    settings = ModelGapSettings(belief=BeliefSettings(simulations=0))
+    settings = ModelGapSettings()
     env = ModelGapEnv(small_bank(), settings, models=small_models())
     agent = LearnedGapAgent(SHIPPED, env)
     rewards = []

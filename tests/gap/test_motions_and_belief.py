@@ -22,7 +22,6 @@ from loose_env.gap import (
     SignatureBank,
     check_motion,
     outlook,
-    pair_gains,
     read_servo_arm,
     scaled_to_fit,
     signature_bank,
@@ -162,12 +161,9 @@ def test_expected_information_is_of_what_separates_the_open_sets() -> None:
 
     prior = outlook(belief, GapPrices().named).information
     belief = believed(hidden("coulomb_friction@joint2"))
-    gains = pair_gains(belief, 0)
 
     assert prior[0] > prior[1] > 0  # all joints, not one
     assert outlook(belief, GapPrices().named).information.max() < prior.max()
-    assert gains.shape[0] == gains.shape[1] and np.allclose(gains, gains.T)
-    assert np.allclose(np.diag(gains), 0.0)
 
 
 def test_a_motion_is_worth_what_it_adds_to_the_reward_of_the_verdict() -> None:
@@ -202,11 +198,10 @@ def test_a_stored_bank_is_read_and_a_broken_one_computed_anew(tmp_path: Path) ->
     assert [r.name for r in first.rays] == [r.name for r in again.rays]
     assert bank(said, motions=2).signatures[1].seconds > 0
     assert len(said) == 1 and "motion 2 of 2" in said[0]  # the motion that is new, alone
-    for file in tmp_path.glob("*/*.npz"):
+    for file in tmp_path.rglob("output.pkl"):
         file.write_bytes(file.read_bytes()[:200])
     found = bank(said)
     assert all(map(np.array_equal, found.sizes, first.sizes)) and len(said) > 2
-    assert '"kinds"' in next(tmp_path.glob("*/bank.json")).read_text()
 
 
 @pytest.mark.parametrize(

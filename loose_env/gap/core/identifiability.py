@@ -35,6 +35,34 @@ def identifiability(selection: Selection) -> Identifiability:
     return Identifiability(joints=_joints(selection), effects=_effects(selection))
 
 
+def unexplained(
+    square: Array, cross: Array, normal: Array, prior: Array, centre: Array | None = None
+) -> Array:
+    """Squared distance of forces from what some columns can do, and what that costs (I,).
+
+    What it rises by with a motion is the expected gain of that motion: twice the log evidence by
+    which the machine with these forces is told from one with these columns.
+
+    Parameters
+    ----------
+    square : ndarray (I,)
+        Squares of the forces in noise standard deviations.
+    cross : ndarray (K, I)
+        Products of the columns with the forces.
+    normal : ndarray (K, K)
+        Products of the columns.
+    prior : ndarray (K, K)
+        Precision of their coefficients so far.
+    centre : ndarray (K,), optional
+        Coefficients about which that is; by default 0.
+    """
+    pulled = np.zeros(len(prior)) if centre is None else prior @ centre
+    slope = cross + pulled[:, None]
+    cost = 0.0 if centre is None else float(centre @ pulled)
+    gained = np.sum(slope * np.linalg.solve(normal + prior, slope), axis=0)
+    return np.asarray(square + cost - gained)
+
+
 def _joints(selection: Selection) -> tuple[JointExcitation, ...]:
     """How much each joint moves."""
     balance = selection.evidence.balance

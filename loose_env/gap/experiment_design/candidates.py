@@ -185,10 +185,9 @@ class Ray:
             return min(sizes)
         return _SOFTER.get(self.effect.kind, 1.0) / max(sizes)
 
-    def hypothesis(self, values: Array, base: Hypothesis | None = None) -> Hypothesis:
-        """The effect with some values, beside a hypothesis."""
-        base = base or Hypothesis()
-        return base.with_effects([*base.pairs, (self.effect, values)])
+    def hypothesis(self, values: Array) -> Hypothesis:
+        """The effect alone with some values."""
+        return Hypothesis((self.effect,), (values,))
 
 
 def rays_of(arm: ServoArm, kinds: Iterable[str] | None = None) -> tuple[Ray, ...]:

@@ -1,17 +1,20 @@
-"""Motion: parametrised excitation of joints about a pose, as desired positions over time."""
+"""Motions: excitations of joints about a pose; libraries of them that fit an arm."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal, TypeVar, get_args
 
+import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.gap.experiment_design.servo_arm import ServoArm
+from loose_env.gap.experiment_design.servo_arm import ServoArm, touching
 from loose_env.typing import Array
 
+T = TypeVar("T")
 MotionKind = Literal[
     "slow_triangle", "constant_speed", "chirp", "multisine", "steps", "holds", "random"
 ]
@@ -269,3 +272,264 @@ _SHAPES: dict[str, Callable[[Motion, Array, int, float], Array]] = {
     "holds": _holds,
     "random": _random,
 }
+
+
+_TORQUE_SHARE = 0.8
+"""Share of a torque limit that a motion may take in the nominal model."""
+_SPEED_SHARE = 1.25
+"""Speed of the nominal arm over the limit of its commands: a servo overshoots after a step."""
+_SHRINK = 0.7
+"""Factor on amplitude and speed of a motion that does not fit."""
+_POSES = 400
+"""Random poses among which those of small and of large load are chosen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionCheck:
+    """Result of a motion's simulation with the nominal model."""
+
+    seconds: float
+    """Machine time [s]."""
+    torque_share: float
+    """Largest torque over its joint's limit [1]."""
+    speed_share: float
+    """Largest joint speed over its limit [1]."""
+    wear: float
+    """Integral of the squared torque shares, summed over joints [s]."""
+    contact: str
+    """Bodies that touch, "" if none do."""
+    beyond: str
+    """Joint that leaves its range, "" if none does."""
+
+    @property
+    def refusal(self) -> str:
+        """Reason why the motion is refused, "" if it is not."""
+        if self.contact:
+            return f"{self.contact} would touch"
+        if self.beyond:
+            return f"{self.beyond} would leave its range"
+        if self.torque_share > _TORQUE_SHARE:
+            return f"it would take {self.torque_share:.2f} of a torque limit"
+        if self.speed_share > _SPEED_SHARE:
+            return f"it would take {self.speed_share:.2f} of a speed limit"
+        return ""
+
+
+def check_motion(motion: Motion, arm: ServoArm) -> MotionCheck:
+    """Simulate a motion with the nominal model, contacts included.
+
+    Raises
+    ------
+    InvalidSetting
+        If its commands leave the range of a joint.
+
+    Examples
+    --------
+    >>> from loose_env.arms import SERVO_ARM
+    >>> from loose_env.gap.experiment_design.servo_arm import read_servo_arm
+    >>> arm = read_servo_arm(SERVO_ARM)
+    >>> slow = Motion(kind="slow_triangle", joints=(1,), amplitude=0.2, speed=0.2)
+    >>> check_motion(slow, arm).refusal
+    ''
+    """
+    commands = motion.commands(arm)
+    model: mujoco.MjModel = arm.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.rest_position
+    data.qpos[arm.driven] = arm.home
+    parts = round(1.0 / (arm.sensing.rate * model.opt.timestep))
+    controls = arm.controls(commands)
+    data.ctrl[:] = controls[0]
+    mujoco.mj_forward(model, data)
+    apart = touching(model, data)  # what touches at home may
+    for _ in range(round(0.4 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    position, speed, force = np.empty((3, *commands.shape))
+    met: dict[tuple[str, str], None] = {}
+    for k, row in enumerate(controls):
+        data.ctrl[:] = row
+        for _ in range(parts):
+            mujoco.mj_step(model, data)
+        # joints are hinges and slides: one position and one speed each
+        position[k], speed[k] = data.qpos[arm.driven], data.qvel[arm.driven]
+        force[k] = data.actuator_force[arm.actuators]
+        met |= dict.fromkeys(sorted(touching(model, data) - apart))
+    low, high = arm.ranges
+    shares = np.abs(model.actuator_gear[arm.actuators, 0] * force) / arm.torque_limits
+    outside = np.flatnonzero(((position < low) | (position > high)).any(axis=0))
+    return MotionCheck(
+        seconds=len(commands) / arm.sensing.rate,
+        torque_share=float(shares.max()),
+        speed_share=float(np.max(np.abs(speed) / arm.speed_limits)),
+        wear=float(np.sum(shares**2)) / arm.sensing.rate,
+        contact=" and ".join(next(iter(met), ())),
+        beyond=arm.joints[outside[0]] if len(outside) else "",
+    )
+
+
+def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, MotionCheck]:
+    """Reduce amplitude and speed of a motion until it fits the arm's limits.
+
+    Raises
+    ------
+    InvalidSetting
+        If it does not fit at a twentieth of its size either: in its centre pose, say.
+    """
+
+    def checked(motion: Motion) -> tuple[MotionCheck | None, str]:
+        found = check_motion(motion, arm)
+        return found, found.refusal
+
+    fitting, found, reason = scaled_until(motion, checked)
+    if found is None or reason:
+        raise InvalidSetting(
+            f"{fitting.description} does not fit the arm: {reason}; give another centre pose"
+        )
+    return fitting, found
+
+
+def scaled_until(
+    motion: Motion, checked: Callable[[Motion], tuple[T | None, str]], tries: int = 8
+) -> tuple[Motion, T | None, str]:
+    """Reduce a motion until a check has no reason against it; with what it found, and the reason.
+
+    A check that cannot be made raises InvalidSetting.
+    """
+    for left in reversed(range(tries)):
+        found = None
+        try:
+            found, reason = checked(motion)
+        except InvalidSetting as error:
+            reason = str(error)
+        if not reason or not left:
+            break
+        too_far = any(words in reason for words in ("touch", "its range", "would move"))
+        slower = motion.speed if too_far else _SHRINK * motion.speed
+        motion = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
+    return motion, found, reason
+
+
+def loaded_poses(arm: ServoArm) -> tuple[Array, Array]:
+    """Poses of small and of large load by gravity on the joints, free of contact (J,) each.
+
+    Of random poses in the middle 70 % of the ranges.
+    """
+    model: mujoco.MjModel = arm.model
+    rng = np.random.default_rng(0)
+    low, high = arm.ranges
+    middle, half = (low + high) / 2, 0.35 * (high - low)
+    half = np.minimum(half, 1.2 * np.where(arm.turning, 1.0, 0.2))
+    data = mujoco.MjData(model)
+    found, loads = [], []
+    for _ in range(_POSES):
+        pose = np.clip(arm.home + rng.uniform(-1, 1, len(half)) * half, low + 0.2, high - 0.2)
+        pose = np.where(high - low > 0.8, pose, middle)
+        data.qpos[:] = arm.rest_position
+        data.qpos[arm.driven] = pose
+        data.qvel[:] = 0.0
+        mujoco.mj_forward(model, data)
+        if data.ncon == 0:
+            found.append(pose)
+            loads.append(float(np.sum((data.qfrc_bias[arm.driven] / arm.torque_limits) ** 2)))
+    if not found:
+        return arm.home, arm.home
+    return found[int(np.argmin(loads))], found[int(np.argmax(loads))]
+
+
+def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
+    """Motions of an arm that fit its limits, reduced where need be, and brief ones of each kind."""
+    every = tuple(range(len(arm.joints)))
+    return _fitting([*long_motions(arm), *_brief_motions(every)], arm)
+
+
+def long_motions(arm: ServoArm) -> tuple[Motion, ...]:
+    """Motions of an arm, not yet reduced to its limits.
+
+    For each joint: slow triangles under small and large load, several constant speeds, a chirp
+    and steps. For all joints together: multisines, chirps, random excitations,
+    steps, triangles and poses held, under small and large load.
+    """
+    every = tuple(range(len(arm.joints)))
+    small, large = (tuple(map(float, pose)) for pose in loaded_poses(arm))
+    wanted = []
+    for j in every:
+        wanted += [
+            Motion(kind="slow_triangle", joints=(j,), amplitude=0.25, speed=0.25, centre=small),
+            Motion(kind="slow_triangle", joints=(j,), amplitude=0.25, speed=0.25, centre=large),
+            Motion(kind="constant_speed", joints=(j,), amplitude=0.8, speed=1.6, seconds=5.0),
+            Motion(kind="chirp", joints=(j,), amplitude=0.2, speed=0.8, highest=20.0),
+            Motion(kind="steps", joints=(j,), amplitude=0.06, speed=1.5, seconds=2.5),
+        ]
+    for centre in (small, large):
+        wanted += [
+            Motion(kind="holds", joints=every, amplitude=0.5, speed=1.2, centre=centre),
+            Motion(kind="multisine", joints=every, amplitude=0.4, speed=1.2, centre=centre),
+            Motion(kind="steps", joints=every, amplitude=0.06, speed=1.5, seconds=2.5,
+                   centre=centre),
+        ]  # fmt: skip
+    wanted += [
+        *_battery(every),
+        Motion(kind="holds", joints=every, amplitude=0.7, speed=1.2, seconds=8.0, seed=1),
+        Motion(kind="chirp", joints=every, amplitude=0.2, speed=0.8, highest=20.0),
+        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9),
+        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
+    ]  # fmt: skip
+    return tuple(wanted)
+
+
+def brief_library(arm: ServoArm) -> tuple[Motion, ...]:
+    """Brief motions of an arm and its battery: a library of few motions, soon computed."""
+    every = tuple(range(len(arm.joints)))
+    return _fitting([*battery(arm), *_brief_motions(every)], arm)
+
+
+def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
+    """Motions that fit the limits of an arm, reduced where need be, each once."""
+    fitting = []
+    for motion in wanted:
+        try:
+            fitting.append(scaled_to_fit(motion, arm)[0])
+        except InvalidSetting:
+            continue
+    if not fitting:
+        raise InvalidSetting(
+            "no motion fits the arm: its home pose touches something or takes its torque limits"
+        )
+    return tuple(dict.fromkeys(fitting))
+
+
+def _brief_motions(every: tuple[int, ...]) -> tuple[Motion, ...]:
+    """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose.
+
+    A servo settles in a tenth of a second.
+    """
+    brief = partial(Motion, joints=every, pause=0.1)
+    noise = partial(brief, kind="random", speed=1.8)
+    return (
+        noise(amplitude=0.5, seconds=0.5, seed=3),
+        noise(amplitude=0.5, seconds=1.0, seed=3),
+        noise(amplitude=0.5, seconds=1.0, seed=9),
+        noise(amplitude=0.6, seconds=1.5, seed=9, highest=2.5),
+        noise(amplitude=0.6, seconds=2.5, seed=5, highest=2.0),
+        brief(kind="multisine", amplitude=0.4, speed=1.8, seconds=1.5),
+        brief(kind="chirp", amplitude=0.3, speed=1.2, seconds=1.5, highest=20.0),
+        brief(kind="steps", amplitude=0.06, speed=1.5, seconds=1.0),
+        brief(kind="holds", amplitude=0.5, speed=1.8, seconds=2.0, seed=1),
+        brief(kind="holds", amplitude=0.7, speed=1.8, seconds=3.0, seed=2),
+        brief(kind="slow_triangle", amplitude=0.1, speed=0.3, seconds=1.5),
+        brief(kind="constant_speed", amplitude=0.5, speed=1.2, seconds=2.0),
+    )
+
+
+def battery(arm: ServoArm) -> tuple[Motion, ...]:
+    """Battery that an experienced engineer runs: slow triangle, multisine and steps, all joints."""
+    every = tuple(range(len(arm.joints)))
+    return tuple(scaled_to_fit(motion, arm)[0] for motion in _battery(every))
+
+
+def _battery(every: tuple[int, ...]) -> tuple[Motion, ...]:
+    return (
+        Motion(kind="slow_triangle", joints=every, amplitude=0.3, speed=0.3, seconds=8.0),
+        Motion(kind="multisine", joints=every, amplitude=0.4, speed=1.2, seconds=8.0),
+        Motion(kind="steps", joints=every, amplitude=0.06, speed=1.5, seconds=5.0),
+    )

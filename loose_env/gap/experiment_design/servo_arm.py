@@ -19,6 +19,7 @@ from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.runs import Channel, Trial
 from loose_env.gap.simulator import Simulator, changes_within
+from loose_env.io import Checked, Count, Positive
 from loose_env.typing import Array
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -28,7 +29,7 @@ stiffest spring takes as much again, and effects add to the joint's."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensing:
+class Sensing(Checked):
     """Sensors of the machine: encoders and drive torques, read at one rate.
 
     Examples
@@ -37,27 +38,14 @@ class Sensing:
     [0.00628, 0.001]
     """
 
-    rate: float = 250.0
+    rate: Positive = 250.0
     """Sample rate [1/s]."""
-    encoder_steps: int = 2**14
+    encoder_steps: Count = 2**14
     """Steps of an encoder per turn; of a slide, per metre."""
-    encoder_noise: float = 1.5e-4
+    encoder_noise: Positive = 1.5e-4
     """Standard deviation of the noise before quantisation [rad, m]."""
-    torque_noise: float = 0.005
+    torque_noise: Positive = 0.005
     """Standard deviation of the measured torque over the torque limit [1]."""
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        if not (self.rate >= 20 and self.encoder_steps >= 1):
-            raise InvalidSetting(
-                f"sensing needs a rate of 20/s or more and encoders of one step or more, got "
-                f"{self.rate!r} and {self.encoder_steps!r}"
-            )
-        if not (self.encoder_noise > 0 and self.torque_noise > 0):
-            raise InvalidSetting(
-                f"encoder_noise and torque_noise are above 0, got {self.encoder_noise!r} and "
-                f"{self.torque_noise!r}"
-            )
 
     def quantum(self, turning: NDArray[np.bool_]) -> Array:
         """Step of each encoder, of hinges and of slides [rad, m] (J,)."""
@@ -276,15 +264,10 @@ class ServoArm:
         list of ndarray (n, 2 J)
             Positions and torques; NaN where a simulation diverged.
         """
-        return self.simulate_motions(hypotheses, [commands])[0]
+        simulator = Simulator(self.machine, [self._trial(commands)], self.channels, threads=1)
 
-    def simulate_motions(
-        self, hypotheses: Sequence[Hypothesis], motions: Sequence[Array]
-    ) -> list[list[Array]]:
-        """Simulate the noise-free readings of several motions, by motion and by hypothesis."""
-        trials = [self._trial(commands) for commands in motions]
-        simulator = Simulator(self.machine, trials, self.channels, threads=1)
-        predicted = simulator.predict
+        def predicted(own: Sequence[Hypothesis]) -> list[Array]:
+            return [run for (run,) in simulator.predict(own)]
 
         readings = predicted(hypotheses)
         within = [
@@ -300,8 +283,8 @@ class ServoArm:
             for k, each in zip(within, plain, strict=True)
         ]
         for k, at, of in zip(within, predicted(plain), predicted(alike), strict=True):
-            readings[k] = [y - b + a for y, b, a in zip(readings[k], of, at, strict=True)]
-        return [[found[k] for found in readings] for k in range(len(motions))]
+            readings[k] = readings[k] - of + at
+        return readings
 
     def _trial(self, commands: Array) -> Trial:
         count = len(commands)
@@ -360,6 +343,17 @@ def read_servo_arm(
     except ValueError as error:
         raise InvalidData(f"MuJoCo does not compile {path}: {error}") from error
     return ServoArm(spec, sensing or Sensing(), tolerance, max_speed)
+
+
+def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
+    """Pairs of bodies in contact."""
+    found = set()
+    for k in range(data.ncon):
+        contact = data.contact[k]
+        if contact.dist <= 0:
+            one, two = (model.body(int(model.geom_bodyid[g])).name for g in contact.geom)
+            found.add((min(one, two), max(one, two)))
+    return found
 
 
 def _servos(model: mujoco.MjModel) -> tuple[Array, Array]:

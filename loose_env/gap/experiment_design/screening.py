@@ -7,21 +7,116 @@ then costs the determinant of a matrix of four rows, each pair that of eight.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.experiment_design.inference.expansion import (
-    Data,
-    Equations,
-    linear_fit,
-    nominal,
-)
-from loose_env.gap.experiment_design.inference.local_models import SIZE_SD, LocalModels
-from loose_env.gap.experiment_design.inference.posterior import BeliefSettings, EffectEstimate
+from loose_env.errors import InvalidSetting
+from loose_env.gap.experiment_design.candidates import Ray
+from loose_env.gap.experiment_design.local_models import SIZE_SD, LocalModels, Products
 from loose_env.typing import Array
+
+_FIRST = 24
+"""Local models beside which every other one is tried as the second of a pair."""
+_SWAPS = 10
+"""Members of good pairs beside which every other one is tried again."""
+_KEPT = 3000
+"""Hypotheses that are kept of all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeliefSettings:
+    """Priors and errors of the belief.
+
+    Examples
+    --------
+    >>> BeliefSettings(none=0.9, single=0.2)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: none and single are probabilities of at most 1 in all, ...
+    """
+
+    none: float = 0.2
+    """Prior probability that no effect is missing."""
+    single: float = 0.5
+    """Prior probability that one is; two otherwise."""
+    linearisation: float = 0.04
+    """Error of a linearisation over the length of the residual about its centre [1]."""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not (self.none > 0 and self.single > 0 and self.none + self.single <= 1):
+            raise InvalidSetting(
+                "none and single are probabilities of at most 1 in all, above 0 each, got "
+                f"{self.none!r} and {self.single!r}"
+            )
+        if not 0 <= self.linearisation < 1:
+            raise InvalidSetting(f"linearisation is a share below 1, got {self.linearisation!r}")
+
+
+@dataclass(frozen=True)
+class EffectEstimate:
+    """An effect with the parameter by which its size is stated."""
+
+    name: str
+    """Kind and location."""
+    parameter: str
+    """Name of the parameter."""
+    unit: str
+    value: float
+    """Posterior mean."""
+    low: float
+    """Lower end of the 95 % interval."""
+    high: float
+    """Upper end."""
+
+    @classmethod
+    def of(cls, ray: Ray, sizes: Sequence[float], shape: Array) -> EffectEstimate:
+        """Estimate of an effect with the ends of its interval, by its sizes."""
+        value, *ends = (float(ray.values(size, shape)[ray.main]) for size in sizes)
+        parameter = ray.effect.parameters[ray.main]
+        return cls(ray.name, parameter.name, parameter.unit, value, min(ends), max(ends))
+
+
+@dataclass(frozen=True)
+class HypothesisSet:
+    """A set of missing effects with its probability."""
+
+    names: tuple[str, ...]
+    """Kinds and locations, sorted; empty for none."""
+    probability: float
+    effects: tuple[EffectEstimate, ...]
+    """Estimates of its effects; of the most probable sets alone."""
+    models: tuple[int, ...] = field(default=(), repr=False)
+    """Indices of its best local models."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Posterior over sets of effects."""
+
+    sets: tuple[HypothesisSet, ...]
+    """By decreasing probability."""
+    names: tuple[str, ...]
+    """All candidates."""
+    marginal: Array
+    """Probability that each candidate is among the missing effects (names,)."""
+    log_evidence: Array
+    """Log evidence of each candidate alone against none, its best local model [nats] (names,)."""
+    size: Array
+    """Posterior mean of the log10 of each candidate's visibility, alone (names,)."""
+    size_sd: Array
+    """Its standard deviation (names,)."""
+    misfit: float
+    """χ² of the best hypothesis over its degrees of freedom, 1 where that is no more than chance;
+    variances of the parameters are multiplied by it (Birge ratio)."""
+
+    @property
+    def best(self) -> HypothesisSet:
+        """The most probable set."""
+        return self.sets[0]
 
 
 def log_prior(count: int, candidates: int, settings: BeliefSettings) -> float:
@@ -38,20 +133,24 @@ def log_prior(count: int, candidates: int, settings: BeliefSettings) -> float:
 class Beside:
     """Every local model beside a hypothesis."""
 
-    models: LocalModels
-    equations: Equations
+    products: Products
+
+    @property
+    def models(self) -> LocalModels:
+        """The local models."""
+        return self.products.models
 
     @cached_property
     def _gram(self) -> Array:
         """Products of the base vectors, with the one that is none (S + 1, S + 1)."""
-        return np.pad(self.equations.gram, ((0, 1), (0, 1)))
+        return np.pad(self.products.beyond[0], ((0, 1), (0, 1)))
 
     @cached_property
     def _blocks(self) -> tuple[Array, Array]:
         """Products of mean and columns of each local model (H, 1 + Q, 1 + Q), and right sides."""
         models = self.models
         gram = self._gram
-        right = np.pad(self.equations.right, (0, 1))
+        right = np.pad(self.products.beyond[1], (0, 1))
         at, weights = models.support, models.weights
         inner = np.swapaxes(weights, 1, 2) @ gram[at[:, :, None], at[:, None, :]] @ weights
         return inner, np.einsum("hbq,hb->hq", weights, right[at])
@@ -60,7 +159,7 @@ class Beside:
     def alone(self) -> tuple[Array, Array, Array, Array]:
         """χ² (H,), half log-determinant (H,), coefficients (H, Q) and covariances (H, Q, Q)."""
         inner, right = self._blocks
-        return _solved(inner, right, self.equations.own.chi2)
+        return _solved(inner, right, self.products.nominal.chi2)
 
     def with_first(self, first: int) -> tuple[Array, Array]:
         """χ² and half log-determinant of every local model beside a given one (H,)."""
@@ -75,7 +174,7 @@ class Beside:
         precision = own[1:, 1:] + np.eye(len(own) - 1)
         covariance = np.linalg.inv(precision)
         found = covariance @ slope
-        chi2 = self.equations.own.chi2 - 2 * right[first, 0] + own[0, 0] - float(slope @ found)
+        chi2 = self.products.nominal.chi2 - 2 * right[first, 0] + own[0, 0] - float(slope @ found)
         rest = inner - np.swapaxes(across[:, 1:], 1, 2) @ covariance @ across[:, 1:]
         target = right - across[:, 0] - np.einsum("q,hqr->hr", found, across[:, 1:])
         fit, half, _, _ = _solved(rest, target, chi2)
@@ -121,18 +220,19 @@ class ScreenedSets:
         return self.evidence[best], np.log10(np.maximum(seen * factor, 1e-3)), sd
 
 
-def screened(models: LocalModels, about: Equations, settings: BeliefSettings) -> ScreenedSets:
+def screened(products: Products, settings: BeliefSettings) -> ScreenedSets:
     """Screen sets of at most two effects about the nominal model.
 
     Singles are all evaluated. Pairs are those of any effect beside one of the best singles, then
     beside one of the second members of the best pairs.
     """
-    beside, candidate = Beside(models, about), models.candidate
+    models = products.models
+    beside, candidate = Beside(products), models.candidate
     chi2, half, _, _ = beside.alone
     count, none = len(models.names), np.full(1, -1)
     every = np.arange(models.count)
     first, second = [none, every], [none, np.full(models.count, -1)]
-    fits = [np.array([about.own.chi2]), chi2]
+    fits = [np.array([products.nominal.chi2]), chi2]
     others = [
         np.array([log_prior(0, count, settings)]),
         log_prior(1, count, settings) + models.log_prior - half,
@@ -148,21 +248,21 @@ def screened(models: LocalModels, about: Equations, settings: BeliefSettings) ->
             others.append(prior - size)
 
     if count > 1:
-        tried = _leading(others[1] - chi2 / 2, candidate, settings.first)
+        tried = _leading(others[1] - chi2 / 2, candidate, _FIRST)
         pair_up(tried)
         score = np.concatenate(others[2:]) - np.concatenate(fits[2:]) / 2
         seconds = np.concatenate(second[2:])
-        best = [int(h) for h in seconds[np.argsort(-score)[: 40 * settings.swaps]]]
-        again = [h for h in dict.fromkeys(best) if h not in set(tried)][: settings.swaps]
+        best = [int(h) for h in seconds[np.argsort(-score)[: 40 * _SWAPS]]]
+        again = [h for h in dict.fromkeys(best) if h not in set(tried)][:_SWAPS]
         pair_up(again)
     a, b = np.concatenate(first), np.concatenate(second)
     fit = np.concatenate(fits)
-    misfit = max(float(np.min(fit)) / max(about.own.dof, 1), 1.0)
+    misfit = max(float(np.min(fit)) / max(products.dof, 1), 1.0)
     # the same pair may have been reached from either side
     low, high = np.minimum(a, b), np.maximum(a, b)
     _, unique = np.unique(high * (models.count + 1) + low, return_index=True)
     score = (np.concatenate(others) - fit / 2 / misfit)[unique]
-    order = np.argsort(-score, kind="stable")[: settings.kept]
+    order = np.argsort(-score, kind="stable")[:_KEPT]
     sets: dict[tuple[int, ...], list[int]] = {}
     for k, (one, other) in enumerate(zip(a[unique[order]], b[unique[order]], strict=True)):
         members = sorted(int(candidate[h]) for h in (one, other) if h >= 0)
@@ -176,7 +276,7 @@ def screened(models: LocalModels, about: Equations, settings: BeliefSettings) ->
                            if h[unique[order[rows[0]]]] >= 0)
             for members, rows in sets.items()
         },
-        (about.own.chi2 - chi2) / 2 / misfit - half,
+        (products.nominal.chi2 - chi2) / 2 / misfit - half,
         misfit,
     )  # fmt: skip
 
@@ -196,26 +296,18 @@ def _leading(score: Array, candidate: NDArray[np.intp], most: int) -> list[int]:
 
 
 def linear_estimates(
-    models: LocalModels, data: Data, own: Sequence[int], eta: float, misfit: float
+    products: Products, own: Sequence[int], eta: float, misfit: float
 ) -> tuple[EffectEstimate, ...]:
     """Estimates of the effects of some local models by the bank's signatures alone."""
-    found = linear_fit(models, data, own, nominal(models, data), eta)
+    models, found = products.models, products.fit(own)
     at, estimates = models.bank.nuisances, []
     for h in own:
         ray, size = models.bank.rays[models.ray[h]], float(models.size[h])
         sd = float(np.sqrt(found.covariance[at, at] * misfit))
         middle = size * max(1 + SIZE_SD * float(found.parameters[at]), 0.02)
-        spread = 1.96 * SIZE_SD * size * sd
+        spread = 1.96 * size * float(np.hypot(SIZE_SD * sd, eta))
         shape = found.parameters[at + 2 : at + 2 + len(ray.shape_parameters)]
-        ends = [
-            float(ray.values(max(s, 1e-6), shape)[ray.main])
-            for s in (middle, middle - spread, middle + spread)
-        ]
-        parameter = ray.effect.parameters[ray.main]
-        estimates.append(
-            EffectEstimate(
-                ray.name, parameter.name, parameter.unit, ends[0], min(ends), max(ends), middle
-            )
-        )
+        sizes = [max(s, 1e-6) for s in (middle, middle - spread, middle + spread)]
+        estimates.append(EffectEstimate.of(ray, sizes, shape))
         at += models.weights.shape[2] - 1
     return tuple(sorted(estimates, key=lambda e: e.name))

@@ -1,8 +1,20 @@
-"""Local linear models of every candidate: mean, slope, curvature and shape at each size."""
+"""Local linear models of every candidate, and the Gram matrix that measured motions make of them.
+
+With the mean residual ȳ_k of motion k over n_k repetitions, in noise standard deviations and in the
+K_k directions of the bank, a machine with effects e is
+
+    ȳ_k = J_k z + Σ_e (m_e + C_e θ_e) + ε_k,      z, θ ~ N(0, I)
+    ε_k ~ N(0, 1/n_k + δ_k),    δ_k = (η |ȳ_k|)² / K_k
+
+z are the nominal parameters and θ the effects' sizes and shapes, each over its prior standard
+deviation. Effects have local models: mean, and slope, curvature and shape columns. δ is the error
+of the linearisation, in proportion to what it has to explain, which a repetition does not average
+out. All sets of effects are then small linear problems in one Gram matrix.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -150,3 +162,75 @@ def parabola(sizes: Array, at: float) -> tuple[Array, Array]:
         scale = (x - p) * (x - q)
         slope[k], bend[k] = (2 * at - p - q) / scale, 2 / scale
     return slope[1:], bend[1:]
+
+
+Data = Mapping[int, tuple[Array, int]]
+"""Motion -> mean of the projected residuals (K,) and number of repetitions."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Least squares of some parameters."""
+
+    parameters: Array
+    """Posterior mean (D,)."""
+    covariance: Array
+    """Posterior covariance (D, D)."""
+    chi2: float
+    """Weighted square of what is left, with that of the parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Products of all base vectors and residuals of the measured motions."""
+
+    models: LocalModels
+    gram: Array
+    """Of the base vectors (V, V)."""
+    right: Array
+    """With the residuals (V,)."""
+    power: float
+    """Of the residuals."""
+    dof: int
+    """Numbers in all residuals."""
+
+    @classmethod
+    def of(cls, models: LocalModels, data: Data, eta: float) -> Products:
+        """Sum them over the motions, each by its noise and linearisation error."""
+        count = models.base + models.bank.nuisances
+        gram, right, power, dof = np.zeros((count, count)), np.zeros(count), 0.0, 0
+        for motion, (mean, repeated) in data.items():
+            vectors, products = models.products(motion)
+            square = float(mean @ mean)
+            weight = 1 / (1 / repeated + eta**2 * square / max(len(mean), 1))
+            gram += weight * products
+            right += weight * (vectors.T @ mean)
+            power += weight * square
+            dof += len(mean)
+        return cls(models, gram, right, power, dof)
+
+    def fit(self, own: Sequence[int] = ()) -> Solution:
+        """Nominal parameters, then slope, curvature and shapes of some local models."""
+        p, weights = self.models.bank.nuisances, self.models.columns(own)
+        mean, columns = weights[:, 0], weights[:, 1:]
+        across = np.hstack([self.gram[:, :p], self.gram[:, p:] @ columns])
+        precision = np.vstack([across[:p], columns.T @ across[p:]])
+        left = self.right - self.gram[:, p:] @ mean
+        slope = np.concatenate([left[:p], columns.T @ left[p:]])
+        covariance = np.asarray(np.linalg.inv(precision + np.eye(len(precision))), dtype=float)
+        found = covariance @ slope
+        power = self.power - float(mean @ (self.right[p:] + left[p:]))
+        return Solution(found, covariance, max(power - float(slope @ found), 0.0))
+
+    @cached_property
+    def nominal(self) -> Solution:
+        """Fit of the nominal parameters alone."""
+        return self.fit()
+
+    @cached_property
+    def beyond(self) -> tuple[Array, Array]:
+        """Products of what nominal parameters cannot do (S, S), and with the residuals (S,)."""
+        p, own = self.models.bank.nuisances, self.nominal
+        across = self.gram[p:, :p]
+        gram = self.gram[p:, p:] - across @ own.covariance @ across.T
+        return gram, self.right[p:] - across @ own.parameters
