@@ -7,7 +7,7 @@ part and every question of identifiability is then a small linear problem in the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -301,45 +301,65 @@ def _channel(
 
 def _rows(balance: Balance, joint: int, wide: Sequence[Change]) -> _Rows:
     """Whitened rows of some columns and, last, of the residual."""
-    motion = balance.motion
+    grid = _grid(balance, joint)
     stacked = np.stack([*(c.at(joint) for c in wide), balance.residual[:, joint]], axis=1)
-    weight = motion.split(weight_of(balance, joint))
-    parts, cells = [], []
+    parts = []
+    for rows, window, scale, kept in grid.pieces:
+        spectrum = np.fft.rfft(stacked[rows] * window, axis=0)[kept] * scale
+        parts += [spectrum.real, spectrum.imag]
+    return replace(grid.rows, whitened=np.concatenate(parts)[grid.order])
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """How a channel is cut into cells."""
+
+    pieces: list[tuple[slice, Array, Array, NDArray[np.intp]]]
+    """Samples, taper, scale and kept frequencies of each stretch."""
+    order: NDArray[np.intp]
+    """Order of the rows by cells."""
+    rows: _Rows
+    """Cells, without rows."""
+
+
+def _grid(balance: Balance, joint: int) -> _Grid:
+    """Cut a channel into cells, once."""
+    cache: dict[int, _Grid] = balance.__dict__.setdefault("_grids", {})
+    if joint in cache:
+        return cache[joint]
+    motion, edges, whole = balance.motion, _edges(balance), stretches_of(balance)
+    weight, pieces, cells = weight_of(balance, joint), [], []
+    first = np.cumsum([0, *(len(run.position) for run in motion.runs)])
     keys: dict[tuple[int, int], int] = {}
     counts: dict[tuple[int, int], float] = {}
-    edges = _edges(balance)
-    for number, (run, rows) in enumerate(stretches_of(balance)):
-        piece = number % _MOST_STRETCHES
-        window = _taper(rows.stop - rows.start, len(motion.runs[run].position)) * weight[run][rows]
-        values = motion.split(stacked)[run][rows]
+    for number, (run, own) in enumerate(whole):
+        rows = slice(int(first[run]) + own.start, int(first[run]) + own.stop)
+        window = _taper(own.stop - own.start, len(motion.runs[run].position)) * weight[rows]
         frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
-        scale = (
-            1 / np.sqrt((window**2).sum() / 2 + 1e-12) / (_NOISE * balance.noise(joint, frequency))
-        )
+        noise = _NOISE * balance.noise(joint, frequency)
+        scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / noise
         scale[0] /= np.sqrt(2)
-        spectrum = np.fft.rfft(values * window[:, None], axis=0) * scale[:, None]
-        for band in range(BANDS):
-            own = (frequency >= edges[band]) & (frequency < edges[band + 1])
-            if not own.any():
-                continue
-            cell = keys.setdefault((band, piece), len(keys))
-            parts.append(np.concatenate([spectrum[own].real, spectrum[own].imag]))
-            cells.append(np.full(2 * int(own.sum()), cell))
-            count = 2.0 * own.sum() - (own[0] and frequency[0] == 0)
-            counts[band, piece] = counts.get((band, piece), 0.0) + count
-    stretch, whole = np.array([piece for _, piece in keys]), stretches_of(balance)
+        band = np.searchsorted(edges, frequency, side="right") - 1
+        kept = np.flatnonzero(band < BANDS)
+        at = []
+        for k in kept:
+            key = int(band[k]), number % _MOST_STRETCHES
+            at.append(keys.setdefault(key, len(keys)))
+            counts[key] = counts.get(key, 0.0) + (1.0 if k == 0 else 2.0)
+        cells += [at, at]
+        pieces.append((rows, window[:, None], scale[kept, None], kept))
+    cell = np.concatenate(cells).astype(int)
+    order = np.argsort(cell, kind="stable")
+    stretch = np.array([piece for _, piece in keys])
     pooled = len(whole) > _MOST_STRETCHES
     runs = np.array([k if pooled else run for k, (run, _) in enumerate(whole)])
-    order = np.argsort(np.concatenate(cells), kind="stable")
     centres = 2 * np.pi * np.sqrt(np.maximum(edges[:-1], edges[1] / 2) * edges[1:])
-    return _Rows(
-        whitened=np.concatenate(parts)[order],
-        cell=np.concatenate(cells)[order],
-        count=np.array([counts[key] for key in keys]),
-        stretch=stretch,
-        run=runs[stretch],
-        turn=centres[[band for band, _ in keys]],
-    )
+    found = _Rows(
+        whitened=np.empty(0), cell=cell[order], count=np.array(list(counts.values())),
+        stretch=stretch, run=runs[stretch], turn=centres[[band for band, _ in keys]],
+    )  # fmt: skip
+    cache[joint] = _Grid(pieces, order, found)
+    return cache[joint]
 
 
 def cell_powers(balance: Balance, channel: int, change: Array) -> Array:

@@ -658,6 +658,7 @@ class _Form:
             # what a candidate explains leaves noise to be guarded
             noises.append(weight * np.minimum(channel.count, power))
         self.growth, self.held, self.noise = map(np.concatenate, (growths, holds, noises))
+        self._beside: dict[int, Array] = {}
         self._covered: tuple[NDArray[np.intp], Array] | None = None
         self._fit_noise = None if fit is None else _Noise(self, fit.numbers, fit.values)
         if self._fit_noise is not None:
@@ -669,7 +670,10 @@ class _Form:
 
     def near(self, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Normal matrix between some columns and all, and slope, around the fitted set."""
-        normal, slope = self._between(at, np.arange(len(self.slope))), self.slope
+        new = np.array([k for k in at if k not in self._beside], dtype=int)
+        beside = self._between(new, np.arange(len(self.slope)))
+        self._beside.update(zip(new.tolist(), beside, strict=True))
+        normal, slope = np.stack([self._beside[k] for k in at]), self.slope
         if self._fit_noise is not None:
             normal = normal + self._fit_noise.between(at, slice(None))
             slope = slope + self._fit_noise.along(slice(None))
