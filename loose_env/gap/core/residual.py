@@ -266,6 +266,11 @@ def residual_tests(selection: Selection, left: Array) -> tuple[ResidualTest, ...
 # Simulation
 
 
+def _stepped(corrected: Hypothesis) -> bool:
+    """Whether simulations step all effects: none has a memory of its way."""
+    return not any(effect.has_memory for effect in corrected.effects)
+
+
 def simulated_errors(answer: Answer, corrected: Hypothesis) -> dict[str, tuple[float, float]]:
     """Errors of simulations of one second by quantity, nominal and corrected.
 
@@ -273,7 +278,7 @@ def simulated_errors(answer: Answer, corrected: Hypothesis) -> dict[str, tuple[f
     """
     balance = answer.selection.evidence.balance
     machine, recording = balance.machine, answer.recording
-    if balance.released.any():
+    if balance.released.any() or not _stepped(corrected):
         return {}
     with quiet():
         if answer.held_out is not None:
@@ -341,11 +346,11 @@ class Played:
 def played(answer: Answer, corrected: Hypothesis) -> Played | None:
     """Simulate the beginnings of the runs, those that were kept out if there are any.
 
-    None of recordings whose drives do not follow commands.
+    None of recordings whose drives do not follow commands, or where an effect has a memory.
     """
     balance = answer.selection.evidence.balance
     machine = balance.machine
-    if balance.released.any():
+    if balance.released.any() or not _stepped(corrected):
         return None
     shown = answer.recording if answer.held_out is None else answer.held_out
     pieces, _ = measured_runs(shown.runs, machine.model)
