@@ -241,9 +241,12 @@ class Balance:
         if model is not None:
             dry += model.dof_frictionloss[self._dofs(model)] - self.dry
         operator = np.zeros_like(self.operator)
-        # a limit changes nothing but where it is reached
-        steady = given is not self.given and not isinstance(effect, DriveLimit)
-        if steady and model is not None and model.nv == self.needed.shape[1]:
+        edited = given is not self.given and model is not None
+        if edited and isinstance(effect, DriveLimit):
+            # a drive at its limit holds nothing there, and as before elsewhere
+            reached = np.mean(np.abs(given - self.given) > _MODEL * np.abs(self.given), axis=0)
+            operator[2] = -np.diag(reached * self.stiffness)
+        elif edited and model is not None and model.nv == self.needed.shape[1]:
             operator = self._operator(model) - self.operator
         elif model is not None and model.nv > self.needed.shape[1] and (self.forms == "free").all():
             # what a hidden joint leaves of the forces that the motion takes
