@@ -80,6 +80,8 @@ class Forces:
     operator: Array
     """Change of the mean inertia, damping and stiffness matrices, drives included (3, joints,
     joints)."""
+    eased: Array | float = 0.0
+    """Share of the time in which a drive holds nothing (joints,)."""
 
     def with_contact(self, direction: Array) -> Array:
         """The whole change for a direction of sliding (T, joints + R)."""
@@ -241,11 +243,14 @@ class Balance:
         if model is not None:
             dry += model.dof_frictionloss[self._dofs(model)] - self.dry
         operator = np.zeros_like(self.operator)
-        edited = given is not self.given and model is not None
+        edited, eased = (
+            given is not self.given and model is not None,
+            np.zeros(self.needed.shape[1]),
+        )
         if edited and isinstance(effect, DriveLimit):
             # a drive at its limit holds nothing there, and as before elsewhere
             reached = np.mean(np.abs(given - self.given) > _MODEL * np.abs(self.given), axis=0)
-            operator[2] = -np.diag(reached * self.stiffness)
+            eased = reached * (self.stiffness != 0)
         elif edited and model is not None and model.nv == self.needed.shape[1]:
             operator = self._operator(model) - self.operator
         elif model is not None and model.nv > self.needed.shape[1] and (self.forms == "free").all():
@@ -273,6 +278,7 @@ class Balance:
             dry=dry,
             readings=self.readings.change(model, effect, values) + felt,
             operator=operator,
+            eased=eased,
         )
 
     def _loads(self, effect: DrivenEffect, values: Array) -> Array:

@@ -8,7 +8,7 @@ column has the coefficient one where the shape is right, or the size of its prop
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import log
 
@@ -59,6 +59,8 @@ class Column:
     """Smallest coefficient."""
     high: float
     """Largest coefficient."""
+    eased: Array | float = 0.0
+    """Share of the time in which a drive holds nothing (joints,)."""
     late: Late = None
     """Joint whose positions are read late, and by how much [s]."""
 
@@ -253,7 +255,10 @@ def terms_of(
     for contact in contacts if dry else ("",):
         direction = balance.directions[contact or USUAL]
         columns = tuple(
-            _column(balance, effect, law, k, values, f.with_contact(direction), f.operator)
+            replace(
+                _column(balance, effect, law, k, values, f.with_contact(direction), f.operator),
+                eased=f.eased,
+            )
             for k, (values, f) in enumerate(zip(axes, forces, strict=True))
         )
         kept = _independent(columns)

@@ -161,8 +161,9 @@ def whiten(
     wide = [n.change for n in tolerances] + [c.change for c in columns]
     operators = np.stack([n.operator for n in tolerances] + [c.operator for c in columns])
     late = [None] * free + [c.late for c in columns]
+    eased = [0.0] * free + [c.eased for c in columns]
     channels = [
-        _channel(balance, joint, wide, free, operators, late)
+        _channel(balance, joint, wide, free, operators, late, eased)
         for joint in range(len(balance.channels))
         if _compared(balance, joint)
     ]
@@ -234,7 +235,10 @@ def append(evidence: Evidence, term: Term) -> None:
             growth = _growth(evidence.balance, channel.joint, channel.turn, more) + beside
             channel.growth = np.hstack([channel.growth, growth])
             channel.beside = np.hstack([channel.beside, beside])
-            channel.held = np.append(channel.held, _held(evidence.balance, channel.joint, more))
+            channel.held = np.append(
+                channel.held,
+                _held(evidence.balance, channel.joint, more, [term.columns[k].eased for k in own]),
+            )
     for name in ("centre", "low", "high"):
         grown = [getattr(c, name) for c in term.columns]
         setattr(evidence, name, np.concatenate([getattr(evidence, name), grown]))
@@ -276,6 +280,7 @@ def _channel(
     free: int,
     operators: Array,
     late: list[Late],
+    eased: Sequence[Array | float],
 ) -> Channel:
     """Whiten one joint's balance."""
     felt = [k for k, change in enumerate(wide) if k < free or change.reaches(joint)]
@@ -293,7 +298,7 @@ def _channel(
         run=found.run,
         turn=found.turn,
         growth=_growth(balance, joint, found.turn, operators[felt]) + beside,
-        held=_held(balance, joint, operators[felt]),
+        held=_held(balance, joint, operators[felt], [eased[k] for k in felt]),
         beside=beside,
         blanked=float(np.mean(weight < 0.5)),
     )
@@ -393,13 +398,15 @@ def _edges(balance: Balance) -> Array:
     return np.concatenate([[0.0], np.geomspace(low, 1.02 * top, BANDS)])
 
 
-def _held(balance: Balance, joint: int, operators: Array) -> Array:
+def _held(balance: Balance, joint: int, operators: Array, eased: Sequence[Array | float]) -> Array:
     """Relative change of the stiffness by which a drive holds a joint (K,); 0 without a servo."""
     if joint >= len(balance.machine.joints) or balance.released.any():
         return np.zeros(len(operators))
     stiffness = balance.operator[2, joint, joint]
-    driven = abs(balance.stiffness[joint]) > 0.5 * abs(stiffness)
-    return operators[:, 2, joint, joint] / stiffness if driven else np.zeros(len(operators))
+    if abs(balance.stiffness[joint]) <= 0.5 * abs(stiffness):
+        return np.zeros(len(operators))
+    free = np.array([np.broadcast_to(own, len(balance.stiffness))[joint] for own in eased])
+    return np.asarray(operators[:, 2, joint, joint] / stiffness - free)
 
 
 def _gains(balance: Balance, channel: int, wide: Sequence[Change]) -> Array:
