@@ -186,18 +186,20 @@ class Selection:
                 moved = part.growth @ found[part.at]
                 own = (weight @ part.gram).reshape(len(part.at), -1)
                 held = part.held @ found[part.at]
-                shrunk[k] |= np.minimum(moved, held) < -1e-12  # for good: else it alternates
+                less = bool(held < -1e-12)
+                shrunk[k] |= moved < min(held, -1e-12)  # for good: else it alternates
                 # noise that grows with the operator is in the columns: least squares would
                 # attenuate their coefficients (errors in variables)
-                noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved) * (moved > 0)
+                noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved)
+                noisy *= (moved > 0) | less
                 slope[part.at] += weight @ part.slope + noisy @ part.growth
-                if shrunk[k].any():
-                    guard = shrunk[k] * weight * power
-                    scale = np.where(
-                        (held < np.minimum(moved, 0.0))[:, None], part.held, part.growth
-                    )
-                    own += (scale.T * guard) @ scale
-                    slope[part.at] += guard @ scale
+                guard = shrunk[k] * weight * power
+                own += (part.growth.T * guard) @ part.growth
+                slope[part.at] += guard @ part.growth
+                if less:  # what is beyond the noise was the motion that the drive held
+                    beyond = float(np.sum(~shrunk[k] * weight * np.maximum(power - count, 0)))
+                    own += beyond * np.outer(part.held, part.held)
+                    slope[part.at] += beyond * part.held
                 normal[part.grid] += own
             scale = 1 / np.sqrt(np.diag(normal))
             found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
@@ -609,20 +611,17 @@ class _Noise:
     """What the noise of a fitted operator adds to the quadratic form."""
 
     def __init__(self, form: _Form, at: NDArray[np.intp], values: Array) -> None:
-        growth, held = form.growth, form.held
-        moved, less = growth[:, at] @ values, held[:, at] @ values
-        guard = form.noise * (np.minimum(moved, less) < -1e-12)
-        noisy = form.noise * np.where((moved > 0) & (guard == 0), 1 + moved, 0.0)
-        self.acts = bool(guard.any() or noisy.any())
-        some = np.flatnonzero(guard)
-        self._guard, self._some = guard[some], some
-        self._by_hold = (less < np.minimum(moved, 0.0))[some, None]
-        self._growth, self._held, self._noisy = growth, held, noisy
+        growth = form.growth
+        moved = growth[:, at] @ values
+        self._some = np.flatnonzero((moved < -1e-12) & (form.noise > 0))
+        noisy = form.noise * np.where(moved > 0, 1 + moved, 0.0)
+        self.acts = bool(len(self._some) or noisy.any())
+        self._guard, self._growth, self._noisy = form.noise[self._some], growth, noisy
 
     def _scale(self, at: NDArray[np.intp] | slice) -> Array:
         # cells and columns at once: all columns of some cells are many times as many
         own = (self._some, slice(None)) if isinstance(at, slice) else np.ix_(self._some, at)
-        return np.where(self._by_hold, self._held[own], self._growth[own])
+        return np.asarray(self._growth[own])
 
     def between(self, left: NDArray[np.intp], right: NDArray[np.intp] | slice) -> Array:
         """Part of the normal matrix between some columns and others."""
@@ -646,18 +645,17 @@ class _Form:
         self._weights = [selection.weights(k, p) for k, p in enumerate(powers)]
         self.slope = evidence.precision * evidence.centre
         self.diagonal = evidence.precision.copy()
-        growths, holds, noises = [], [], []
+        growths, noises = [], []
         for channel, weight, power in zip(evidence.channels, self._weights, powers, strict=True):
             at = channel.columns
             self.slope[at] += weight @ channel.slope
             self.diagonal[at] += weight @ channel.square
-            growth, held = np.zeros((2, len(weight), count))
-            growth[:, at], held[:, at] = channel.growth, channel.held
+            growth = np.zeros((len(weight), count))
+            growth[:, at] = channel.growth
             growths.append(growth)
-            holds.append(held)
             # what a candidate explains leaves noise to be guarded
             noises.append(weight * np.minimum(channel.count, power))
-        self.growth, self.held, self.noise = map(np.concatenate, (growths, holds, noises))
+        self.growth, self.noise = np.concatenate(growths), np.concatenate(noises)
         self._beside: dict[int, Array] = {}
         self._covered: tuple[NDArray[np.intp], Array] | None = None
         self._fit_noise = None if fit is None else _Noise(self, fit.numbers, fit.values)
