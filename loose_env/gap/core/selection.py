@@ -179,7 +179,7 @@ class Selection:
         powers = [c.power for c in evidence.channels] if start is None else list(start)
         best, stale, found = np.inf, 0, np.zeros(len(numbers))
         shrunk = [np.zeros(len(c.count), bool) for c in evidence.channels]
-        for _ in range(rounds):
+        for round_ in range(rounds):
             normal, slope = np.diag(precision), precision * centre
             for k, (part, power) in enumerate(zip(parts, powers, strict=True)):
                 weight, count = self.weights(k, power), evidence.channels[k].count
@@ -207,7 +207,7 @@ class Selection:
             costs = sum(c[used].sum() for c, used in zip(now[2], self.used, strict=True))
             value = float(costs + precision @ (found - centre) ** 2)
             powers, stale = list(now[0]), stale + 1
-            if value < best - 0.05 or value == best == np.inf:
+            if value < best - 0.05 or round_ == 0:
                 best, values, levels, curvature, stale = value, found, now, normal, 0
             if stale > 1:
                 break
@@ -216,6 +216,7 @@ class Selection:
         low, high = evidence.low[numbers][effects], evidence.high[numbers][effects]
         slack = 1e-3 * np.maximum(np.abs(low), 1e-9)
         allowed = bool(np.all((values[effects] >= low - slack) & (values[effects] <= high)))
+        allowed &= bool(np.isfinite(cost))
         return SetFit(
             terms, numbers, values, *levels, curvature, cost, cost + self.prior(terms), allowed
         )
