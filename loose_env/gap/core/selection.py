@@ -187,7 +187,7 @@ class Selection:
                 own = (weight @ part.gram).reshape(len(part.at), -1)
                 held = part.held @ found[part.at]
                 less = bool(held < -1e-12)
-                shrunk[k] |= moved < min(held, -1e-12)  # for good: else it alternates
+                shrunk[k] |= moved < min(float(held), -1e-12)  # for good: else it alternates
                 # noise that grows with the operator is in the columns: least squares would
                 # attenuate their coefficients (errors in variables)
                 noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved)
