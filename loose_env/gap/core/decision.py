@@ -243,7 +243,8 @@ def _simulated_gains(selection: Selection, exact: Exact, fit: ExactFit) -> tuple
         score, rms = test.score(train.refit(selection, fit.terms, fit.values, 1))
         left += rms**2 / 2
         for k in range(len(fit.terms)):
-            gains[k] += test.score(train.without(selection, fit, k))[0] - score
+            rest = [i for i in range(len(fit.terms)) if i != k]
+            gains[k] += test.score(train.only(selection, fit, rest))[0] - score
     return gains, np.asarray(np.sqrt(left))
 
 

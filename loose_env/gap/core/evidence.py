@@ -528,8 +528,7 @@ def _within(balance: Balance, joint: int) -> Array:
     for run in motion.runs:
         at_limit = np.convolve(run.limited[:, joint], np.ones(2 * width + 1), "same") > 0
         found.append(1 - np.clip(np.convolve(at_limit, kernel, "same"), 0, 1))
-    weight = np.concatenate(found)
-    return weight if weight.mean() > 0.2 else np.ones_like(weight)
+    return np.concatenate(found)
 
 
 def _felt(channels: list[Channel], free: int) -> Array:

@@ -51,16 +51,22 @@ _ROUNDS = 2
 """Reweighted rounds of a fit."""
 _EVALUATIONS = 3
 """Jacobians of one round."""
-_MOST_EFFECTS = 6
-"""Effects of a set that is searched for in simulation."""
+_MOST_KINDS = 6
+"""Kinds of effect in a set that is searched for in simulation."""
 _TRIED = 3
 """Effects that are fitted in one step of that search."""
+_GUESSED = 4
+"""Windows in which starts are compared, at least."""
 _LEAST_GAIN = 0.5
 """Fall of the total for which a step is taken."""
 _PULLED = 0.1
 """Standard deviations from which a pull of a tolerance is simulated."""
 _STEP = 1e-3
 """Step of numerical derivatives, in free numbers."""
+
+
+Start = tuple[Set, tuple[Array, ...]]
+"""Effects, and the values from which they are fitted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,31 +199,49 @@ class Exact:
         self,
         selection: Selection,
         best: ExactFit,
-        pool: Sequence[tuple[Term, Array]],
+        pool: Sequence[Start],
         say: Callable[[str], None],
     ) -> list[ExactFit]:
         """Add, remove and exchange effects of a pool in simulation; all sets, the best first."""
-        visited, half = [best], self.on(range(0, len(self.simulator.trials), 2))
+        # guesses take as long for many joints as for one
+        visited, count = [best], len(self.simulator.trials)
+        places = max(len({term.effect.where for terms, _ in pool for term in terms}) // 3, 1)
+        some = self.on(range(0, count, max(min(1 + places, count // _GUESSED), 1)))
 
-        def with_one_more(rest: ExactFit) -> ExactFit:
-            names = {term.name for term in rest.terms}
-            free = [(term, values) for term, values in pool if term.name not in names]
-            sets = [(*rest.terms, term) for term, _ in free]
-            guesses = half._totals(selection, sets, [(*rest.values, v) for _, v in free])
-            tried: dict[tuple[str, str], ExactFit] = {}
+        def likely(by: Exact, starts: Sequence[Start]) -> list[ExactFit]:
+            guesses = by._totals(selection, [s for s, _ in starts], [v for _, v in starts])
+            tried: dict[frozenset[tuple[str, str]], ExactFit] = {}
             for k in np.argsort(guesses):
-                if len(tried) < _TRIED and free[k][0].name not in tried:
-                    first = (*rest.values, free[k][1])
-                    tried[free[k][0].name] = self.refit(selection, sets[k], first, 1)
+                names = frozenset(term.name for term in starts[k][0])
+                if len(tried) < _TRIED and names not in tried:
+                    terms, first = starts[k]
+                    tried[names] = self.refit(selection, terms, first, 1)
             visited.extend(tried.values())
-            return min(tried.values(), key=lambda f: f.total, default=rest)
+            return list(tried.values())
+
+        def with_more(rest: ExactFit) -> ExactFit:
+            names = {term.name for term in rest.terms}
+            new = [own for own in pool if not names & {term.name for term in own[0]}]
+            starts = [((*rest.terms, *terms), (*rest.values, *values)) for terms, values in new]
+            return min(likely(some, starts), key=lambda f: f.total, default=rest)
+
+        def with_fewer() -> list[ExactFit]:
+            members = range(len(best.terms))
+            kinds = [term.effect.kind for term in best.terms]
+            parts: set[tuple[int, ...]] = {(k,) for k in members}
+            parts |= {tuple(k for k in members if kinds[k] == kind) for kind in kinds}
+            rests = [[k for k in members if k not in part] for part in sorted(parts)]
+            starts = [
+                (tuple(best.terms[k] for k in rest), tuple(best.values[k] for k in rest))
+                for rest in rests
+            ]
+            return likely(self, starts)
 
         while True:
-            more = [best] if len(best.terms) < _MOST_EFFECTS else []
-            fewer = [self.without(selection, best, k) for k in range(len(best.terms))]
-            visited += fewer
+            fewer = with_fewer() if best.terms else []
+            more = [best] if len({t.effect.kind for t in best.terms}) < _MOST_KINDS else []
             # a member that stands in for another one is exchanged only when nothing else helps
-            steps = chain(fewer, map(with_one_more, more), map(with_one_more, fewer))
+            steps = chain(fewer, map(with_more, more), map(with_more, fewer))
             better = (step for step in steps if step.total < best.total - _LEAST_GAIN)
             top = next(better, None)
             if top is None:
@@ -225,10 +249,6 @@ class Exact:
             say(f"simulated: {', '.join(repr(term.effect) for term in top.terms)}")
             best = self.refit(selection, top.terms, top.values)
             visited.append(best)
-
-    def without(self, selection: Selection, fit: ExactFit, number: int) -> ExactFit:
-        """Fit a set without one of its members."""
-        return self.only(selection, fit, [k for k in range(len(fit.terms)) if k != number])
 
     def only(self, selection: Selection, fit: ExactFit, kept: Sequence[int]) -> ExactFit:
         """Fit some members of a set."""
@@ -363,12 +383,16 @@ def open_joints(exact: Exact, best: ExactFit, cells: Iterable[int]) -> set[str]:
 
 def pool_of(
     selection: Selection, joints: set[str], kinds: Iterable[str]
-) -> tuple[set[str], list[tuple[Term, Array]]]:
-    """Places of some joints, and every effect there from its starts and those in the evidence."""
+) -> tuple[set[str], list[Start]]:
+    """Places of some joints, and starts of every effect there, alone and at all of them at once.
+
+    Starts are its own and those in the evidence.
+    """
     evidence = selection.evidence
     balance, known = evidence.balance, evidence.terms
     places = {place for joint in joints for place in at_joint(balance.machine, joint)}
-    found = []
+    found: list[Start] = []
+    everywhere: dict[tuple[str, str, int], list[Term]] = {}
     for effect in candidates(balance, kinds):
         shows = effect.moves or effect.where in balance.encoders
         if effect.where not in places or not shows or effect.has_memory:
@@ -376,7 +400,11 @@ def pool_of(
         starts = list(effect.starts)
         if not starts or effect.adds_motion or isinstance(effect, DriveLimit):
             starts += [t.axes[0] for t in known if t.effect.key == effect.key and t.law]
-        for start in dict.fromkeys(tuple(map(float, s)) for s in starts):
+        for k, start in enumerate(dict.fromkeys(tuple(map(float, s)) for s in starts)):
             term = Term(effect, (start,), "", law=True, columns=())
-            found.append((term, np.array(start)))
+            found.append(((term,), (np.array(start),)))
+            everywhere.setdefault((effect.kind, effect.variant, k), []).append(term)
+    for terms in everywhere.values():
+        if len(terms) == len(joints) > 1:
+            found.append((tuple(terms), tuple(np.array(term.axes[0]) for term in terms)))
     return places, found
