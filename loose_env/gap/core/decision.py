@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import append
-from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
+from loose_env.gap.core.exact import LARGE, Exact, ExactFit
 from loose_env.gap.core.selection import Selection, Set, SetFit, at_joint, neighbours
 from loose_env.gap.model.effect import free_of, values_of
 from loose_env.typing import Array
@@ -38,6 +38,8 @@ _ASIDE = 0.25
 """Relative step of a shape over which the fall of its evidence is read."""
 _STILL = 0.5
 """Share of the time without evidence from which the rest does not speak for a joint."""
+_EXPLAINED = 0.8
+"""Share of a channel's residual that explains it."""
 _NOISE = 1.6
 """Held-out residual up to which nothing more is needed [noise standard deviations]."""
 
@@ -395,7 +397,7 @@ def _before(selection: Selection) -> Array:
 def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
     """Channels of which most is left (C,)."""
     share = 1 - (after / before) ** 2
-    return np.asarray((after > LARGE) & (share < EXPLAINED) & (before > LARGE))
+    return np.asarray((after > LARGE) & (share < _EXPLAINED) & (before > LARGE))
 
 
 def left_open(selection: Selection, fit: SetFit) -> list[int]:

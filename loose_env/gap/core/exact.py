@@ -46,8 +46,6 @@ LEAD_S = 0.3
 """Time from the measured state to what is compared: longer than most drives are late [s]."""
 LARGE = 3.0
 """Residual from which something is left [noise standard deviations]."""
-EXPLAINED = 0.8
-"""Share of a channel's residual that explains it."""
 _ROUNDS = 2
 """Reweighted rounds of a fit."""
 _EVALUATIONS = 3
@@ -224,7 +222,10 @@ class Exact:
 
     def without(self, selection: Selection, fit: ExactFit, number: int) -> ExactFit:
         """Fit a set without one of its members."""
-        kept = [k for k in range(len(fit.terms)) if k != number]
+        return self.only(selection, fit, [k for k in range(len(fit.terms)) if k != number])
+
+    def only(self, selection: Selection, fit: ExactFit, kept: Sequence[int]) -> ExactFit:
+        """Fit some members of a set."""
         own = tuple(fit.terms[k] for k in kept)
         return self.refit(selection, own, [fit.values[k] for k in kept], 1)
 
@@ -346,20 +347,20 @@ def leading(selection: Selection, fit: SetFit, most: int = 4) -> list[SetFit]:
     return found[:most]
 
 
-def open_joints(exact: Exact, nominal: ExactFit, best: ExactFit, cells: Iterable[int]) -> set[str]:
-    """Joints of some that cells leave open, most of whose motion a set leaves open, too."""
-    found, by_joint = set(), exact.by_joint()
-    for joint in set(cells) & set(by_joint):
-        left, before = best.rms[by_joint[joint]], nominal.rms[by_joint[joint]]
-        if left > LARGE and 1 - (left / before) ** 2 < EXPLAINED:
-            found.add(exact.balance.machine.joints[joint])
-    return found
+def open_joints(exact: Exact, best: ExactFit, cells: Iterable[int]) -> set[str]:
+    """Joints that cells leave open and in which a set leaves more than noise in simulation."""
+    by_joint, names = exact.by_joint(), exact.balance.machine.joints
+    return {
+        names[joint]
+        for joint in set(cells) & set(by_joint)
+        if best.rms[by_joint[joint]] > LARGE
+    }
 
 
 def pool_of(
     selection: Selection, joints: set[str], kinds: Iterable[str]
-) -> list[tuple[Term, Array]]:
-    """Every effect at some joints, from each of its starts and of those in the evidence."""
+) -> tuple[set[str], list[tuple[Term, Array]]]:
+    """Places of some joints, and every effect there from its starts and those in the evidence."""
     evidence = selection.evidence
     balance, known = evidence.balance, evidence.terms
     places = {place for joint in joints for place in at_joint(balance.machine, joint)}
@@ -374,4 +375,4 @@ def pool_of(
         for start in dict.fromkeys(tuple(map(float, s)) for s in starts):
             term = Term(effect, (start,), "", law=True, columns=())
             found.append((term, np.array(start)))
-    return found
+    return places, found

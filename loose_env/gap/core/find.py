@@ -115,12 +115,15 @@ def _simulated(
     fits.sort(key=lambda f: (f.total > least, cells[frozenset(f.terms)].total))
     best = cells[frozenset(fits[0].terms)]
     nominal = exact.fit(selection, selection.solve(()))
-    joints = open_joints(exact, nominal, fits[0], left)
+    joints = open_joints(exact, fits[0], left)
     if joints:
         say(f"search in simulation: {', '.join(sorted(joints))}")
         exact.fit(selection, best)
-        pool = pool_of(selection, joints, settings.kinds or EFFECTS)
-        searched = exact.searched(selection, fits[0], pool, say)
+        places, pool = pool_of(selection, joints, settings.kinds or EFFECTS)
+        # what cells that say little named there would lead astray
+        kept = [k for k, term in enumerate(fits[0].terms) if term.effect.where not in places]
+        start = exact.only(selection, fits[0], kept)
+        searched = exact.searched(selection, start, pool, say)
         if searched[0].total < fits[0].total - HELD_OUT:
             say("decision on held-out runs in simulation")
             return decide_simulated(selection, exact, searched, nominal), tuple(searched)
