@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import mujoco
 import numpy as np
@@ -195,30 +196,35 @@ class Exact:
         pool: Sequence[tuple[Term, Array]],
         say: Callable[[str], None],
     ) -> list[ExactFit]:
-        """Add and remove effects of a pool of starts in simulation; all sets, the best first."""
+        """Add, remove and exchange effects of a pool in simulation; all sets, the best first."""
         visited, half = [best], self.on(range(0, len(self.simulator.trials), 2))
-        while len(best.terms) < _MOST_EFFECTS:
-            names = {term.name for term in best.terms}
+
+        def with_one_more(rest: ExactFit) -> ExactFit:
+            names = {term.name for term in rest.terms}
             free = [(term, values) for term, values in pool if term.name not in names]
-            sets = [(*best.terms, term) for term, _ in free]
-            guesses = half._totals(selection, sets, [(*best.values, v) for _, v in free])
+            sets = [(*rest.terms, term) for term, _ in free]
+            guesses = half._totals(selection, sets, [(*rest.values, v) for _, v in free])
             tried: dict[tuple[str, str], ExactFit] = {}
             for k in np.argsort(guesses):
                 if len(tried) < _TRIED and free[k][0].name not in tried:
-                    first = (*best.values, free[k][1])
+                    first = (*rest.values, free[k][1])
                     tried[free[k][0].name] = self.refit(selection, sets[k], first, 1)
-            visited += tried.values()
-            top = min(tried.values(), key=lambda f: f.total, default=best)
-            if top.total > best.total - _LEAST_GAIN:
-                break
+            visited.extend(tried.values())
+            return min(tried.values(), key=lambda f: f.total, default=rest)
+
+        while True:
+            more = [best] if len(best.terms) < _MOST_EFFECTS else []
+            fewer = [self.without(selection, best, k) for k in range(len(best.terms))]
+            visited += fewer
+            # a member that stands in for another one is exchanged only when nothing else helps
+            steps = chain(fewer, map(with_one_more, more), map(with_one_more, fewer))
+            better = (step for step in steps if step.total < best.total - _LEAST_GAIN)
+            top = next(better, None)
+            if top is None:
+                return sorted(visited, key=lambda f: f.total)
             say(f"simulated: {', '.join(repr(term.effect) for term in top.terms)}")
             best = self.refit(selection, top.terms, top.values)
             visited.append(best)
-            for number in reversed(range(len(best.terms) - 1)):
-                fewer = self.without(selection, best, number)
-                visited.append(fewer)
-                best = min(best, fewer, key=lambda f: f.total)
-        return sorted(visited, key=lambda f: f.total)
 
     def without(self, selection: Selection, fit: ExactFit, number: int) -> ExactFit:
         """Fit a set without one of its members."""
@@ -351,9 +357,7 @@ def open_joints(exact: Exact, best: ExactFit, cells: Iterable[int]) -> set[str]:
     """Joints that cells leave open and in which a set leaves more than noise in simulation."""
     by_joint, names = exact.by_joint(), exact.balance.machine.joints
     return {
-        names[joint]
-        for joint in set(cells) & set(by_joint)
-        if best.rms[by_joint[joint]] > LARGE
+        names[joint] for joint in set(cells) & set(by_joint) if best.rms[by_joint[joint]] > LARGE
     }
 
 

@@ -123,10 +123,10 @@ def _simulated(
         # what cells that say little named there would lead astray
         kept = [k for k, term in enumerate(fits[0].terms) if term.effect.where not in places]
         start = exact.only(selection, fits[0], kept)
-        searched = exact.searched(selection, start, pool, say)
-        if searched[0].total < fits[0].total - HELD_OUT:
-            say("decision on held-out runs in simulation")
-            return decide_simulated(selection, exact, searched, nominal), tuple(searched)
+        searched = [*exact.searched(selection, start, pool, say), *fits]
+        searched.sort(key=lambda f: f.total)
+        say("decision on held-out runs in simulation")
+        return decide_simulated(selection, exact, searched, nominal), tuple(searched)
     say("decision on held-out data")
     return decide(selection, best, fits[:1]), tuple(fits)
 

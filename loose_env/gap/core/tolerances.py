@@ -49,6 +49,9 @@ class Tolerances:
     """Torque constant, or gain of a servo [share]."""
     velocity_gain: float = 0.06
     """Velocity gain of a servo [share]: the same column as viscous friction."""
+    speed_feedback_s: float = 0.002
+    """Time by which the speed is late that a servo feeds back [s]: two cycles of 1 ms, for a speed
+    is a difference of filtered positions."""
     damping: float = 0.06
     """Damping and dry friction that the model has [share]: they change with temperature."""
     offset: float = 0.01
@@ -265,6 +268,19 @@ def _scaled_drive(actuator: str, width: float, *, velocity: bool) -> Edit:
     return edit
 
 
+def _late_speed(machine: NominalModel, actuator: str, late: float) -> Edit:
+    """Edit that feeds a speed back late, which takes the velocity gain times it off the inertia."""
+    model, joint = machine.model, machine.actuated_joint[actuator]
+    own = model.actuator(actuator)
+    lighter = late * abs(float(own.biasprm[2])) * float(own.gear[0]) ** 2
+
+    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
+        rotor = spec.joint(joint)
+        rotor.armature = max(float(rotor.armature) - deviations * lighter, 0.0)
+
+    return edit
+
+
 def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Gains and command shifts of the actuators."""
     machine = balance.machine
@@ -277,6 +293,8 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             if machine.model.actuator_biasprm[number, 2] != 0:
                 rate = _scaled_drive(name, tolerances.velocity_gain, velocity=True)
                 yield _edited(f"velocity gain of {name}", rate, balance)
+                late = _late_speed(machine, name, tolerances.speed_feedback_s)
+                yield _edited(f"speed feedback of {name}", late, balance)
         width = tolerances.shift_samples * balance.motion.runs[0].log_step
         yield _nuisance(
             name=f"shift of the commands of {name}",
