@@ -1,20 +1,33 @@
-"""Print what `loose gap` finds in recordings, one after the other, with verdicts and CPU time."""
+"""Print what `loose gap` finds in recordings, one after the other, with verdicts and CPU time.
+
+python scripts/gap_logs.py RECORDING [RECORDING ...]
+"""
 
 from __future__ import annotations
 
-import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from tyro.conf import Positional
 
+from loose_env.cli.command import command
 from loose_env.gap import find_gap
 from loose_env.recording import read_recording
 
 
-def main() -> None:
-    """Print effects, verdicts and CPU time of each recording named on the command line."""
-    for folder in map(Path, sys.argv[1:]):
+@dataclass(frozen=True, kw_only=True)
+class LogSettings:
+    """Recordings."""
+
+    recordings: Positional[tuple[Path, ...]]
+    """Folders of recordings."""
+
+
+def run(given: LogSettings) -> None:
+    """Print effects, verdicts and CPU time of each recording."""
+    for folder in given.recordings:
         start = time.process_time()
         answer = find_gap(read_recording(folder))
         decision = answer.decision
@@ -51,5 +64,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    np.seterr(all="ignore")
-    main()
+    command("gap_logs", __doc__, LogSettings, run)

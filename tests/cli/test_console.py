@@ -192,20 +192,19 @@ def test_only_the_folder_of_an_earlier_run_of_the_same_command_is_written_to(
         with pytest.raises(InvalidSetting, match=words):
             OutputFolder(folder, "gap")
 
-    def mistaken(*, keeps: bool = False) -> None:
+    def mistaken() -> None:
         with (
             pytest.raises(InvalidSetting, match="no such effect"),
             OutputFolder(out, "gap").worked_in() as kept,
         ):
-            if keeps:
-                kept.joinpath("stage.npz").write_text("an hour of work")
+            kept.joinpath("joined.parquet").write_text("recordings")
             raise InvalidSetting("no such effect")
 
     mistaken()
-    assert not out.exists()  # a mistake leaves no empty folder behind
-    mistaken(keeps=True)
+    assert not out.exists()  # a mistake leaves no folder behind that was not there
+    OutputFolder(out, "gap").prepared().joinpath("joined.parquet").write_text("of an earlier run")
     mistaken()
-    assert (out / ".gap" / "stage.npz").exists()
+    assert (out / ".gap" / "joined.parquet").exists()
     for name in ("model.xml", ".model.12.part.xml"):
         (out / name).write_text("")
     (out / "result.json").write_text(json.dumps({"format": "loose-gap/1"}))

@@ -131,6 +131,12 @@ def broken(recording: Recording, **changes: object) -> list[Run]:
     return [replace(run, **changes) for run in recording.runs]  # type: ignore[arg-type]
 
 
+def part(run: Run, count: int) -> Run:
+    """The first samples of a run."""
+    controls, sensors = ({n: v[:count] for n, v in x.items()} for x in (run.controls, run.sensors))
+    return replace(run, time=run.time[:count], controls=controls, sensors=sensors)
+
+
 def test_what_cannot_be_compared_is_said(recording: Recording, tmp_path: Path) -> None:
     runs = broken(recording, sensors={"encoder1": recording.runs[0].sensors["encoder1"]})
     unread = write_recording(tmp_path / "unread", model_xml=MODEL, runs=runs)
@@ -141,6 +147,12 @@ def test_what_cannot_be_compared_is_said(recording: Recording, tmp_path: Path) -
     runs = broken(recording, sensors=noisy, controls={})
     with pytest.raises(InvalidData, match="no joint moves"):
         find_gap(write_recording(tmp_path / "still", model_xml=MODEL, runs=runs))
+    short = [part(run, 60) for run in recording.runs]  # 0.3 s
+    with pytest.raises(InvalidData, match=r"the longest run lasts 0\.29 s"):
+        find_gap(replace(recording, runs=tuple(short)))
+    few = replace(recording, runs=(*recording.runs[:2], short[2]))
+    with pytest.raises(InvalidData, match="the longest run lasts"):
+        find_gap(few, GapSettings(held_out=("run-03",)))
     for settings, error, reason in (
         (GapSettings(kinds=("rust",)), UnknownName, "rust"),
         (GapSettings(held_out=("jump",)), InvalidData, "no run to hold out is called 'jump'"),

@@ -13,6 +13,7 @@ import pytest
 
 from loose_env.errors import MissingExtra
 from loose_env.gap import GapSolution
+from loose_env.recording import joint_sensors
 from loose_env.report import write_rerun
 from tests.gap.cases.gap_case import FEW, record, solution_for
 
@@ -78,9 +79,13 @@ def test_the_arm_moves_as_measured(
         for kind in ("measured", "nominal", "corrected")
     }
     data = mujoco.MjData(machine.model)
+    encoders = joint_sensors(machine.model)
+    columns_of = {channel.column: c for c, channel in enumerate(solution.played.channels)}
     for frame, trial in ((0, trials[0]), (-1, trials[-1])):
         for joint in machine.joints:
-            data.joint(joint).qpos[0] = trial.motion[joint][frame]
+            (encoder,) = encoders[joint].position
+            reading = trial.measured[frame, columns_of[f"sensor.{encoder}"]]
+            data.joint(joint).qpos[0] = reading
         mujoco.mj_kinematics(machine.model, data)
         expected = data.body(machine.links[-1]).xpos
         np.testing.assert_allclose(places["measured"][frame], expected, atol=1e-5)

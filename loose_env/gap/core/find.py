@@ -23,7 +23,7 @@ from loose_env.gap.core.decision import (
 from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import Exact, ExactFit, leading, open_joints, pool_of
-from loose_env.gap.core.motion import smooth
+from loose_env.gap.core.motion import LOWEST_HZ, smooth
 from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.nominal_model import NominalModel
@@ -75,7 +75,7 @@ def find_gap(
     Raises
     ------
     InvalidData
-        If the position of a joint was not read, or no joint moves.
+        If the position of a joint was not read, no joint moves, or no run is long enough.
     """
     settings = settings or GapSettings()
     used, held_out = _split(recording, settings)
@@ -136,6 +136,7 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
     unknown = [kind for kind in settings.kinds if kind not in EFFECTS]
     if unknown:
         raise UnknownName(f"unknown effect {unknown[0]!r}; the catalogue has {list(EFFECTS)}")
+    _check_length(recording)
     machine = NominalModel(recording.spec())
     say(f"motion of {len(recording.runs)} run{'s' * (len(recording.runs) > 1)}")
     motion = smooth(recording, machine)
@@ -171,4 +172,16 @@ def _split(recording: Recording, settings: GapSettings) -> tuple[Recording, Reco
         replace(recording, runs=tuple(r for r in recording.runs if (r.name in held) == out))
         for out in (False, True)
     ]
+    if held:
+        _check_length(parts[1])
     return parts[0], parts[1] if held else None
+
+
+def _check_length(recording: Recording) -> None:
+    """Refuse runs none of which has a period of the lowest band."""
+    longest = max(run.time[-1] - run.time[0] for run in recording.runs)
+    if longest < 1 / LOWEST_HZ:
+        raise InvalidData(
+            f"the longest run lasts {longest:.2g} s and has no period of {LOWEST_HZ:g} Hz, the "
+            "lowest band of motion; record some seconds"
+        )

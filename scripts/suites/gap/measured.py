@@ -25,7 +25,7 @@ from scripts.suites.rows import Row, add, kept
 _NAMED = 3
 """Held-out runs that are named; more are counted."""
 QUANTITY = "joint position [rad]"
-"""Error that the table shows; that of held-out runs, simulated from their commands alone."""
+"""Error that the table shows: of windows of held-out runs, simulated from the measured state."""
 
 
 def row_of(folder: Path, settings: dict[str, Any]) -> Row:

@@ -87,7 +87,9 @@ def moved(recording: Recording, run: Run) -> Moved:
         joint = model.jnt_dofadr[model.actuator_trnid[:, 0]]
         gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
         force = gain * held + bias[:, 0] + bias[:, 1] * q[:, joint] + bias[:, 2] * v[:, joint]
-        torque[:, joint] = np.clip(force, *model.actuator_forcerange.T)
+        free = model.actuator_forcelimited == 0  # their range is of zeros
+        low_end, high_end = np.where(free, [[-np.inf], [np.inf]], model.actuator_forcerange.T)
+        torque[:, joint] = np.clip(force, low_end, high_end)
         command[:, joint] = gain * np.gradient(held, step, axis=0)
     elif run.torques:
         torque = signal.sosfiltfilt(low, _columns(run, list(sensors), run.torques), axis=0)
