@@ -72,6 +72,16 @@ def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
     assert result.gap.after < 1.6 and all(test.rms < 1.6 for test in result.residual_tests)
 
 
+def test_friction_of_joints_that_mostly_stand_still_is_found_in_simulation(tmp_path: Path) -> None:
+    kinds = ("coulomb_friction", "viscous_friction", "actuator_gain", "load_friction")
+    settings = GapSettings(threads=1, kinds=kinds)
+    answer = find_gap(record(tmp_path / "steps", steps_s=1.0, runs=2), settings)
+    assert answer.exact, "nothing was simulated"
+    (friction,) = (f for f in answer.decision.findings if f.named)
+    assert friction.term.name == ("coulomb_friction", "elbow")
+    assert friction.values == pytest.approx([FRICTION], rel=0.1)
+
+
 def test_runs_that_are_held_out_are_predicted_alone(recording: Recording) -> None:
     settings = GapSettings(threads=1, kinds=("coulomb_friction",), held_out=("run-03",))
     solution = solve_gap(recording, settings)

@@ -69,8 +69,12 @@ def record(
     runs: int = 3,
     suffix: str = "",
     edit: Callable[[mujoco.MjSpec], None] | None = None,
+    steps_s: float = 0.0,
 ) -> Recording:
-    """Write a recording of the arm under servos, by default with friction that its model lacks."""
+    """Write a recording of the arm under servos, by default with friction that its model lacks.
+
+    Its commands are two sines a joint, or steps between which it stands still.
+    """
     spec = mujoco.MjSpec.from_string(model_with(suffix))
     (lacks_friction(suffix) if edit is None else edit)(spec)
     model, rng = spec.compile(), np.random.default_rng(8)
@@ -80,6 +84,9 @@ def record(
         rates = np.array([[2.1 + 0.6 * k, 3.4 - 0.5 * k], [4.3 - 0.7 * k, 6.1 + 0.8 * k]])
         controls = 0.6 * np.sin(time[:, None] * rates[0]) + 0.25 * np.sin(time[:, None] * rates[1])
         controls *= np.minimum(time, 1.0)[:, None]
+        if steps_s:
+            goals = rng.uniform(-0.6, 0.6, (int(COUNT * STEP / steps_s) + 1, 2))
+            controls = goals[(time // steps_s).astype(int)]
         data, shown = mujoco.MjData(model), np.zeros((COUNT, 2))
         mujoco.mj_step(model, data, 3000)
         for row, command in zip(shown, controls, strict=True):
