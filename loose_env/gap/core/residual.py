@@ -204,18 +204,17 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
     found: list[tuple[float, Overlay]] = []
     for k in (channel.joint for channel in selection.evidence.channels):
         lost = weight_of(balance, k) * before[:, k] ** 2
-        worst = max(
-            (float(np.mean(lost[rows])), run, rows)
+        stretches = [
+            (run, slice(first, min(first + length, inner.stop)))
             for run, inner in enumerate(_inner(balance))
             for first in range(inner.start, max(inner.stop - length // 2, inner.start + 1), length)
-            for rows in [range(first, min(first + length, inner.stop))]
-        )
-        rows = slice(worst[2].start, worst[2].stop)
+        ]
+        run, rows = max(stretches, key=lambda own: float(np.mean(lost[own[1]])))
         at_joint = k < len(machine.joints)
         measured = balance.drive[rows, k] if at_joint else readings[rows, k - len(machine.joints)]
         unit = "as recorded" if not at_joint else "N·m" if machine.turns(machine.joints[k]) else "N"
         overlay = Overlay(
-            channel=balance.channels[k], run=balance.motion.runs[worst[1]].name, unit=unit,
+            channel=balance.channels[k], run=balance.motion.runs[run].name, unit=unit,
             time=np.asarray(np.arange(len(measured)) * balance.motion.step, dtype=float),
             measured=measured, nominal=measured - before[rows, k],
             corrected=measured - after[rows, k],
