@@ -47,6 +47,8 @@ LEAD_S = 0.3
 """Time from the measured state to what is compared: longer than most drives are late [s]."""
 LARGE = 3.0
 """Residual from which something is left [noise standard deviations]."""
+_EXPLAINED = 0.9
+"""Share of the power of a channel's residual that explains it: less than a third is left of it."""
 _ROUNDS = 2
 """Reweighted rounds of a fit."""
 _EVALUATIONS = 3
@@ -200,9 +202,13 @@ class Exact:
         selection: Selection,
         best: ExactFit,
         pool: Sequence[Start],
+        leaves_open: Callable[[ExactFit], bool],
         say: Callable[[str], None],
     ) -> list[ExactFit]:
-        """Add, remove and exchange effects of a pool in simulation; all sets, the best first."""
+        """Add, remove and exchange effects of a pool in simulation; all sets, the best first.
+
+        Exchanged only while they leave open what they should explain.
+        """
         # guesses take as long for many joints as for one
         visited, count = [best], len(self.simulator.trials)
         places = max(len({term.effect.where for terms, _ in pool for term in terms}) // 3, 1)
@@ -240,8 +246,9 @@ class Exact:
         while True:
             fewer = with_fewer() if best.terms else []
             more = [best] if len({t.effect.kind for t in best.terms}) < _MOST_KINDS else []
-            # a member that stands in for another one is exchanged only when nothing else helps
-            steps = chain(fewer, map(with_more, more), map(with_more, fewer))
+            # a member that stands in for another one is exchanged when nothing else helps
+            exchanged = fewer if leaves_open(best) else []
+            steps = chain(fewer, map(with_more, more), map(with_more, exchanged))
             better = (step for step in steps if step.total < best.total - _LEAST_GAIN)
             top = next(better, None)
             if top is None:
@@ -373,12 +380,14 @@ def leading(selection: Selection, fit: SetFit, most: int = 4) -> list[SetFit]:
     return found[:most]
 
 
-def open_joints(exact: Exact, best: ExactFit, cells: Iterable[int]) -> set[str]:
-    """Joints that cells leave open and in which a set leaves more than noise in simulation."""
-    by_joint, names = exact.by_joint(), exact.balance.machine.joints
-    return {
-        names[joint] for joint in set(cells) & set(by_joint) if best.rms[by_joint[joint]] > LARGE
-    }
+def open_joints(exact: Exact, nominal: ExactFit, best: ExactFit, cells: Iterable[int]) -> set[str]:
+    """Joints of some that cells leave open, of whose motion a set leaves much open, too."""
+    found, by_joint = set(), exact.by_joint()
+    for joint in set(cells) & set(by_joint):
+        left, before = best.rms[by_joint[joint]], nominal.rms[by_joint[joint]]
+        if left > LARGE and 1 - (left / before) ** 2 < _EXPLAINED:
+            found.add(exact.balance.machine.joints[joint])
+    return found
 
 
 def pool_of(

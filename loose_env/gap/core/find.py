@@ -115,20 +115,27 @@ def _simulated(
     fits.sort(key=lambda f: (f.total > least, cells[frozenset(f.terms)].total))
     best = cells[frozenset(fits[0].terms)]
     nominal = exact.fit(selection, selection.solve(()))
-    joints = open_joints(exact, fits[0], left)
+    joints = open_joints(exact, nominal, fits[0], left)
+    exact.fit(selection, best)
     if joints:
         say(f"search in simulation: {', '.join(sorted(joints))}")
-        exact.fit(selection, best)
         places, pool = pool_of(selection, joints, settings.kinds or EFFECTS)
         # what cells that say little named there would lead astray
         kept = [k for k, term in enumerate(fits[0].terms) if term.effect.where not in places]
         start = exact.only(selection, fits[0], kept)
-        searched = [*exact.searched(selection, start, pool, say), *fits]
-        searched.sort(key=lambda f: f.total)
-        say("decision on held-out runs in simulation")
-        return decide_simulated(selection, exact, searched, nominal), tuple(searched)
-    say("decision on held-out data")
-    return decide(selection, best, fits[:1]), tuple(fits)
+
+        def leaves_open(fit: ExactFit) -> bool:
+            return bool(open_joints(exact, nominal, fit, left))
+
+        fits += exact.searched(selection, start, pool, leaves_open, say)
+        fits.sort(key=lambda f: f.total)
+    else:
+        say("decision on held-out data")
+        decision = decide(selection, best, fits[:1])
+        if all(each.verdict != "unexplained" for each in decision.joints):
+            return decision, tuple(fits)
+    say("decision on held-out runs in simulation")
+    return decide_simulated(selection, exact, fits, nominal), tuple(fits)
 
 
 def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Selection:

@@ -104,6 +104,8 @@ class Selection:
             for c, p in zip(evidence.channels, self.rich, strict=True)
         ]
         self.fits: dict[frozenset[int], SetFit] = {}
+        self._replaced: dict[tuple[object, ...], list[Term]] = {}
+        self._off: dict[tuple[object, ...], dict[int, Array]] = {}
 
     # ---- the prior of sets
 
@@ -425,25 +427,31 @@ class Selection:
         own = [place[k] for k in self.evidence.columns_of(term)]
         shares = state.values[own]
         axes = list(term.axes)
-        axes[int(np.argmax(np.abs(shares)))] = tuple(map(float, term.values(shares)))
-        if not self._bent(term, shares, state.powers):
+        # two digits: a secant to a value nearby is as good, and is already there
+        secant = tuple(float(f"{value:.1e}") for value in term.values(shares))
+        axes[int(np.argmax(np.abs(shares)))] = secant
+        if tuple(axes) == term.axes or not self._bent(term, shares, state.powers):
             return state
         new = self.replaced(state, term, tuple(axes), (term.contact,))
         return new if new is not None and new.total < state.total else state
 
     def _bent(self, term: Term, shares: Array, powers: Sequence[Array]) -> bool:
         """Whether an effect differs from its columns by more than the data's doubt of it."""
-        balance, values = self.evidence.balance, term.values(shares)
-        exact = balance.forces(term.effect, values).with_contact(
-            balance.directions[term.contact or USUAL]
-        )
-        off = exact - sum(s * c.change.whole() for s, c in zip(shares, term.columns, strict=True))
-        lost = 0.0
-        for k, channel in enumerate(self.evidence.channels):
-            if np.any(off[:, channel.joint]):
-                cells = cell_powers(balance, channel.joint, off)
-                lost += float(self.weights(k, powers[k]) @ cells)
-        return lost > _BENT
+        key = id(term), *(f"{value:.1e}" for value in term.values(shares))
+        if key not in self._off:
+            balance = self.evidence.balance
+            exact = balance.forces(term.effect, term.values(shares)).with_contact(
+                balance.directions[term.contact or USUAL]
+            )
+            parts = zip(shares, term.columns, strict=True)
+            off = exact - sum(share * column.change.whole() for share, column in parts)
+            self._off[key] = {
+                k: cell_powers(balance, channel.joint, off)
+                for k, channel in enumerate(self.evidence.channels)
+                if np.any(off[:, channel.joint])
+            }
+        cells = self._off[key].items()
+        return float(sum(self.weights(k, powers[k]) @ own for k, own in cells)) > _BENT
 
     def replaced(
         self,
@@ -453,12 +461,17 @@ class Selection:
         contacts: tuple[str, ...],
     ) -> SetFit | None:
         """Fit with a member's columns along other axes; None if that is out of bounds."""
-        evidence = self.evidence
-        new = terms_of(evidence.balance, term.effect, axes, term.law, contacts)
-        if not new:
+        evidence, key = self.evidence, (*term.effect.key, axes, contacts)
+        if key not in self._replaced:
+            new = terms_of(evidence.balance, term.effect, axes, term.law, contacts)[:1]
+            self._replaced[key] = new
+            for each in new:
+                append(evidence, each)
+        if not self._replaced[key]:
             return None
-        append(evidence, new[0])
-        fit = self.fit((*(t for t in state.terms if t is not term), new[0]), state.powers)
+        fit = self.fit(
+            (*(t for t in state.terms if t is not term), *self._replaced[key]), state.powers
+        )
         return fit if fit.allowed else None
 
     def search(self, start: Sequence[Term] = ()) -> SetFit:
@@ -513,7 +526,9 @@ class Selection:
                     chosen.setdefault(k, powers)
         found = (self.solve(sets[k], powers) for k, powers in chosen.items())
         order = sorted((fit for fit in found if fit.allowed), key=lambda f: f.total)
-        return [*(self.settled(fit) for fit in order[:_SETTLED]), *order[_SETTLED:]]
+        # a kind too many is not made up for by a bend
+        near = [fit for fit in order[:_SETTLED] if fit.total < state.total + KIND]
+        return [*map(self.settled, near), *order[len(near) :]]
 
     def settled(self, fit: SetFit) -> SetFit:
         """The same set with its effects relinearised where they were fitted, until they stay."""
