@@ -351,13 +351,17 @@ def _ends(term: Term, x: Array, covariance: Array) -> Array:
 def _with_shapes(selection: Selection, fit: SetFit, term: Term, ends: Array) -> Array:
     """Ends with those of the parameters that shape a law: where the evidence falls off."""
     found = ends.copy()
-    if len(term.effect.parameters) == 1:
-        return found  # its coefficient says it
+    if len(term.effect.parameters) == 1 and term.effect.null_values is not None:
+        return found  # its coefficient says it; a limit has none
+    missed = 0.5 * float(
+        np.max(selection.evidence.inexact[list(selection.evidence.columns_of(term))])
+    )
     for k in selection.shaped(term):
         aside = (selection.reshaped(fit, term, k, side * _ASIDE) for side in (-1, 1))
         rises = [max(other.total - fit.total, 0.0) for other in aside if other is not None]
         fall = float(np.mean(rises)) if rises else 0.0
-        half = _Z * min(_ASIDE / np.sqrt(max(fall, 1e-6)), 1.0)
+        doubt = np.hypot(_ASIDE / np.sqrt(max(fall, 1e-6)), missed)
+        half = min(_Z * doubt, _Z)
         value, own = term.axes[0][k], term.effect.parameters[k]
         sides = np.array([-half, half])
         moved = value * np.exp(sides) if value > 0 else value + sides * own.scale
