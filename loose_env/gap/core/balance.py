@@ -243,10 +243,8 @@ class Balance:
         if model is not None:
             dry += model.dof_frictionloss[self._dofs(model)] - self.dry
         operator = np.zeros_like(self.operator)
-        edited, eased = (
-            given is not self.given and model is not None,
-            np.zeros(self.needed.shape[1]),
-        )
+        eased = np.zeros(self.needed.shape[1])
+        edited = given is not self.given and model is not None
         if edited and isinstance(effect, DriveLimit):
             # a drive at its limit holds nothing there, and as before elsewhere
             reached = np.mean(np.abs(given - self.given) > _MODEL * np.abs(self.given), axis=0)

@@ -8,13 +8,13 @@ column has the coefficient one where the shape is right, or the size of its prop
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from math import log
 
 import numpy as np
 
-from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change
+from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change, Forces
 from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.drives import DriveLimit
@@ -255,10 +255,7 @@ def terms_of(
     for contact in contacts if dry else ("",):
         direction = balance.directions[contact or USUAL]
         columns = tuple(
-            replace(
-                _column(balance, effect, law, k, values, f.with_contact(direction), f.operator),
-                eased=f.eased,
-            )
+            _column(balance, effect, law, k, values, f, direction)
             for k, (values, f) in enumerate(zip(axes, forces, strict=True))
         )
         kept = _independent(columns)
@@ -298,16 +295,17 @@ def _column(
     law: bool,
     number: int,
     values: tuple[float, ...],
-    change: Array,
-    operator: Array,
+    forces: Forces,
+    direction: Array,
 ) -> Column:
     """Column with the prior and the bounds of its coefficient."""
+    change = forces.with_contact(direction)
     if law:
         width, joint = LAW_WIDTH, balance.encoders.get(effect.where)
         late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
         return Column(
-            late=late, change=Change(change), operator=operator, centre=1.0, spread=width,
-            low=1 - 2.3 * width, high=1 + 2.3 * width,
+            change=Change(change), operator=forces.operator, centre=1.0, spread=width,
+            low=1 - 2.3 * width, high=1 + 2.3 * width, eased=forces.eased, late=late,
         )  # fmt: skip
     readings = np.sqrt(np.mean(balance.readings.foretold**2, axis=0))
     typical = np.maximum(np.concatenate([balance.machine.load_scales, readings]), 1e-9)
@@ -326,5 +324,6 @@ def _column(
             )
             spread = min(spread, abs(parameter.unsurprising / step))
     return Column(
-        change=Change(change), operator=operator, centre=0.0, spread=spread, low=low, high=high,
+        change=Change(change), operator=forces.operator, centre=0.0, spread=spread, low=low,
+        high=high, eased=forces.eased,
     )  # fmt: skip

@@ -147,13 +147,18 @@ class Exact:
             term.values(fit.values[[place[k] for k in selection.evidence.columns_of(term)]])
             for term in fit.terms
         ]
-        self.known = _Known(self.balance.machine, _pulls(selection, fit))
-        return self.refit(selection, fit.terms, first)
+        return self.beside(selection, fit).refit(selection, fit.terms, first)
+
+    def beside(self, selection: Selection, fit: SetFit) -> Exact:
+        """The same with the tolerances at what the cells say of them beside a set."""
+        found = copy(self)
+        found.known = _Known(self.balance.machine, _pulls(selection, fit))
+        return found
 
     def refit(
         self, selection: Selection, terms: Set, first: Sequence[Array], rounds: int = _ROUNDS
     ) -> ExactFit:
-        """Fit effects in simulation from given values, with the tolerances of the last fit."""
+        """Fit effects in simulation from given values, beside the known tolerances."""
         groups = [term.effect.parameters for term in terms]
         free = np.concatenate([np.empty(0), *map(free_of, groups, first)])
         bounds = np.array([p.bounds for group in groups for p in group]).reshape(-1, 2)
@@ -202,17 +207,17 @@ class Exact:
         selection: Selection,
         best: ExactFit,
         pool: Sequence[Start],
+        joints: int,
         leaves_open: Callable[[ExactFit], bool],
         say: Callable[[str], None],
     ) -> list[ExactFit]:
         """Add, remove and exchange effects of a pool in simulation; all sets, the best first.
 
-        Exchanged only while they leave open what they should explain.
+        They are exchanged only while they leave open one of the joints that they should explain.
         """
-        # guesses take as long for many joints as for one
         visited, count = [best], len(self.simulator.trials)
-        places = max(len({term.effect.where for terms, _ in pool for term in terms}) // 3, 1)
-        some = self.on(range(0, count, max(min(1 + places, count // _GUESSED), 1)))
+        # guesses take as long for many joints as for one
+        some = self.on(range(0, count, max(min(1 + joints, count // _GUESSED), 1)))
 
         def likely(by: Exact, starts: Sequence[Start]) -> list[ExactFit]:
             guesses = by._totals(selection, [s for s, _ in starts], [v for _, v in starts])
@@ -367,14 +372,18 @@ def _windows(trial: Trial, balance: Balance, trials: int, *, between: bool) -> l
     return found
 
 
+def stepped(effects: Iterable[Effect]) -> bool:
+    """Whether simulations step all effects: none has a memory of its way."""
+    return not any(effect.has_memory for effect in effects)
+
+
 def leading(selection: Selection, fit: SetFit, most: int = 4) -> list[SetFit]:
     """The answer and the best sets of other effects that were visited, if simulations step them."""
     names: set[frozenset[tuple[str, str]]] = set()
     found = []
     for other in (fit, *sorted(selection.fits.values(), key=lambda f: f.total)):
         own = frozenset(term.name for term in other.terms)
-        stepped = not any(term.effect.has_memory for term in other.terms)
-        if other.allowed and stepped and own not in names:
+        if other.allowed and stepped(t.effect for t in other.terms) and own not in names:
             names.add(own)
             found.append(other)
     return found[:most]

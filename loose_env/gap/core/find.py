@@ -116,7 +116,7 @@ def _simulated(
     best = cells[frozenset(fits[0].terms)]
     nominal = exact.fit(selection, selection.solve(()))
     joints = open_joints(exact, nominal, fits[0], left)
-    exact.fit(selection, best)
+    exact = exact.beside(selection, best)
     if joints:
         say(f"search in simulation: {', '.join(sorted(joints))}")
         places, pool = pool_of(selection, joints, settings.kinds or EFFECTS)
@@ -127,7 +127,7 @@ def _simulated(
         def leaves_open(fit: ExactFit) -> bool:
             return bool(open_joints(exact, nominal, fit, left))
 
-        fits += exact.searched(selection, start, pool, leaves_open, say)
+        fits += exact.searched(selection, start, pool, len(joints), leaves_open, say)
         fits.sort(key=lambda f: f.total)
     else:
         say("decision on held-out data")

@@ -14,7 +14,7 @@ from loose_env.arms import quiet
 from loose_env.gap.core.balance import Balance
 from loose_env.gap.core.decision import folds_of
 from loose_env.gap.core.evidence import stretches_of, weight_of
-from loose_env.gap.core.exact import Exact
+from loose_env.gap.core.exact import Exact, stepped
 from loose_env.gap.core.find import Answer
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Selection, SetFit
@@ -265,11 +265,6 @@ def residual_tests(selection: Selection, left: Array) -> tuple[ResidualTest, ...
 # Simulation
 
 
-def _stepped(corrected: Hypothesis) -> bool:
-    """Whether simulations step all effects: none has a memory of its way."""
-    return not any(effect.has_memory for effect in corrected.effects)
-
-
 def simulated_errors(answer: Answer, corrected: Hypothesis) -> dict[str, tuple[float, float]]:
     """Errors of simulations of one second by quantity, nominal and corrected.
 
@@ -277,7 +272,7 @@ def simulated_errors(answer: Answer, corrected: Hypothesis) -> dict[str, tuple[f
     """
     balance = answer.selection.evidence.balance
     machine, recording = balance.machine, answer.recording
-    if balance.released.any() or not _stepped(corrected):
+    if balance.released.any() or not stepped(corrected.effects):
         return {}
     with quiet():
         if answer.held_out is not None:
@@ -349,7 +344,7 @@ def played(answer: Answer, corrected: Hypothesis) -> Played | None:
     """
     balance = answer.selection.evidence.balance
     machine = balance.machine
-    if balance.released.any() or not _stepped(corrected):
+    if balance.released.any() or not stepped(corrected.effects):
         return None
     shown = answer.recording if answer.held_out is None else answer.held_out
     pieces, _ = measured_runs(shown.runs, machine.model)

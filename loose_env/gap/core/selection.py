@@ -104,7 +104,7 @@ class Selection:
             for c, p in zip(evidence.channels, self.rich, strict=True)
         ]
         self.fits: dict[frozenset[int], SetFit] = {}
-        self._replaced: dict[tuple[object, ...], list[Term]] = {}
+        self._replaced: dict[tuple[object, ...], Term | None] = {}
         self._off: dict[tuple[object, ...], dict[int, Array]] = {}
 
     # ---- the prior of sets
@@ -463,15 +463,14 @@ class Selection:
         """Fit with a member's columns along other axes; None if that is out of bounds."""
         evidence, key = self.evidence, (*term.effect.key, axes, contacts)
         if key not in self._replaced:
-            new = terms_of(evidence.balance, term.effect, axes, term.law, contacts)[:1]
-            self._replaced[key] = new
-            for each in new:
-                append(evidence, each)
-        if not self._replaced[key]:
+            found = terms_of(evidence.balance, term.effect, axes, term.law, contacts)
+            self._replaced[key] = found[0] if found else None
+            if found:
+                append(evidence, found[0])
+        new = self._replaced[key]
+        if new is None:
             return None
-        fit = self.fit(
-            (*(t for t in state.terms if t is not term), *self._replaced[key]), state.powers
-        )
+        fit = self.fit((*(t for t in state.terms if t is not term), new), state.powers)
         return fit if fit.allowed else None
 
     def search(self, start: Sequence[Term] = ()) -> SetFit:
