@@ -5,11 +5,14 @@ from __future__ import annotations
 import ast
 import importlib
 import json
+import re
 import subprocess
 import sys
+import tomllib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -171,6 +174,55 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert done.returncode == 0, done.stderr
     loaded = {name.split(".")[0] for name in json.loads(done.stdout)}
     assert not loaded & (HEAVY | OUTSIDE | {"mujoco", "scipy"})
+
+
+def optional_modules() -> set[str]:
+    """Modules that only an extra brings, by the requirements that `pyproject.toml` states."""
+
+    def names(lines: Iterable[str]) -> set[str]:
+        own = (line for line in lines if "extra ==" not in line)
+        return {re.split(r"[^\w.-]", line)[0].lower().replace("_", "-") for line in own}
+
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    needed: set[str] = set()
+    new = names(stated["dependencies"])
+    while new:
+        needed |= new
+        known = (name for name in new if name in {d.lower() for d in installed()})
+        new = {n for name in known for n in names(metadata.requires(name) or ())} - needed
+    extras = set().union(*map(names, stated["optional-dependencies"].values())) - needed
+    return {
+        module
+        for module, owners in metadata.packages_distributions().items()
+        if {owner.lower().replace("_", "-") for owner in owners} <= extras
+    }
+
+
+@cache
+def installed() -> frozenset[str]:
+    """Installed distributions."""
+    owners = metadata.packages_distributions().values()
+    return frozenset(name.replace("_", "-") for own in owners for name in own)
+
+
+def test_every_part_is_there_without_the_extras() -> None:
+    absent = sorted(optional_modules())
+    assert {"torch", "numba", "matplotlib"} <= set(absent)
+    parts = [p for parts in ORDER for p in parts if p not in ("cli", "version")]
+    code = f"""
+import importlib, sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {absent}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Absent())
+for part in {parts}:
+    importlib.import_module("loose_env." + part)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_no_part_imports_upward() -> None:

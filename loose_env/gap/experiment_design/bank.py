@@ -15,9 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
-from joblib import Memory
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
@@ -391,8 +389,10 @@ def signature_bank(
     say : callable, optional
         Receives lines of progress.
     """
+    import joblib  # its start takes a quarter of a second
+
     settings, say = settings or BankSettings(), say or (lambda words: None)
-    found, memory = rays_of(arm, settings.kinds), Memory(cache, verbose=0)
+    found, memory = rays_of(arm, settings.kinds), joblib.Memory(cache, verbose=0)
     stated = (asdict(settings), [(r.name, r.effect.variant, *r.start.tolist()) for r in found])
     on = battery(arm) if reference is None else tuple(reference)
     key = joblib.hash((_FORMAT, arm.key, stated, on)) or ""
