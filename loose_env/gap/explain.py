@@ -20,15 +20,13 @@ from loose_env.gap.core.residual import (
     Overlay,
     Played,
     Response,
-    correlations,
     force_errors,
     left_by,
     overlays,
     parameter_correlation,
-    played,
     residual_tests,
     responses,
-    simulated_errors,
+    simulated,
 )
 from loose_env.gap.core.selection import Selection, SetFit, neighbours
 from loose_env.gap.model.effects.inertia import payload_notes
@@ -171,11 +169,13 @@ def solve_gap(
         )
         nominal = selection.solve(())
         before, after = left_by(selection, nominal), left_by(selection, fit)
+        tests, correlations = residual_tests(selection, after)
+        errors, played = simulated(answer, corrected)
         gap = Gap(
             before=pooled_rms(selection, nominal),
             after=pooled_rms(selection, fit),
             by_channel=_by_channel(answer),
-            by_quantity=force_errors(answer, before, after) | simulated_errors(answer, corrected),
+            by_quantity=force_errors(answer, before, after) | errors,
         )
         result = GapResult(
             verdict=_verdict(answer),
@@ -187,19 +187,19 @@ def solve_gap(
             held_out_runs=tuple(r.name for r in answer.held_out.runs) if answer.held_out else (),
             ranking=_ranking(answer),
             code=correction_code(corrected),
-            residual_tests=residual_tests(selection, after),
+            residual_tests=tests,
             identifiability=identifiability(selection),
             warnings=_warnings(answer, recording),
             preflight=tuple(preflight),
             settings=asdict(answer.settings),
         )
-        shown = played(answer, corrected)
+        largest = np.argsort([test.rms for test in tests])[::-1][: FIGURES - 1]
         band = selection.evidence.balance.motion.band
     return GapSolution(
         answer=answer, corrected=corrected, overlays=overlays(selection, before, after, FIGURES),
-        correlations=correlations(selection, after, FIGURES - 1), played=shown,
+        correlations=tuple(correlations[k] for k in largest), played=played,
         parameters=parameter_correlation(selection, fit),
-        responses=() if shown is None else responses(shown, band),
+        responses=() if played is None else responses(played, band),
         result=result, seconds=time.monotonic() - begun,
     )  # fmt: skip
 

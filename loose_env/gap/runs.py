@@ -1,9 +1,4 @@
-"""Measured runs as they are compared: cut at pauses, aligned with simulation steps, at rest or not.
-
-An arm at rest under its first command has been so before: springs are in equilibrium. The model is
-therefore settled under that command before a run that begins at rest. An arm set in motion by its
-first command, or by an unopposed torque, must not be settled: it would drift away.
-"""
+"""Measured runs as they are compared: cut at pauses, and aligned with simulation steps."""
 
 from __future__ import annotations
 
@@ -18,8 +13,7 @@ import numpy as np
 from loose_env.errors import InvalidData
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.importing import median_step
-from loose_env.recording import FEWEST_SAMPLES, Run, set_aside
-from loose_env.statistics import noise_floor, resolution_of
+from loose_env.recording import FEWEST_SAMPLES, Run, set_aside, table_of
 from loose_env.typing import Array
 
 _PAUSE_S = 1.0
@@ -96,56 +90,8 @@ def steady_activations(model: mujoco.MjModel, command: Array) -> Array:
 
 
 SETTLE = 0.4
-"""How long an arm at rest is held before the start, so that springs take their load [s]."""
-_REST_WINDOW_S = 0.3
-"""How much of a command that is held tells whether the arm stays under it [s]."""
-_LEAST = 9
-"""Samples below which it is not told."""
-_LATE_RATIO = 4
-"""Times `SETTLE` after which a model that comes to rest is about where it was after `SETTLE`."""
-_DRIFT_RATIO = 1.5
-"""How many times as far away it is then, if it does not."""
-_NEGLIGIBLE_DRIFT = 1e-3
-"""Way that is no matter [rad, m]."""
-
-
-def stays(time: Array, values: Array, controls: Array) -> bool:
-    """Return whether a joint stays at rest while the first commands are held."""
-    changed = np.flatnonzero((controls != controls[0]).any(axis=1))
-    count = min(
-        len(time) if not len(changed) else int(changed[0]), np.searchsorted(time, _REST_WINDOW_S)
-    )
-    good = values[:count][np.isfinite(values[:count])]
-    if len(good) < _LEAST:
-        return True
-    third = len(good) // 3
-    moved = abs(float(np.mean(good[-third:]) - np.mean(good[:third])))
-    chance = 4.0 * noise_floor(values) * float(np.sqrt(2.0 / third))
-    return moved <= max(chance, 1.5 * resolution_of(values))
-
-
-def comes_to_rest(machine: NominalModel, position: Array, commands: Array) -> bool:
-    """Return whether the nominal model, released at rest in a pose, settles nearby.
-
-    A servo moves to where it carries its load; an unopposed torque accelerates without bound.
-    """
-    model = machine.model
-    data = mujoco.MjData(model)
-    at = [model.joint(name) for name in machine.joints]
-    data.qpos[[int(j.qposadr[0]) for j in at]] = position
-    data.ctrl[: len(commands)] = commands
-    data.act[:] = steady_activations(model, data.ctrl)
-    start = data.qpos.copy()
-    count = round(SETTLE / model.opt.timestep)
-    way = np.empty((_LATE_RATIO * count, len(start)))
-    for k in range(len(way)):
-        mujoco.mj_step(model, data)
-        way[k] = data.qpos - start
-    last = max(count // 4, 1)  # mean over an interval, as a servo may oscillate
-    soon = np.abs(np.mean(way[count - last : count], axis=0))
-    later = np.abs(np.mean(way[-last:], axis=0))
-    return bool(np.all((later <= _DRIFT_RATIO * soon) | (later < _NEGLIGIBLE_DRIFT)))
-
+"""How long an arm that begins at rest is held under its first command, so that springs take their
+load [s]."""
 
 _REGULAR = 0.02
 """Largest deviation of a stamp from an even grid, as a share of the sample interval, that counts
@@ -154,8 +100,6 @@ _ROUNDED = 0.75
 """The same as a share of what the stamps are rounded to: half of it, and a margin for the grid."""
 _FINE = 0.25
 """Rounding of stamps over the sample interval, below which it does not hide a lost row."""
-_REST = 0.01
-"""How much of the beginning tells whether the arm rests there [s]; an arm may set off at once."""
 
 
 @dataclass(frozen=True)
@@ -210,10 +154,6 @@ class Trial:
         steps = (self.steps - 1) * parts + 1
         controls = np.repeat(self.controls, parts, axis=0)[:steps]
         return replace(self, step=self.step / parts, steps=steps, controls=controls)
-
-    def until(self, seconds: float) -> Trial:
-        """Beginning of the run, of a length in seconds; the whole if it is no longer."""
-        return self.between(0, int(np.searchsorted(self.time, seconds, side="right")))
 
     def between(self, first: int, last: int) -> Trial:
         """Window of the run, from one sample to before another; its initial state is not known.
@@ -279,45 +219,26 @@ def align_run(
     """Align a run with simulation steps.
 
     Commands are held from the step nearest to their sample to that of the next. A missing command
-    keeps the one before. Stamps that are even but for their rounding become even.
+    keeps the one before. Stamps that are even but for their rounding become even. The initial state
+    is for the caller to set.
     """
     time, interval = run.time - run.time[0], _even_interval(run.time)
     if interval is not None:
         time = interval * np.arange(len(time))
         step = interval / ceil(interval / step * (1 - 1e-9))
     steps = ceil(float(time[-1]) / step - 1e-6) + 1
-    measured = np.full((len(time), len(channels)), np.nan)
-    for k, channel in enumerate(channels):
-        prefix, _, name = channel.column.partition(".")
-        values = (run.sensors if prefix == "sensor" else run.torques).get(name)
-        if values is not None:
-            measured[:, k] = values if channel.axis is None else values[:, channel.axis]
+    table, unread = table_of(run), np.full(len(time), np.nan)
+    measured = np.column_stack([table.get(channel.name, unread) for channel in channels])
     controls = np.zeros((steps, len(machine.actuators)))
     held = np.searchsorted(time, (np.arange(steps) + 0.5) * step, side="right") - 1
     for k, name in enumerate(machine.actuators):
         if name in run.controls:
             controls[:, k] = _filled(run.controls[name])[held]
-    position, speed, resting, motion = _start(run, machine, time)
-    forward = run.comparison == "forward"  # a free arm is released
-    commands = np.column_stack([_filled(values) for values in run.controls.values()] or [time * 0])
-    resting = (
-        resting
-        and forward
-        and comes_to_rest(machine, position, controls[0])
-        and all(stays(time, each, commands) for each in motion.values())
-    )
     return Trial(
-        name=run.name,
-        form=run.comparison,
-        time=time,
-        measured=measured,
-        step=step,
-        steps=steps,
-        controls=controls,
-        position=position,
-        speed=speed,
-        resting=resting,
-    )
+        name=run.name, form=run.comparison, time=time, measured=measured, step=step, steps=steps,
+        controls=controls, position=machine.model.qpos0.copy(), speed=np.zeros(machine.model.nv),
+        resting=False,
+    )  # fmt: skip
 
 
 def _filled(values: Array) -> Array:
@@ -327,69 +248,3 @@ def _filled(values: Array) -> Array:
         return values
     at = np.maximum.accumulate(np.where(good, np.arange(len(values)), -1))
     return np.asarray(values[np.where(at < 0, np.argmax(good), at)])
-
-
-def _start(
-    run: Run, machine: NominalModel, time: Array
-) -> tuple[Array, Array, bool, dict[str, Array]]:
-    """Position, speed and rest at the first sample, and the measured motion."""
-    model = machine.model
-    position, speed = model.qpos0.copy(), np.zeros(model.nv)
-    resting, motion = True, {}
-    for k, joint in enumerate(machine.joints):
-        if run.pose and joint in run.pose:
-            position[k] = run.pose[joint]
-    for name, values in run.sensors.items():
-        sensor = model.sensor(name)
-        if int(sensor.type[0]) == mujoco.mjtSensor.mjSENS_JOINTPOS:
-            if not np.isfinite(values).any():
-                continue  # never read: the noted pose stays
-            number = int(sensor.objid[0])
-            motion[machine.joints[number]] = values
-            position[number], speed[number], still = _line(time, values)
-            resting &= still
-    for name, values in run.sensors.items():
-        sensor = model.sensor(name)
-        if int(sensor.type[0]) == mujoco.mjtSensor.mjSENS_JOINTVEL:
-            first = values[: max(3, int(np.searchsorted(time, 0.005)))]
-            if np.isfinite(first).any():
-                number = int(sensor.objid[0])
-                speed[number] = float(np.nanmean(first))
-                moves = abs(speed[number]) > 4.0 * noise_floor(values)
-                encoder = motion.get(machine.joints[number])
-                resting &= not (moves and _allows(time, encoder, speed[number]))
-    if resting:
-        speed[:] = 0.0
-    return position, speed, resting, motion
-
-
-def _allows(time: Array, positions: Array | None, speed: float) -> bool:
-    """Return whether readings that look at rest are too coarse to contradict a speed."""
-    if positions is None:
-        return True
-    travel = abs(speed) * float(time[_count(time) - 1] - time[0])
-    return travel <= resolution_of(positions) + 4.0 * noise_floor(positions)
-
-
-def _count(time: Array) -> int:
-    """Number of the first samples, from which the start is read."""
-    return int(np.clip(np.searchsorted(time, _REST), 8, len(time)))
-
-
-def _line(time: Array, values: Array) -> tuple[float, float, bool]:
-    """Value and slope at time 0 by a parabola, and whether it is at rest there.
-
-    Fitted to the first samples. At rest means a slope of less than three standard errors.
-    """
-    count = _count(time)
-    good = np.isfinite(values[:count])
-    if good.sum() < 4:
-        good = np.isfinite(values)
-        return float(values[good][0]) if good.any() else 0.0, 0.0, True
-    t, v = time[:count][good], values[:count][good]
-    terms = np.stack([np.ones_like(t), t, t**2], axis=1)
-    found, *_ = np.linalg.lstsq(terms, v, rcond=None)
-    scatter = float(np.sqrt(np.sum((v - terms @ found) ** 2) / max(len(v) - 3, 1))) + 1e-9
-    error = scatter * float(np.sqrt(np.linalg.pinv(terms.T @ terms)[1, 1]))
-    still = abs(float(found[1])) < 3 * error
-    return float(found[0]), 0.0 if still else float(found[1]), still

@@ -1,4 +1,4 @@
-"""Runs as they are compared: time stamps, pauses, rests, encoders, and exact models."""
+"""Runs as they are compared: time stamps, pauses, and exact models."""
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ ONE = """<mujoco><worldbody><body><joint name="q" axis="0 1 0"/>
 ROWS = 400
 
 
-def aligned(time: Array, step: float, **given: object) -> Trial:
+def aligned(time: Array, step: float) -> Trial:
     """A run on the steps of a simulation; its command counts its rows."""
     rows = np.arange(float(len(time)))
-    whole = {"controls": {"servo": rows}, "sensors": {"encoder": 1e-3 * rows}} | given
-    run = Run(name="r.csv", time=time, **whole)  # type: ignore[arg-type]
+    run = Run(name="r.csv", time=time, controls={"servo": rows}, sensors={"encoder": 1e-3 * rows})
     machine = NominalModel(mujoco.MjSpec.from_string(ONE))
     return align_run(run, machine, channels_of([run]), step=step)
 
@@ -58,21 +57,6 @@ def test_uneven_stamps_and_lost_rows_keep_their_times() -> None:
     trial = aligned(time, step=0.005)
     assert np.allclose(trial.time, time)
     assert list(trial.controls[[401, 402], 0]) == [199, 200]  # held until the next row there is
-
-
-def test_encoders_that_are_coarse_stuck_or_never_read_give_a_start() -> None:
-    rng, time = np.random.default_rng(2), np.arange(2000) / 1000
-    speed = 0.5 + rng.normal(0, 1e-3, 2000)
-
-    def begun(position: Array, **given: object) -> Trial:
-        sensors = {"encoder": position, "rate": speed}
-        return aligned(time, 1e-3, controls={}, sensors=sensors, **given)
-
-    coarse = begun(np.round(0.5 * time / 0.02) * 0.02)
-    assert coarse.speed[0] == pytest.approx(0.5, abs=0.01)
-    # where a fine encoder stands still, the speed sensor has a bias
-    assert begun(np.full(2000, 0.3) + 1e-5 * (np.arange(2000) % 2)).speed[0] == 0.0
-    assert begun(np.full(2000, np.nan), pose={"q": 0.7}).position[0] == 0.7
 
 
 def test_a_run_is_cut_where_the_recorder_paused_and_not_where_it_was_slow() -> None:

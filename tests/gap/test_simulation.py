@@ -83,8 +83,8 @@ class Compared:
         run = run_of(signals, self.commands)
         self.channels = channels_of([run])
         trial = align_run(run, self.machine, self.channels, step=5e-4)
-        # begun at rest: readings without noise do not tell
-        self.trial = dataclasses.replace(trial, resting=True)
+        begin = signals.position[0]
+        self.trial = dataclasses.replace(trial, position=begin, resting=True)
         effect = CATALOGUE[kind](self.machine, where, variant or None)
         self.hypothesis = Hypothesis(effects=(effect,), values=(np.array(values),))
 

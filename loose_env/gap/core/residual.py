@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -16,14 +16,14 @@ from loose_env.gap.core.decision import folds_of
 from loose_env.gap.core.evidence import stretches_of, weight_of
 from loose_env.gap.core.exact import Exact, stepped
 from loose_env.gap.core.find import Answer
-from loose_env.gap.core.motion import smooth
+from loose_env.gap.core.motion import Motion, smooth
 from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import ResidualTest
-from loose_env.gap.runs import Channel, Trial, align_run, channels_of, measured_runs
+from loose_env.gap.runs import Channel, Trial, align_run, measured_runs
 from loose_env.gap.simulator import Simulator
-from loose_env.recording import joint_sensors
+from loose_env.recording import Recording, joint_sensors
 from loose_env.typing import Array, ComplexArray
 
 LAGS = 50
@@ -113,16 +113,9 @@ def whitened(balance: Balance, values: Array, channel: int) -> tuple[list[Array]
     return found, interval
 
 
-def correlation(one: Sequence[Array], other: Sequence[Array], lags: int = LAGS) -> Array:
-    """Mean correlation of series, run by run, at lags from 0 on (lags + 1,).
-
-    Examples
-    --------
-    >>> swing = np.sin(2 * np.pi * np.arange(4000) / 20)
-    >>> [round(float(r), 2) for r in correlation([swing], [swing])[[0, 10, 20]]]
-    [1.0, -1.0, 0.99]
-    """
-    lags = min(lags, *(len(series) - 2 for series in one))
+def _correlation(one: Sequence[Array], other: Sequence[Array]) -> Array:
+    """Mean correlation of series, run by run, at lags from 0 on (lags + 1,)."""
+    lags = min(LAGS, *(len(series) - 2 for series in one))
     total = np.zeros(lags + 1)
     power = np.zeros(2)
     for a, b in zip(one, other, strict=True):
@@ -132,9 +125,9 @@ def correlation(one: Sequence[Array], other: Sequence[Array], lags: int = LAGS) 
     return np.asarray(total / max(float(np.sqrt(power.prod())), 1e-300))
 
 
-def _size(balance: Balance, values: Array, channel: int) -> float:
-    """Mean square of a channel's series in noise variances."""
-    return float(np.mean(np.concatenate(whitened(balance, values[:, channel], channel)[0]) ** 2))
+def _rms(series: Sequence[Array]) -> float:
+    """Root mean square of whitened series."""
+    return float(np.sqrt(np.mean(np.concatenate(series) ** 2)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,9 +148,11 @@ class Correlation:
     """95 % band of one correlation of white series."""
 
 
-def correlations(selection: Selection, left: Array, most: int) -> tuple[Correlation, ...]:
-    """Correlations of the channels of the largest residuals, whitened by their noise."""
-    balance, found = selection.evidence.balance, []
+def residual_tests(
+    selection: Selection, left: Array
+) -> tuple[tuple[ResidualTest, ...], tuple[Correlation, ...]]:
+    """Whiteness of each channel's residual on held-out data, with the correlations that tell it."""
+    balance, tests, found = selection.evidence.balance, [], []
     joints = balance.machine.joints
     for channel in selection.evidence.channels:
         k = channel.joint
@@ -165,15 +160,25 @@ def correlations(selection: Selection, left: Array, most: int) -> tuple[Correlat
         motion = [k] if k < len(joints) else range(len(joints))
         fastest = max(motion, key=lambda j: float(np.std(balance.speed[:, j])))
         speed, _ = whitened(balance, balance.speed[:, fastest], k)
+        own, count = _correlation(series, series), sum(map(len, series))
         found.append(
             Correlation(
-                channel=balance.channels[k], joint=joints[fastest], interval=interval,
-                own=correlation(series, series), other=correlation(series, speed),
-                band=float(1.96 / np.sqrt(sum(map(len, series)))),
+                channel=balance.channels[k], joint=joints[fastest], interval=interval, own=own,
+                other=_correlation(series, speed), band=float(1.96 / np.sqrt(count)),
             )
         )  # fmt: skip
-    sizes = [_size(balance, left, channel.joint) for channel in selection.evidence.channels]
-    return tuple(found[k] for k in np.argsort(sizes)[::-1][:most])
+        ahead = own[1:]
+        # of independent normal numbers the largest stays below this 95 times in 100
+        limit = float(np.sqrt(2 * np.log(max(len(ahead), 1) / 0.0513) / count))
+        together = ahead[: int(np.argmax(ahead <= limit))] if (ahead <= limit).any() else ahead
+        tests.append(
+            ResidualTest(
+                channel=balance.channels[k], rms=_rms(series), autocorrelation=float(ahead[0]),
+                whiteness_95=limit, largest_autocorrelation=float(np.max(np.abs(ahead))),
+                correlation_time=interval * (1 + 2 * float(together.sum())),
+            )
+        )  # fmt: skip
+    return tuple(tests), tuple(found)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -219,7 +224,7 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
             measured=measured, nominal=measured - before[rows, k],
             corrected=measured - after[rows, k],
         )  # fmt: skip
-        found.append((_size(balance, before, k), overlay))
+        found.append((_rms(whitened(balance, before[:, k], k)[0]), overlay))
     return tuple(each for _, each in sorted(found, key=lambda pair: -pair[0])[:most])
 
 
@@ -238,64 +243,67 @@ def parameter_correlation(selection: Selection, fit: SetFit) -> tuple[tuple[str,
     return tuple(names), np.asarray(covariance * np.outer(scale, scale))
 
 
-def residual_tests(selection: Selection, left: Array) -> tuple[ResidualTest, ...]:
-    """Test each channel's residual on held-out data for whiteness."""
-    balance, found = selection.evidence.balance, []
-    for channel in selection.evidence.channels:
-        series, interval = whitened(balance, left[:, channel.joint], channel.joint)
-        own = correlation(series, series)
-        lags, count = len(own) - 1, sum(map(len, series))
-        # of `lags` independent normal numbers the largest stays below this 95 times in 100
-        limit = float(np.sqrt(2 * np.log(max(lags, 1) / 0.0513) / count))
-        ahead = own[1:]
-        together = ahead[: int(np.argmax(ahead <= limit))] if (ahead <= limit).any() else ahead
-        found.append(
-            ResidualTest(
-                channel=balance.channels[channel.joint],
-                rms=float(np.sqrt(np.mean(np.concatenate(series) ** 2))),
-                autocorrelation=float(ahead[0]),
-                whiteness_95=limit,
-                largest_autocorrelation=float(np.max(np.abs(ahead))),
-                correlation_time=interval * (1 + 2 * float(together.sum())),
-            )
-        )
-    return tuple(found)
-
-
 # Simulation
 
 
-def simulated_errors(answer: Answer, corrected: Hypothesis) -> dict[str, tuple[float, float]]:
-    """Errors of simulations of one second by quantity, nominal and corrected.
+def simulated(
+    answer: Answer, corrected: Hypothesis
+) -> tuple[dict[str, tuple[float, float]], Played | None]:
+    """Errors by quantity, and the beginnings of the runs, by the nominal and corrected model.
 
-    The windows are of the runs that were kept out, or between those that were fitted to.
+    Errors are of simulations of one second, between the windows that were fitted to or in the runs
+    that were kept out. Nothing of recordings whose drives do not follow commands, or where an
+    effect has a memory.
     """
     balance = answer.selection.evidence.balance
-    machine, recording = balance.machine, answer.recording
     if balance.released.any() or not stepped(corrected.effects):
-        return {}
+        return {}, None
+    recording, models = answer.recording, [Hypothesis(), corrected]
     with quiet():
         if answer.held_out is not None:
             recording = answer.held_out
-            balance = Balance(machine, smooth(recording, machine))
+            balance = Balance(balance.machine, smooth(recording, balance.machine))
         exact = Exact(recording, balance, threads=answer.settings.threads, between=True)
-        simulator = exact.simulator
-        predicted = simulator.predict([Hypothesis(), corrected])
-    found: dict[str, tuple[float, float]] = {}
-    names = [quantity_of(machine, c.column) or "" for c in exact.channels]
-    for quantity in dict.fromkeys(filter(None, names)):
-        own = [k for k, name in enumerate(names) if name == quantity]
-        errors = []
-        for shown in predicted:
-            off = np.concatenate(
-                [
-                    (trial.measured[:, own] - values[:, own])[np.isfinite(trial.measured[:, own])]
-                    for trial, values in zip(simulator.trials, shown, strict=True)
-                ]
-            )
-            errors.append(float(np.sqrt(np.mean(off**2))) if np.isfinite(off).all() else np.inf)
-        found[quantity] = errors[0], errors[1]
-    return found
+        errors = _errors(exact, exact.simulator.predict(models))
+        played = _beginnings(recording, balance.motion, exact)
+        nominal, found = played.predict(models)
+    return errors, Played(
+        machine=balance.machine, trials=tuple(played.trials), channels=exact.channels,
+        nominal=tuple(nominal), corrected=tuple(found),
+    )  # fmt: skip
+
+
+def _errors(exact: Exact, predicted: Sequence[Sequence[Array]]) -> dict[str, tuple[float, float]]:
+    """Root mean square error by quantity of the nominal and of the corrected model."""
+    names = [quantity_of(exact.balance.machine, c.column) for c in exact.channels]
+
+    def error(shown: Sequence[Array], quantity: str) -> float:
+        own, parts = [k for k, name in enumerate(names) if name == quantity], []
+        for trial, values in zip(exact.simulator.trials, shown, strict=True):
+            seen = np.isfinite(trial.measured[:, own])
+            parts.append((trial.measured - values)[:, own][seen])
+        off = np.concatenate(parts)
+        return float(np.sqrt(np.mean(off**2))) if np.isfinite(off).all() else np.inf
+
+    nominal, corrected = predicted
+    return {
+        name: (error(nominal, name), error(corrected, name))
+        for name in dict.fromkeys(filter(None, names))
+    }
+
+
+def _beginnings(recording: Recording, motion: Motion, exact: Exact) -> Simulator:
+    """Simulator of the beginnings of the runs, each from its smoothed state."""
+    machine = exact.balance.machine
+    pieces, _ = measured_runs(recording.runs, machine.model)
+    trials = []
+    for run, state in zip((r for each in pieces for r in each), motion.runs, strict=True):
+        whole = align_run(run, machine, exact.channels, step=machine.time_step)
+        last = state.begin + _PLAYED_S / len(motion.runs)
+        first, end = np.searchsorted(whole.time, [state.begin, last])
+        trial = whole.between(int(first), int(end) + 1)
+        trials.append(replace(trial, position=state.position[0], speed=state.speed[0]))
+    return Simulator(machine, trials, exact.channels, threads=exact.simulator.threads)
 
 
 def force_errors(answer: Answer, before: Array, after: Array) -> dict[str, tuple[float, float]]:
@@ -337,30 +345,6 @@ class Played:
     """Readings of the corrected model."""
 
 
-def played(answer: Answer, corrected: Hypothesis) -> Played | None:
-    """Simulate the beginnings of the runs, those that were kept out if there are any.
-
-    None of recordings whose drives do not follow commands, or where an effect has a memory.
-    """
-    balance = answer.selection.evidence.balance
-    machine = balance.machine
-    if balance.released.any() or not stepped(corrected.effects):
-        return None
-    shown = answer.recording if answer.held_out is None else answer.held_out
-    pieces, _ = measured_runs(shown.runs, machine.model)
-    runs = [run for each in pieces for run in each]
-    channels = channels_of(runs)
-    trials = [align_run(run, machine, channels, step=machine.time_step) for run in runs]
-    trials = [trial.until(_PLAYED_S / len(trials)) for trial in trials]
-    simulator = Simulator(machine, trials, channels, threads=answer.settings.threads)
-    with quiet():
-        nominal, found = simulator.predict([Hypothesis(), corrected])
-    return Played(
-        machine=machine, trials=tuple(trials), channels=channels, nominal=tuple(nominal),
-        corrected=tuple(found),
-    )  # fmt: skip
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
     """Frequency response of a joint to the command of its drive."""
@@ -380,67 +364,46 @@ def responses(shown: Played, band: float) -> tuple[Response, ...]:
     """
     machine, found = shown.machine, []
     sensors = joint_sensors(machine.model)
+    columns = [channel.column for channel in shown.channels]
     for actuator, drive in enumerate(machine.actuators):
         servo = machine.affine_actuators[actuator] and machine.model.actuator_biasprm[actuator, 1]
         if not servo or drive not in machine.actuated_joint:
             continue
         joint = machine.actuated_joint[drive]
-        own = [
-            k
-            for k, channel in enumerate(shown.channels)
-            if channel.column in {f"sensor.{name}" for name in sensors[joint].position}
-        ]
-        parts: dict[str, list[tuple[Array, Array, Array]]] = {}
-        for trial, *simulated in zip(shown.trials, shown.nominal, shown.corrected, strict=True):
-            if len(trial.time) < 64:
-                continue
-            command = trial.at_samples(trial.controls)[:, actuator]
-            rate = {"fs": trial.rate, "nperseg": max(2 * len(command) // (_SEGMENTS + 1), 32)}
-            frequency, power = welch(command, **rate)
-            kinds = ("measured", "nominal", "corrected")
-            for kind, values in zip(kinds, (trial.measured, *simulated), strict=True):
-                if np.isfinite(values[:, own[0]]).all():
-                    _, cross = csd(command, values[:, own[0]], **rate)
-                    parts.setdefault(kind, []).append((frequency, power, cross))
-        whole = _averaged(parts, band)
-        if whole is not None:
-            found.append(Response(joint=joint, frequency=whole[0], gains=whole[1]))
+        own = next(k for k, c in enumerate(columns) if c[7:] in sensors[joint].position)
+        parts = []
+        for trial, *models in zip(shown.trials, shown.nominal, shown.corrected, strict=True):
+            readings = np.stack([values[:, own] for values in (trial.measured, *models)])
+            if len(trial.time) >= 64 and np.isfinite(readings[0]).all():
+                command = trial.at_samples(trial.controls)[:, actuator]
+                rate = {"fs": trial.rate, "nperseg": max(2 * len(command) // (_SEGMENTS + 1), 32)}
+                frequency, power = welch(command, **rate)
+                parts.append((frequency, [power, *csd(command, readings, **rate)[1]]))
+        if not parts:
+            continue
+        grid = min((frequency for frequency, _ in parts), key=len)
+        grid = grid[(grid > 0) & (grid <= band)]
+        power, *cross = np.sum(
+            [[np.interp(grid, frequency, row) for row in rows] for frequency, rows in parts], axis=0
+        )
+        excited = power.real > 0.01 * power.real.max(initial=0.0)
+        if excited.sum() >= 3:
+            gains = zip(("measured", "nominal", "corrected"), cross / power, strict=True)
+            known = {kind: each[excited] for kind, each in gains if np.isfinite(each).all()}
+            found.append(Response(joint=joint, frequency=grid[excited], gains=known))
     return tuple(found)
-
-
-def _averaged(
-    parts: Mapping[str, list[tuple[Array, Array, Array]]], band: float
-) -> tuple[Array, dict[str, ComplexArray]] | None:
-    """Gains averaged over runs, at the frequencies of the coarsest that are excited."""
-    if not parts.get("measured"):
-        return None
-    grid = min((f for f, _, _ in parts["measured"]), key=len)
-    grid = grid[(grid > 0) & (grid <= band)]
-
-    def total(each: Sequence[tuple[Array, Array, Array]], which: int) -> Array:
-        return np.asarray(sum(np.interp(grid, part[0], part[which]) for part in each))
-
-    power = total(parts["measured"], 1)
-    kept = power > 0.01 * power.max(initial=0.0)
-    if kept.sum() < 3:
-        return None
-    gains = {kind: (total(own, 2) / total(own, 1))[kept] for kind, own in parts.items()}
-    return grid[kept], gains
 
 
 # Quantities
 
 _SENSOR = mujoco.mjtSensor
-_OF_A_JOINT = {
+_QUANTITIES = {
     _SENSOR.mjSENS_JOINTPOS: ("joint position", "rad", "m"),
     _SENSOR.mjSENS_ACTUATORPOS: ("drive position", "rad", "m"),
     _SENSOR.mjSENS_JOINTVEL: ("joint speed", "rad/s", "m/s"),
     _SENSOR.mjSENS_ACTUATORVEL: ("drive speed", "rad/s", "m/s"),
     _SENSOR.mjSENS_ACTUATORFRC: ("drive torque", "N·m", "N"),
     _SENSOR.mjSENS_JOINTACTFRC: ("actuator torque", "N·m", "N"),
-}
-"""Quantity, its unit where the joint turns, and where it slides."""
-_OF_A_SITE = {
     _SENSOR.mjSENS_ACCELEROMETER: ("acceleration", "m/s²"),
     _SENSOR.mjSENS_FRAMELINACC: ("acceleration", "m/s²"),
     _SENSOR.mjSENS_GYRO: ("turning rate", "rad/s"),
@@ -450,23 +413,21 @@ _OF_A_SITE = {
     _SENSOR.mjSENS_FORCE: ("force", "N"),
     _SENSOR.mjSENS_TORQUE: ("torque at a site", "N·m"),
 }
+"""Quantity and unit; at a joint its unit where that turns, and where it slides."""
 
 
-def quantity_of(machine: NominalModel, column: str) -> str | None:
-    """Quantity and unit of a sensor's column; None for one of unknown unit."""
-    model = machine.model
+def quantity_of(machine: NominalModel, column: str) -> str:
+    """Quantity and unit of a sensor's column; "" for one of unknown unit."""
     source, _, name = column.partition(".")
     if source != "sensor":
-        return None
-    sensor = model.sensor(name)
-    kind, number = mujoco.mjtSensor(int(sensor.type[0])), int(sensor.objid[0])
-    if kind in _OF_A_SITE:
-        return "{} [{}]".format(*_OF_A_SITE[kind])
-    if kind not in _OF_A_JOINT:
-        return None
-    if int(sensor.objtype[0]) == mujoco.mjtObj.mjOBJ_ACTUATOR:
-        if int(model.actuator_trntype[number]) != mujoco.mjtTrn.mjTRN_JOINT:
-            return None
-        number = int(model.actuator_trnid[number, 0])
-    words, turning, sliding = _OF_A_JOINT[kind]
-    return f"{words} [{turning if machine.turns(model.joint(number).name) else sliding}]"
+        return ""
+    model, sensor = machine.model, machine.model.sensor(name)
+    words, *units = _QUANTITIES.get(_SENSOR(int(sensor.type[0])), ("", ""))
+    if len(units) == 2:
+        number = int(sensor.objid[0])
+        if int(sensor.objtype[0]) == mujoco.mjtObj.mjOBJ_ACTUATOR:
+            if int(model.actuator_trntype[number]) != mujoco.mjtTrn.mjTRN_JOINT:
+                return ""
+            number = int(model.actuator_trnid[number, 0])
+        units = units[not machine.turns(model.joint(number).name) :]
+    return f"{words} [{units[0]}]" if words else ""
