@@ -45,8 +45,13 @@ from loose_env.gap.next_motion import (
 )
 from loose_env.gap.output.advice import how_to_see, how_to_separate
 from loose_env.gap.output.corrected_model import write_model
-from loose_env.gap.output.export import TARGETS, export_result, write_export
-from loose_env.gap.output.export_source import Export, ExportSettings
+from loose_env.gap.output.export import (
+    TARGETS,
+    Export,
+    ExportSettings,
+    export_result,
+    write_export,
+)
 from loose_env.gap.output.result import (
     ChannelVerdict,
     EffectLocation,

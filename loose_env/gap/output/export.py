@@ -1,72 +1,306 @@
 """Export of a result to mujoco.sysid, mjlab, Isaac Lab, URDF, BAM or ranges, as files.
 
-An effect such as viscous friction adds to one attribute of the model. The nominal value of that
-attribute is its value in the corrected model less the effect; its bounds are the 95 % interval of
-the effect, added to the nominal value.
+An export carries some kinds of effects, and lists all others by name, so that none is lost
+unnoticed. Values are those of the corrected model beside ``result.json``. An effect such as viscous
+friction adds to one attribute there: nominal is that less the effect, and its bounds are the 95 %
+interval of the effect, added to the nominal value.
 """
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from math import isfinite
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any, Literal
 
+import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.output.export_actuators import isaaclab_export, mjlab_export
-from loose_env.gap.output.export_source import (
-    ALL,
-    Export,
-    ExportSettings,
-    ExportSource,
-    JointValues,
-    effect_words,
-    not_carried,
-    number,
-    read_source,
-)
-from loose_env.gap.output.result import NamedEffect
-from loose_env.io import json_text, plain, write_text
-
-Element = Literal["joint", "actuator", "sensor", ""]
+from loose_env.gap.model.nominal_model import affine_actuators
+from loose_env.gap.output.result import NamedEffect, read_result
+from loose_env.io import Checked, Positive, json_text, plain, write_text
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelParameter:
-    """One parameter of one effect, as the value of an attribute in MJCF where there is one."""
+class ExportSettings(Checked):
+    """Settings of an export."""
+
+    timestep: Positive | None = None
+    """Physics step of the trainer, in which mjlab and Isaac Lab count delays [s]; by default that
+    of model.xml."""
+    servo: str = ""
+    """Name of the servo in BAM, such as xl330; needed for that target."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """Files of one export, with what they do not contain."""
+
+    files: Mapping[str, str]
+    """Name of a file -> its text."""
+    not_expressed: tuple[str, ...] = ()
+    """Effects, or parameters of effects, that the target cannot express, in sentences."""
+    notes: tuple[str, ...] = ()
+    """Conditions under which the files hold, in sentences."""
+
+
+def export_result(
+    path: str | Path,
+    target: str,
+    settings: ExportSettings | None = None,
+    *,
+    urdf: Path | None = None,
+) -> Export:
+    """Export the named effects of a result.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``result.json`` of ``loose gap``, or the folder with it.
+    target : str
+        One of `TARGETS`: "sysid", "mjlab", "isaaclab", "urdf", "bam" or "ranges".
+    settings : ExportSettings, optional
+        Settings of the export.
+    urdf : Path, optional
+        URDF of the arm, for the target "urdf".
+
+    Raises
+    ------
+    InvalidData
+        If there is no result of this version, or it names no effect.
+    InvalidSetting
+        If a setting that the target needs is missing.
+    UnknownName
+        If there is no such target.
+
+    Examples
+    --------
+    >>> export_result("arm-gap", "gazebo")
+    Traceback (most recent call last):
+        ...
+    loose_env.errors.UnknownName: no export to 'gazebo'; there are sysid, mjlab, isaaclab, ...
+    """
+    if target not in TARGETS:
+        raise UnknownName(f"no export to {target!r}; there are {', '.join(TARGETS)}")
+    result, place = read_result(path), Path(path)
+    if not result.effects:
+        raise InvalidData(
+            f"{place} names no effect (verdict {result.verdict!r}): there is nothing to export. "
+            "Only effects that 'loose gap' identified are exported"
+        )
+    folder = place if place.is_dir() else place.parent
+    model = folder / (result.model or "model.xml")
+    source = _Source(effects=result.effects, path=model, settings=settings or ExportSettings())
+    return TARGETS[target](source, urdf)
+
+
+def write_export(folder: str | Path, export: Export) -> list[Path]:
+    """Write the files of an export into a folder, each complete or not at all.
+
+    Returns
+    -------
+    list of Path
+        The files.
+    """
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    return [write_text(place / name, text) for name, text in export.files.items()]
+
+
+# Source: effects, and the corrected model with its joints and drives
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Source:
+    """The named effects of a result, and the corrected model beside it."""
+
+    effects: tuple[NamedEffect, ...]
+    path: Path
+    settings: ExportSettings
+
+    @cached_property
+    def spec(self) -> mujoco.MjSpec:
+        """The corrected model, to be read element by element."""
+        if not self.path.is_file():
+            raise InvalidData(
+                f"there is no corrected model {str(self.path)!r}, whose values this export needs; "
+                "give the whole folder that 'loose gap' wrote"
+            )
+        try:
+            spec = mujoco.MjSpec.from_file(str(self.path))
+            spec.compile()
+        except ValueError as error:
+            raise InvalidData(f"{self.path} does not compile: {error}") from error
+        return spec
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The same compiled."""
+        return self.spec.compile()
+
+    @cached_property
+    def joints(self) -> tuple[_Joint, ...]:
+        """Hinges and slides."""
+        model = self.model
+        single = np.flatnonzero(np.isin(model.jnt_type, (_HINGE, _SLIDE))).tolist()
+        return tuple(_joint(model, k) for k in single)
+
+    @property
+    def step(self) -> float:
+        """Physics step in which delays are counted [s]."""
+        return self.settings.timestep or float(self.model.opt.timestep)
+
+    def not_carried(
+        self, carried: Mapping[str, Sequence[str]], *, remedy: str = ""
+    ) -> tuple[str, ...]:
+        """What an export leaves out that carries these parameters of kinds of effects."""
+        found = []
+        for effect in self.effects:
+            known = carried.get(effect.kind, ())
+            if lost := [] if known is _ALL else [n for n in effect.parameters if n not in known]:
+                where = "model.xml" if effect.in_model else "the code in result.json"
+                found.append(f"{_words(effect, lost)}; {remedy or f'{where} carries it'}")
+        return tuple(found)
+
+
+_ALL: tuple[str, ...] = ("*",)
+"""Stands for all parameters of an effect."""
+_AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_SAME = 1e-6
+"""Relative difference of two gains that are the same."""
+
+
+def _words(effect: NamedEffect, names: Iterable[str] | None = None) -> str:
+    """An effect with some of its parameters; by default with all."""
+    return f"{effect.kind} at {effect.where} ({effect.values_in_words(names)})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Drive:
+    """One actuator at a joint; gains are those of a PD controller at the joint.
+
+    A drive with an affine force law, force = k u + b0 + b1 x + b2 v with gear g and damping d, has
+    the stiffness -g² b1 and the damping g² (d - b2), as MuJoCo documents for its servos.
+    """
 
     name: str
-    """Unique name: kind, location and parameter, separated by dots."""
+    mode: Literal["position", "velocity", "effort"]  # quantity that its command sets
+    stiffness: float  # [N·m/rad, N/m]
+    damping: float  # [N·m·s/rad, N·s/m]
+    effort_limit: float | None  # largest torque or force at the joint [N·m, N]
+    gear: float  # torque at the joint over the force of the actuator
+    effort_gain: float  # torque at the joint per unit of an effort command
+    delay: float  # of the command [s]
+    remarks: tuple[str, ...]  # properties that a PD law does not have
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Joint:
+    """One hinge or slide with its passive properties."""
+
+    name: str
+    turns: bool
+    armature: float  # [kg·m², kg]
+    frictionloss: float  # at rest [N·m, N]
+    damping: float  # [N·m·s/rad, N·s/m]
+    drive: _Drive | None
+    undriven: str  # reason why it has no drive that is a PD law
+
+
+def _joint(model: mujoco.MjModel, joint: int) -> _Joint:
+    """Read a joint with its drive from a compiled model."""
+    at_joint = np.isin(model.actuator_trntype, _AT_JOINT)
+    there = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
+    # an actuator without a command, as effects add them, is no drive
+    own = [int(k) for k in there if model.actuator_ctrlnum[k] > 0]
+    names = ", ".join(str(model.actuator(k).name) for k in own)
+    drive, reason = None, ""
+    if len(own) > 1:
+        reason = f"several actuators drive it ({names})"
+    elif own and not (affine_actuators(model)[own] & ~model.actuator_gainprm[own, 1:3].any()):
+        reason = f"the force of {names} is not linear in command, position and speed"
+    elif own:
+        drive = _drive(model, joint, own[0])
+    dof = int(model.jnt_dofadr[joint])
+    return _Joint(
+        name=str(model.joint(joint).name), turns=bool(model.jnt_type[joint] == _HINGE),
+        armature=float(model.dof_armature[dof]), frictionloss=float(model.dof_frictionloss[dof]),
+        damping=float(model.dof_damping[dof]), drive=drive, undriven=reason,
+    )  # fmt: skip
+
+
+def _drive(model: mujoco.MjModel, joint: int, k: int) -> _Drive:
+    """Read an actuator whose force is affine."""
+    name, gain = str(model.actuator(k).name), float(model.actuator_gainprm[k, 0])
+    gear = float(model.actuator_gear[k, 0])
+    bias, stiff, damped = (float(v) for v in model.actuator_biasprm[k][:3])
+    remarks = [f"the constant force of {name}"] if bias else []
+    # a motor with a voltage limit loses torque with speed, the reverse of a velocity servo's sign
+    mode: Literal["position", "velocity", "effort"]
+    mode = "position" if stiff else "velocity" if damped < 0 else "effort"
+    expected = {"position": -stiff, "velocity": -damped, "effort": gain}[mode]
+    if abs(gain - expected) > _SAME * abs(expected):
+        remarks.append(f"the factor {gain / expected:.4g} on the command of {name}")
+    ends = [(inf, inf)]  # against and along the joint
+    if model.actuator_forcelimited[k]:
+        ends.append(abs(gear) * np.abs(model.actuator_forcerange[k]))
+    if mode == "effort" and model.actuator_ctrllimited[k]:
+        ends.append(abs(gear * gain) * np.abs(model.actuator_ctrlrange[k]))
+    if model.jnt_actfrclimited[joint]:
+        ends.append(np.abs(model.jnt_actfrcrange[joint]))
+    low, high = np.min(ends, axis=0).tolist()
+    if low != high:
+        remarks.append(
+            f"the effort limits of {name} by direction ({low:.4g} and {high:.4g}): the smaller one "
+            "is exported"
+        )
+    return _Drive(
+        name=name, mode=mode, stiffness=-(gear**2) * stiff + 0.0,
+        damping=(gear**2) * (float(model.actuator_damping[k]) - damped) + 0.0,
+        effort_limit=min(low, high) if len(ends) > 1 else None, gear=gear, effort_gain=gear * gain,
+        delay=float(model.actuator_delay[k]), remarks=tuple(remarks),
+    )  # fmt: skip
+
+
+# Parameters with their intervals: mujoco.sysid, ranges
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Parameter:
+    """One parameter of one effect, as the value of an attribute in MJCF where there is one."""
+
     effect: NamedEffect
-    """The effect."""
-    where: str
-    """Its location; the element itself where the effect is on all actuators."""
+    where: str  # location; the element itself where the effect is on all actuators
     parameter: str
-    """Name of the parameter in the effect."""
-    unit: str
-    """Unit, "" for a ratio."""
-    nominal: float
-    """Value in the nominal model; of a parameter without attribute, that without the effect, NaN
-    where the effect vanishes only in a limit."""
+    nominal: float  # value in the nominal model, NaN where the effect vanishes only in a limit
     value: float
-    """Identified value."""
-    low: float
-    """Lower end of the 95 % interval; the value itself where none is known."""
+    low: float  # ends of the 95 % interval; the value itself where none is known
     high: float
-    """Upper end."""
-    element: Element = ""
-    """Element of MJCF whose attribute it sets: "joint", "actuator" or "sensor"; "" if none."""
-    attribute: str = ""
-    """The attribute; "" if the effect is no single attribute of one element."""
-    index: int | None = None
-    """Index into an attribute with several values."""
-    scales: bool = False
-    """Whether the attribute is the nominal one times the parameter."""
+    element: str = ""  # "joint", "actuator" or "sensor" of MJCF whose attribute it sets
+    attribute: str = ""  # "" if the effect is no single attribute of one element
+    index: int | None = None  # into an attribute with several values
+
+    @property
+    def name(self) -> str:
+        """Unique name."""
+        return f"{self.effect.kind}.{self.where}.{self.parameter}"
+
+    @property
+    def unit(self) -> str:
+        """Unit, "" for a ratio."""
+        return self.effect.units.get(self.parameter, "")
+
+    @property
+    def scales(self) -> bool:
+        """Whether the attribute is the nominal one times the parameter."""
+        return self.effect.kind == "actuator_gain"
 
     @property
     def words(self) -> str:
@@ -74,87 +308,51 @@ class ModelParameter:
         return f"{self.name} {self.value:.4g} {self.unit}".rstrip()
 
 
-_ADDED: dict[tuple[str, str], tuple[Element, str, int | None, str]] = {
-    ("viscous_friction", "damping"): ("joint", "damping", 0, "dof_damping"),
-    ("quadratic_drag", "drag"): ("joint", "damping", 1, "dof_dampingpoly"),
-    ("coulomb_friction", "torque"): ("joint", "frictionloss", None, "dof_frictionloss"),
-    ("rotor_inertia", "inertia"): ("joint", "armature", None, "dof_armature"),
-    ("command_delay", "delay"): ("actuator", "delay", None, "actuator_delay"),
-    ("sensor_delay", "delay"): ("sensor", "delay", None, "sensor_delay"),
+_ADDED: dict[tuple[str, str], tuple[str, str, int | None]] = {
+    ("viscous_friction", "damping"): ("joint", "damping", 0),
+    ("quadratic_drag", "drag"): ("joint", "damping", 1),
+    ("coulomb_friction", "torque"): ("joint", "frictionloss", None),
+    ("rotor_inertia", "inertia"): ("joint", "armature", None),
+    ("command_delay", "delay"): ("actuator", "delay", None),
+    ("sensor_delay", "delay"): ("sensor", "delay", None),
 }
-"""Kind and parameter -> element, attribute and index in MJCF, and field of MjModel."""
+"""Kind and parameter -> element, attribute and index in MJCF."""
 
 
-def model_parameters(source: ExportSource) -> tuple[ModelParameter, ...]:
-    """List all parameters of the named effects."""
-    found: list[ModelParameter] = []
-    for effect in source.effects:
-        for name in effect.parameters:
-            found += _of_attribute(source, effect, name) or [_plain(effect, name)]
-    return tuple(found)
+def _parameters(source: _Source) -> Iterator[_Parameter]:
+    """All parameters of the named effects."""
+    for effect, name in ((e, name) for e in source.effects for name in e.parameters):
+        value = effect.parameters[name]
+        low, high = effect.interval_95.get(name, (value, value))
+        low, high = min(low, value), max(high, value)
+        element, attribute, index = _ADDED.get((effect.kind, name), ("", "", None))
+        places = _places(source, effect, element) if attribute and effect.in_model else {}
+        for where, found in places.items():
+            whole = float(np.ravel(getattr(found, attribute))[index or 0])
+            yield _Parameter(
+                effect=effect, where=where, parameter=name, nominal=max(whole - value, 0.0),
+                value=whole, low=min(max(whole - value + low, 0.0), whole),
+                high=whole - value + high, element=element, attribute=attribute, index=index,
+            )  # fmt: skip
+        if not places:
+            known, gain = CATALOGUE.get(effect.kind), effect.kind == "actuator_gain"
+            yield _Parameter(
+                effect=effect, where=effect.where, parameter=name, value=value, low=low, high=high,
+                nominal=nan if known is None else known.null_value([*effect.parameters], name),
+                element="actuator" * gain, attribute="gain" * gain,
+            )  # fmt: skip
 
 
-def _plain(effect: NamedEffect, name: str, where: str = "") -> ModelParameter:
-    """Return the parameter as the effect has it."""
-    value = float(effect.parameters[name])
-    low, high = effect.interval_95.get(name, (value, value))
-    scales = effect.kind == "actuator_gain"
-    return ModelParameter(
-        name=f"{effect.kind}.{where or effect.where}.{name}",
-        effect=effect,
-        where=where or effect.where,
-        parameter=name,
-        unit=effect.units.get(name, ""),
-        nominal=_without(effect, name),
-        value=value,
-        low=min(float(low), value),
-        high=max(float(high), value),
-        element="actuator" if scales else "",
-        attribute="gain" if scales else "",
-        scales=scales,
-    )
-
-
-def _without(effect: NamedEffect, name: str) -> float:
-    """Value of a parameter without the effect; NaN where it vanishes only in a limit."""
-    known = CATALOGUE.get(effect.kind)
-    return float("nan") if known is None else known.null_value(list(effect.parameters), name)
-
-
-def _of_attribute(source: ExportSource, effect: NamedEffect, name: str) -> list[ModelParameter]:
-    """Return the parameter as values of attributes; empty where it is not one."""
-    if (effect.kind, name) not in _ADDED or not effect.in_model:
-        return []
-    element, attribute, index, field = _ADDED[effect.kind, name]
-    model, found = source.model, []
-    for where in _elements(source, effect, element):
-        k = int(getattr(model, element)(where).id)
-        if element == "joint":
-            k = int(model.jnt_dofadr[k])
-        whole = float(np.ravel(np.asarray(getattr(model, field))[k])[0])
-        own = _plain(effect, name, where)
-        found.append(
-            replace(
-                own, nominal=max(whole - own.value, 0.0), value=whole,
-                low=min(max(whole + own.low - own.value, 0.0), whole),
-                high=whole + own.high - own.value, element=element, attribute=attribute,
-                index=index,
-            )
-        )  # fmt: skip
-    return found
-
-
-def _elements(source: ExportSource, effect: NamedEffect, element: str) -> list[str]:
-    """Names of the elements that an effect acts on; empty if the model lacks them."""
-    model = source.model
-    count = {"joint": model.njnt, "actuator": model.nu, "sensor": model.nsensor}[element]
-    names = [str(getattr(model, element)(k).name) for k in range(count)]
+def _places(source: _Source, effect: NamedEffect, element: str) -> dict[str, Any]:
+    """Elements of the model that an effect acts on; those with a command where it is on all."""
+    wanted = {effect.where}
     if effect.where == "all":
-        return [name for name in names if name]
-    return [effect.where] if effect.where in names else []
+        commanded = np.flatnonzero(source.model.actuator_ctrlnum)
+        wanted = {source.model.actuator(int(k)).name for k in commanded} - {""}
+    return {e.name: e for e in getattr(source.spec, f"{element}s") if e.name in wanted}
 
 
-_HEAD = '''"""Effects identified by 'loose gap' as parameters of mujoco.sysid.
+_SYSID = '''"""Effects identified by 'loose gap' as parameters of mujoco.sysid.
 
     import mujoco
     from parameters import parameters
@@ -164,7 +362,7 @@ _HEAD = '''"""Effects identified by 'loose gap' as parameters of mujoco.sysid.
 
 Bounds are 95 % intervals, nominal is the value of the nominal model. A frozen parameter has no
 modifier: model.xml contains its effect, which is no single attribute of MJCF.
-{listed}"""
+{left}"""
 
 from collections.abc import Callable
 
@@ -207,12 +405,16 @@ def _scales(name: str, nominal: dict[str, list[float]]) -> Modifier:
 def parameters() -> sysid.ParameterDict:
     """Return the parameters, at their identified values."""
     found = sysid.ParameterDict()
+
+    def add(name, nominal, low, high, value, frozen, modifier=None):
+        found.add(sysid.Parameter(name, nominal, low, high, frozen, modifier))
+        found[name].update_from_vector(np.array(value))
+
+{added}    return found
 '''
-_TAIL = """    return found
-"""
 
 
-def _sysid(source: ExportSource, settings: ExportSettings, urdf: Path | None) -> Export:
+def _sysid(source: _Source, urdf: Path | None) -> Export:
     """Write the parameters of the named effects as a ``ParameterDict`` of ``mujoco.sysid``.
 
     ``parameters.py`` builds it with a modifier for each parameter that is one attribute of MJCF;
@@ -220,170 +422,316 @@ def _sysid(source: ExportSource, settings: ExportSettings, urdf: Path | None) ->
     Classes and their arguments are those of MuJoCo 4.0: ``Parameter(name, nominal, min_value,
     max_value, frozen, modifier)``, whose modifier is called with the spec and the parameter.
     """
-    found = model_parameters(source)
-    states = {p.name: _state(p) for p in found}
-    left = tuple(
-        f"{p.words} has no modifier and is frozen; "
-        + ("model.xml contains it" if p.effect.in_model else "the code in result.json applies it")
-        for p in found
-        if not p.attribute
-    )
+    left, states, added = [], {}, ""
+    for p in _parameters(source):
+        state: dict[str, Any] = plain(
+            {
+                "name": p.name,
+                "nominal": [p.nominal if isfinite(p.nominal) else p.value],
+                "min_value": [p.low],
+                "max_value": [p.high],
+                "value": [p.value],
+                "frozen": not p.attribute or not p.low < p.high,
+            }
+        )
+        states[p.name] = state
+        given = [repr(value) for value in state.values()]
+        if p.scales:
+            given.append(f"_scales({p.where!r}, {_scaled(source, p)})")
+        elif p.attribute:
+            index = "" if p.index is None else f", {p.index}"
+            given.append(f"_sets({p.element!r}, {p.where!r}, {p.attribute!r}{index})")
+        else:
+            where = "model.xml contains" if p.effect.in_model else "the code in result.json applies"
+            left.append(f"{p.words} has no modifier and is frozen; {where} it")
+        unit = f"    # {p.unit}\n" if p.unit else ""
+        added += f"{unit}    add({', '.join(given)})\n"
+    listed = "".join(f"\n- {words}" for words in left) + "\n" * bool(left)
     # JSON is YAML, which needs a package to be written
+    text = _SYSID.replace("{left}", listed).replace("{added}", added)
     return Export(
-        files={
-            "parameters.py": _HEAD.format(listed=_listed(left))
-            + "".join(_added(source, p, states[p.name]) for p in found)
-            + _TAIL,
-            "parameters.yaml": json_text(states),
-        },
-        not_expressed=left,
+        files={"parameters.py": text, "parameters.yaml": json_text(states)},
+        not_expressed=tuple(left),
         notes=("the parameters apply to model.xml beside result.json",),
     )
 
 
-def _listed(left: Sequence[str]) -> str:
-    return "".join(f"\n- {words}" for words in left) + ("\n" if left else "")
-
-
-def _state(p: ModelParameter) -> dict[str, object]:
-    """Return a parameter in the form of ``ParameterDict.save_to_disk``."""
-    nominal = p.nominal if isfinite(p.nominal) else p.value
-    state: dict[str, object] = plain(
-        {
-            "name": p.name,
-            "nominal": [nominal],
-            "min_value": [p.low],
-            "max_value": [p.high],
-            "value": [p.value],
-            "frozen": not p.attribute or not p.low < p.high,
-        }
-    )
-    return state
-
-
-def _added(source: ExportSource, p: ModelParameter, state: dict[str, object]) -> str:
-    """Lines that add one parameter."""
-    lines = [
-        "    found.add(",
-        "        sysid.Parameter(",
-        f"            {p.name!r},{f'  # {p.unit}' if p.unit else ''}",
-        f"            nominal={state['nominal']},",
-        f"            min_value={state['min_value']},",
-        f"            max_value={state['max_value']},",
-        f"            frozen={state['frozen']},",
-    ]
-    if p.scales:
-        lines.append(f"            modifier=_scales({p.where!r}, {_scaled(source, p)}),")
-    elif p.attribute:
-        index = "" if p.index is None else f", {p.index}"
-        lines.append(
-            f"            modifier=_sets({p.element!r}, {p.where!r}, {p.attribute!r}{index}),"
-        )
-    lines += [
-        "        )",
-        "    )",
-        f"    found[{p.name!r}].update_from_vector(np.array({state['value']}))",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _scaled(source: ExportSource, p: ModelParameter) -> dict[str, list[float]]:
+def _scaled(source: _Source, p: _Parameter) -> dict[str, list[float]]:
     """Attributes of an actuator that its gain scales, with their nominal values."""
     actuator = source.model.actuator(p.where)
-    attributes = {"gainprm": actuator.gainprm}
-    if p.effect.variant != "command":
-        attributes["biasprm"] = actuator.biasprm
-    if not p.effect.variant and actuator.forcelimited[0]:
-        attributes["forcerange"] = actuator.forcerange
-    whole = {a: (np.asarray(v, dtype=float) / p.value).tolist() for a, v in attributes.items()}
-    nominal: dict[str, list[float]] = plain(whole)
+    names = ["gainprm"]
+    names += ["biasprm"] * (p.effect.variant != "command")
+    names += ["forcerange"] * bool(not p.effect.variant and actuator.forcelimited[0])
+    nominal: dict[str, list[float]]
+    nominal = plain({n: (np.array(getattr(actuator, n)) / p.value).tolist() for n in names})
     return nominal
 
 
-RANGES_FORMAT = "loose-ranges/1"
-
-
-def _ranges(source: ExportSource, settings: ExportSettings, urdf: Path | None) -> Export:
+def _ranges(source: _Source, urdf: Path | None) -> Export:
     """Write a range for every parameter of the named effects, in the form ``loose-ranges/1``.
 
     Each has the parameter's effect, location, unit and interval; where the parameter is one
     attribute of MJCF, also that attribute with its absolute range.
     """
-    parameters = model_parameters(source)
-    left = tuple(
-        f"{p.words}: the result has no interval for it" for p in parameters if not p.low < p.high
-    )
+    ranges, left = [], []
+    for p in _parameters(source):
+        if not p.low < p.high:
+            left.append(f"{p.words}: the result has no interval for it")
+            continue
+        low, high = p.effect.interval_95[p.parameter]
+        found: dict[str, Any] = {
+            "effect": p.effect.kind, "where": p.where, "parameter": p.parameter, "unit": p.unit,
+            "value": p.effect.parameters[p.parameter], "low": low, "high": high,
+        }  # fmt: skip
+        if p.attribute and not p.scales:
+            index = "" if p.index is None else f"[{p.index}]"
+            found["mjcf"] = {
+                "attribute": f"{p.element}/{p.attribute}{index}", "nominal": p.nominal,
+                "value": p.value, "low": p.low, "high": p.high,
+            }  # fmt: skip
+        elif isfinite(p.nominal):
+            found["without_effect"] = p.nominal
+        ranges.append(found)
     whole = {
-        "format": RANGES_FORMAT,
+        "format": "loose-ranges/1",
         "interval": "95 % confidence interval, to be drawn from uniformly",
-        "ranges": [_range(p) for p in parameters if p.low < p.high],
-        "not_expressed": list(left),
+        "ranges": ranges,
+        "not_expressed": left,
     }
-    return Export(files={"ranges.json": json_text(whole)}, not_expressed=left)
+    return Export(files={"ranges.json": json_text(whole)}, not_expressed=tuple(left))
 
 
-def _range(p: ModelParameter) -> dict[str, Any]:
-    low, high = p.effect.interval_95[p.parameter]
-    found: dict[str, Any] = {
-        "effect": p.effect.kind,
-        "where": p.where,
-        "parameter": p.parameter,
-        "unit": p.unit,
-        "value": p.effect.parameters[p.parameter],
-        "low": low,
-        "high": high,
-    }
-    if p.attribute and not p.scales:
-        index = "" if p.index is None else f"[{p.index}]"
-        found["mjcf"] = {
-            "attribute": f"{p.element}/{p.attribute}{index}",
-            "nominal": p.nominal,
-            "value": p.value,
-            "low": p.low,
-            "high": p.high,
-        }
-    elif isfinite(p.nominal):
-        found["without_effect"] = p.nominal
-    return found
+# Actuator configurations: mjlab, Isaac Lab
+
+_CARRIED = dict.fromkeys(
+    ("viscous_friction", "coulomb_friction", "rotor_inertia", "actuator_gain", "command_delay",
+     "torque_limit", "voltage_limit"), _ALL,
+)  # fmt: skip
+_AT_DRIVE = frozenset({"actuator_gain", "command_delay", "torque_limit", "voltage_limit"})
+"""Kinds that only the configuration of a drive carries."""
+_Fields = dict[str, float | str | None]
+"""Arguments of a class: numbers, and texts of Python; None where one is left out."""
 
 
-_BY_URDF = {"viscous_friction": ALL, "coulomb_friction": ALL}
+def _mjlab(source: _Source, urdf: Path | None) -> Export:
+    """Write actuator configurations for mjlab.
+
+    Fields are those of ``mjlab.actuator`` 1.6 (``ActuatorCfg``, ``DcMotorActuatorCfg`` and the
+    classes ``Builtin...Cfg``), as their docstrings define them; delays are whole physics steps.
+    """
+    configs: dict[str, tuple[str, _Fields]] = {}
+    left: list[str] = []
+    for joint in source.joints:
+        low, high = _lags(source, joint, left)
+        if joint.drive is None:
+            left += _undriven(source, joint)
+            continue
+        drive, motor = joint.drive, _motor(source, joint)
+        effort = drive.mode == "effort"
+        left += drive.remarks
+        own: _Fields = {"target_names_expr": f"({re.escape(joint.name)!r},)"}
+        own |= {"stiffness": drive.stiffness, "damping": drive.damping}
+        own["effort_limit"] = limit = drive.effort_limit
+        kind = f"Builtin{drive.mode.capitalize()}ActuatorCfg"
+        if motor:
+            kind, own = "DcMotorActuatorCfg", own | motor
+            if effort:
+                own["damping"] = 0.0
+                left += _effort_scale(drive)
+        elif effort:
+            kind, gear = "BuiltinMotorActuatorCfg", drive.effort_gain
+            own |= {"stiffness": None, "damping": None, "gear": gear}
+            own["effort_limit"] = 'float("inf")' if limit is None else limit / abs(gear)
+        elif drive.mode == "velocity":
+            own["stiffness"] = None
+        own |= {
+            "armature": joint.armature, "frictionloss": joint.frictionloss,
+            "viscous_damping": joint.damping, "delay_min_lag": low, "delay_max_lag": high,
+        }  # fmt: skip
+        configs[joint.name] = kind, own
+    left = [*source.not_carried(_CARRIED), *left]
+    return Export(
+        files={"mjlab_actuators.py": _module(source, "mjlab", "mjlab.actuator", configs, left)},
+        not_expressed=tuple(left),
+        notes=(
+            "armature, frictionloss and viscous_damping replace those of the joints; the other "
+            "effects are those of the MJCF file that the entity loads: load model.xml without its "
+            "actuators",
+        ),
+    )
 
 
-def _urdf(source: ExportSource, settings: ExportSettings, urdf: Path | None) -> Export:
+def _isaaclab(source: _Source, urdf: Path | None) -> Export:
+    """Write actuator configurations for Isaac Lab.
+
+    Fields are those of ``isaaclab.actuators`` 2.3 (``ActuatorBaseCfg``, ``IdealPDActuatorCfg``,
+    ``DCMotorCfg``, ``DelayedPDActuatorCfg``, ``ImplicitActuatorCfg``), as their docstrings define
+    them; delays are whole physics steps.
+    """
+    configs: dict[str, tuple[str, _Fields]] = {}
+    left: list[str] = []
+    for joint in source.joints:
+        low, high = _lags(source, joint, left)
+        own: _Fields = {"joint_names_expr": f"[{re.escape(joint.name)!r}]"}
+        kind, drive, motor = "IdealPDActuatorCfg", joint.drive, _motor(source, joint)
+        if drive is None:  # a joint that nothing drives has friction and inertia too
+            left += _undriven(source, joint) if joint.undriven else []
+            kind, own = "ImplicitActuatorCfg", own | {"stiffness": 0.0, "damping": 0.0}
+        else:
+            left += [*drive.remarks, *_effort_scale(drive)]
+            own |= {"stiffness": drive.stiffness, "damping": drive.damping}
+            own["effort_limit"] = drive.effort_limit
+        falls = sum(
+            (e.parameters["static_ratio"] - 1.0) * e.parameters["torque"]
+            for e in source.effects
+            if e.kind == "stribeck_friction" and e.where == joint.name
+        )
+        own |= {
+            "armature": joint.armature, "friction": joint.frictionloss,
+            "dynamic_friction": max(joint.frictionloss - falls, 0.0),
+            "viscous_friction": joint.damping,
+        }  # fmt: skip
+        if motor:
+            kind, own = "DCMotorCfg", own | motor
+            left += [f"the delay of {joint.name}: DCMotorCfg has none"] if high else []
+        elif high:
+            kind, own = "DelayedPDActuatorCfg", own | {"min_delay": low, "max_delay": high}
+        configs[joint.name] = kind, own
+    carried = _CARRIED | {"stribeck_friction": ("torque", "static_ratio")}
+    remedy = "change the USD asset or the environment accordingly"
+    left = [*source.not_carried(carried, remedy=remedy), *left]
+    text = _module(source, "Isaac Lab", "isaaclab.actuators", configs, left, keyed=True)
+    return Export(
+        files={"isaaclab_actuators.py": text},
+        not_expressed=tuple(left),
+        notes=(
+            "friction and dynamic_friction are torques or forces, as from Isaac Sim 5.0 on; in "
+            "Isaac Sim 4.5 they are coefficients",
+            "velocity_limit is that of the USD asset where none is written",
+        ),
+    )
+
+
+def _lags(source: _Source, joint: _Joint, left: list[str]) -> tuple[int, int] | tuple[None, None]:
+    """Smallest and largest delay of a joint's commands in steps; a lost one is listed."""
+    drive = joint.drive
+    if drive is None or drive.delay <= 0:
+        return None, None
+    step, low, high = source.step, drive.delay, drive.delay
+    for effect in source.effects:
+        if effect.kind == "command_delay" and effect.where in (drive.name, "all"):
+            value = effect.parameters["delay"]
+            ends = effect.interval_95.get("delay", (value, value))
+            low, high = (drive.delay + end - value for end in ends)
+    if most := max(round(high / step), 0):
+        return max(round(low / step), 0), most
+    late = f"the delay of {drive.name}, {drive.delay:.3g} s"
+    left.append(f"{late}: less than half a physics step of {step:.3g} s")
+    return None, None
+
+
+def _undriven(source: _Source, joint: _Joint) -> list[str]:
+    """What is lost at a joint without a drive that can be configured."""
+    reason = joint.undriven or "no actuator drives it"
+    kinds = [e.kind for e in source.effects if e.where == joint.name and e.kind not in _AT_DRIVE]
+    words = f": {', '.join(kinds)}" * bool(kinds)
+    return [f"the configuration of joint {joint.name}{words}, because {reason}"]
+
+
+def _effort_scale(drive: _Drive) -> list[str]:
+    """Remark on the torque per command of a motor, where that is not one."""
+    if drive.mode != "effort" or abs(drive.effort_gain - 1.0) <= 1e-9:
+        return []
+    return [
+        f"the torque of {drive.name} per command, {drive.effort_gain:.4g}; multiply the effort "
+        "targets by it"
+    ]
+
+
+def _motor(source: _Source, joint: _Joint) -> _Fields:
+    """Torque-speed line of a joint's drive whose voltage limit was identified; empty if none."""
+    drive = joint.drive
+    for effect in source.effects:
+        if drive is not None and effect.kind == "voltage_limit" and effect.where == drive.name:
+            gear = abs(drive.gear)
+            stall = gear * effect.parameters["stall_torque"]
+            speed = effect.parameters["no_load_speed"] / gear
+            return {"effort_limit": stall, "saturation_effort": stall, "velocity_limit": speed}
+    return {}
+
+
+def _number(value: float | str) -> str:
+    """A number with six significant digits; a text as it is."""
+    return value if isinstance(value, str) else f"{value:.6g}"
+
+
+def _module(
+    source: _Source, target: str, package: str, configs: Mapping[str, tuple[str, _Fields]],
+    left: Sequence[str], *, keyed: bool = False,
+) -> str:  # fmt: skip
+    """Python text of a tuple or mapping of configurations, and what it does not contain."""
+    lines = [f'"""Actuators for {target}, identified by \'loose gap\'.', ""]
+    lines += [f"Delays are counted in physics steps of {_number(source.step)} s."]
+    lines += ["", "Not expressed:", *(f"- {words}" for words in left)] if left else []
+    lines += ['"""', ""]
+    kinds = sorted({kind for kind, _ in configs.values()})
+    lines += [f"from {package} import (", *(f"    {kind}," for kind in kinds), ")"] if kinds else []
+    lines += ["", f"ACTUATORS = {'{' if keyed else '('}"]
+    for name, (kind, own) in configs.items():
+        lines.append(f"    {f'{name!r}: ' * keyed}{kind}(")
+        given = {field: value for field, value in own.items() if value is not None}
+        lines += [f"        {field}={_number(value)}," for field, value in given.items()]
+        lines.append("    ),")
+    return "\n".join([*lines, "}" if keyed else ")", ""])
+
+
+# URDF
+
+
+def _urdf(source: _Source, urdf: Path | None) -> Export:
     """Write the joint friction of the corrected model as ``<dynamics>`` tags of URDF.
 
     ``damping`` [N·m·s/rad, N·s/m] and ``friction``, the static friction [N·m, N], are its
-    attributes (wiki.ros.org/urdf/XML/joint).
+    attributes (wiki.ros.org/urdf/XML/joint). Without a URDF they are tags to be pasted.
     """
-    left = not_carried(source.effects, _BY_URDF)
-    joints = source.joints
+    carried = {"viscous_friction": _ALL, "coulomb_friction": _ALL}
+    left = source.not_carried(carried)
+    listed = "".join(f"\n  - {words}" for words in left).replace("--", "−−")
+    lost = [ET.Comment(f" not expressed:{listed}\n")] if left else []
     if urdf is None:
-        return Export(files={"dynamics.urdf.xml": _snippets(joints, left)}, not_expressed=left)
-    root = _robot(urdf)
+        root = ET.Element("robot", name="dynamics")
+        root.append(ET.Comment(" paste each <dynamics> into the <joint> of the same name "))
+        root.extend(lost)
+        for joint in source.joints:
+            kind = "revolute" if joint.turns else "prismatic"
+            ET.SubElement(root, "joint", name=joint.name, type=kind)
+        name, head, notes = "dynamics.urdf.xml", "", tuple[str, ...]()
+    else:
+        root = _robot(urdf)
+        name, head = urdf.name, '<?xml version="1.0"?>\n'
+        notes = (f"paths of meshes in {urdf.name} are relative to the folder of the original",)
     there = {each.get("name"): each for each in root.findall("joint")}
-    named = {e.where for e in source.effects if e.kind in _BY_URDF}
-    lacking = sorted(named - set(there))
-    if lacking:
+    named = {e.where for e in source.effects if e.kind in carried}
+    if lacking := sorted(named - set(there)):
         raise InvalidData(
             f"{urdf} has no joint {lacking[0]!r}, where the result names friction; it has "
             f"{sorted(str(name) for name in there)}"
         )
-    for joint in joints:
-        if joint.name in there:
-            _set_tag(there[joint.name], joint)
-    if left:
-        root.insert(0, ET.Comment(_comment(left)))
+    for joint in source.joints:
+        if (element := there.get(joint.name)) is not None:
+            tag = element.find("dynamics")
+            tag = ET.SubElement(element, "dynamics") if tag is None else tag
+            tag.set("damping", _number(joint.damping))
+            tag.set("friction", _number(joint.frictionloss))
+    if urdf is not None and lost:
+        root.insert(0, lost[0])
     ET.indent(root)
-    text = ET.tostring(root, encoding="unicode", xml_declaration=False)
-    return Export(
-        files={urdf.name: f'<?xml version="1.0"?>\n{text}\n'},
-        not_expressed=left,
-        notes=(f"paths of meshes in {urdf.name} are relative to the folder of the original",),
-    )
+    text = f"{head}{ET.tostring(root, encoding='unicode')}\n"
+    return Export(files={name: text}, not_expressed=left, notes=notes)
 
 
 def _robot(urdf: Path) -> ET.Element:
+    """The root of a URDF, its comments kept."""
     try:
         parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
         root = ET.fromstring(urdf.read_text(encoding="utf-8"), parser=parser)
@@ -397,51 +745,24 @@ def _robot(urdf: Path) -> ET.Element:
     return root
 
 
-def _set_tag(element: ET.Element, joint: JointValues) -> None:
-    tag = element.find("dynamics")
-    if tag is None:
-        tag = ET.SubElement(element, "dynamics")
-    tag.set("damping", number(joint.damping))
-    tag.set("friction", number(joint.frictionloss))
-
-
-def _snippets(joints: tuple[JointValues, ...], left: tuple[str, ...]) -> str:
-    """Element ``<joint>`` with its tag, for each joint."""
-    root = ET.Element("robot", name="dynamics")
-    root.append(ET.Comment(" paste each <dynamics> into the <joint> of the same name "))
-    if left:
-        root.append(ET.Comment(_comment(left)))
-    for joint in joints:
-        kind = "revolute" if joint.turns else "prismatic"
-        _set_tag(ET.SubElement(root, "joint", name=joint.name, type=kind), joint)
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
-
-
-def _comment(left: tuple[str, ...]) -> str:
-    listed = "".join(f"\n  - {words}" for words in left).replace("--", "−−")
-    return f" not expressed:{listed}\n"
-
+# BAM
 
 SERVOS = (
     "mx64", "mx106", "xl320", "xl330", "xl330i", "erob80_100", "erob80_50", "sts3215",
     "unitree_go1",
 )  # fmt: skip
 """Actuators of better-actuator-models 1.0 (``bam.actuators``)."""
-_BY_BAM = {
-    "viscous_friction": ALL,
-    "coulomb_friction": ALL,
-    "stribeck_friction": ALL,
-    "rotor_inertia": ALL,
-    "load_friction": ALL,
-}
+_BY_BAM = dict.fromkeys(
+    ("viscous_friction", "coulomb_friction", "stribeck_friction", "rotor_inertia", "load_friction"),
+    _ALL,
+)
 _ALPHA = 2.0
 """Exponent of the Stribeck curve in this package."""
 _SPEED = 0.2
 """Stribeck speed of BAM where none is identified [rad/s]; without effect there."""
 
 
-def _bam(source: ExportSource, settings: ExportSettings, urdf: Path | None) -> Export:
+def _bam(source: _Source, urdf: Path | None) -> Export:
     """Write a parameter file of BAM for each hinge with a named effect.
 
     Its keys are ``model`` ("m1" to "m6"), ``actuator``, and parameters by name, as
@@ -450,22 +771,21 @@ def _bam(source: ExportSource, settings: ExportSettings, urdf: Path | None) -> E
     ``friction_viscous`` v, in model m5 also ``load_friction_motor`` times the motor's torque, with
     a Stribeck part of its own.
     """
-    servo = settings.servo
+    servo = source.settings.servo
     if servo not in SERVOS:
         raise InvalidSetting(
             f"BAM needs the servo of the joints: give --servo with one of {', '.join(SERVOS)}"
             + (f"; got {servo!r}" if servo else "")
         )
-    effects = source.effects
-    files, left = {}, list(not_carried(effects, _BY_BAM))
+    files, left = {}, list(source.not_carried(_BY_BAM))
     for joint in source.joints:
-        own = [e for e in effects if e.where in _locations(joint) and e.kind in _BY_BAM]
-        if not own:
-            continue
-        if not joint.turns:
-            left += [f"{effect_words(e)}; BAM has no slides" for e in own]
-            continue
-        files[f"bam_{_safe(joint.name)}.json"] = json_text(_parameters(joint, own, servo))
+        places = {joint.name} if joint.drive is None else {joint.name, joint.drive.name}
+        own = {e.kind: e for e in source.effects if e.where in places and e.kind in _BY_BAM}
+        if own and joint.turns:
+            name = re.sub(r"[^\w.-]", "_", joint.name)
+            files[f"bam_{name}.json"] = json_text(_bam_parameters(joint, own, servo))
+        else:
+            left += [f"{_words(e)}; BAM has no slides" for e in own.values()]
     if not files:
         raise InvalidSetting(
             "the result names no effect that BAM has: viscous, Coulomb, Stribeck or load-dependent "
@@ -483,23 +803,14 @@ def _bam(source: ExportSource, settings: ExportSettings, urdf: Path | None) -> E
     )
 
 
-def _locations(joint: JointValues) -> tuple[str, ...]:
-    return (joint.name,) if joint.drive is None else (joint.name, joint.drive.name)
-
-
-def _safe(name: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)
-
-
-def _parameters(
-    joint: JointValues, effects: Sequence[NamedEffect], servo: str
+def _bam_parameters(
+    joint: _Joint, effects: Mapping[str, NamedEffect], servo: str
 ) -> dict[str, float | str]:
     """Parameters of one joint in the order of BAM's own files.
 
     Friction that grows with the load is that of model m5.
     """
-    stribeck = next((e for e in effects if e.kind == "stribeck_friction"), None)
-    load = next((e for e in effects if e.kind == "load_friction"), None)
+    stribeck, load = effects.get("stribeck_friction"), effects.get("load_friction")
     fall, speed = 0.0, _SPEED
     if load is not None:
         speed = load.parameters.get("speed", _SPEED)
@@ -524,67 +835,12 @@ def _parameters(
     return found
 
 
-_Exporter = Callable[[ExportSource, ExportSettings, Path | None], Export]
-TARGETS: Mapping[str, _Exporter] = {
+TARGETS: Mapping[str, Callable[[_Source, Path | None], Export]] = {
     "sysid": _sysid,
-    "mjlab": mjlab_export,
-    "isaaclab": isaaclab_export,
+    "mjlab": _mjlab,
+    "isaaclab": _isaaclab,
     "urdf": _urdf,
     "bam": _bam,
     "ranges": _ranges,
 }
 """Target -> its export."""
-
-
-def export_result(
-    path: str | Path,
-    target: str,
-    settings: ExportSettings | None = None,
-    *,
-    urdf: Path | None = None,
-) -> Export:
-    """Export the named effects of a result.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``result.json`` of ``loose gap``, or the folder with it.
-    target : str
-        One of `TARGETS`: "sysid", "mjlab", "isaaclab", "urdf", "bam" or "ranges".
-    settings : ExportSettings, optional
-        Settings of the export.
-    urdf : Path, optional
-        URDF of the arm, for the target "urdf".
-
-    Raises
-    ------
-    InvalidData
-        If there is no result of this version, or it names no effect.
-    InvalidSetting
-        If a setting that the target needs is missing.
-    UnknownName
-        If there is no such target.
-
-    Examples
-    --------
-    >>> export_result("arm-gap", "gazebo")
-    Traceback (most recent call last):
-        ...
-    loose_env.errors.UnknownName: no export to 'gazebo'; there are sysid, mjlab, isaaclab, ...
-    """
-    if target not in TARGETS:
-        raise UnknownName(f"no export to {target!r}; there are {', '.join(TARGETS)}")
-    return TARGETS[target](read_source(path), settings or ExportSettings(), urdf)
-
-
-def write_export(folder: str | Path, export: Export) -> list[Path]:
-    """Write the files of an export into a folder, each complete or not at all.
-
-    Returns
-    -------
-    list of Path
-        The files.
-    """
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
-    return [write_text(place / name, text) for name, text in export.files.items()]
