@@ -421,11 +421,11 @@ class Checked:
         check_fields(self)
 
 
-def check_fields(settings: Any) -> None:
+def check_fields(settings: Any, kind: Any = None) -> None:
     """Refuse values that the annotations of a dataclass do not allow.
 
     Numbers, words, one of several words, tuples, dataclasses and optional fields are checked;
-    fields of any other type are not.
+    fields of any other type are not. With ``kind``, a base class, its fields alone are checked.
 
     Raises
     ------
@@ -445,7 +445,7 @@ def check_fields(settings: Any) -> None:
     ...
     loose_env.errors.InvalidSetting: Own.most must be a whole number; got 2.5
     """
-    kind: Any = type(settings)
+    kind = kind or type(settings)
     for name, hint in _hints(kind):
         value = getattr(settings, name)
         if words := unmet(hint, value):

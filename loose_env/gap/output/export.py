@@ -444,8 +444,7 @@ def _sysid(source: _Source, urdf: Path | None) -> Export:
         else:
             where = "model.xml contains" if p.effect.in_model else "the code in result.json applies"
             left.append(f"{p.words} has no modifier and is frozen; {where} it")
-        unit = f"    # {p.unit}\n" if p.unit else ""
-        added += f"{unit}    add({', '.join(given)})\n"
+        added += f"    add({', '.join(given)}){f'  # {p.unit}' * bool(p.unit)}\n"
     listed = "".join(f"\n- {words}" for words in left) + "\n" * bool(left)
     # JSON is YAML, which needs a package to be written
     text = _SYSID.replace("{left}", listed).replace("{added}", added)
