@@ -1,6 +1,6 @@
-"""Run `loose gap` on measured recordings: effects identified, held-out error before and after.
+"""Run `loose gap` on measured recordings: verdicts, CPU time, held-out error before and after.
 
-python -m scripts.suites.gap.measured RECORDING [RECORDING ...] --out FILE.jsonl [--each]
+python -m scripts.suites.gap.measured RECORDING [RECORDING ...] [--each] [--out FILE.jsonl]
 """
 
 from __future__ import annotations
@@ -11,15 +11,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from tyro.conf import Positional
 
-import loose_env
 from loose_env.cli.command import command
-from loose_env.errors import InvalidSetting, LooseEnvError
+from loose_env.errors import LooseEnvError
+from loose_env.gap import GapSettings, GapSolution, NamedEffect, solve_gap
 from loose_env.io import plain
-from loose_env.recording import read_recording
+from loose_env.recording import Recording, read_recording
 from scripts.suites.rows import Row, add, kept
 
 _NAMED = 3
@@ -28,55 +27,78 @@ QUANTITY = "joint position [rad]"
 """Error that the table shows: of windows of held-out runs, simulated from the measured state."""
 
 
-def row_of(folder: Path, settings: dict[str, Any]) -> Row:
-    """Result of a recording under some `GapSettings`, and the time it took [s]."""
-    begun = time.perf_counter()
-    say = partial(print, file=sys.stderr, flush=True)
+def row_of(recording: Recording, settings: GapSettings) -> Row:
+    """Result of a recording, and the processor time it took [s]; prints what was found."""
+    begun, row = time.process_time(), {"recording": recording.folder.name}
     try:
-        found = loose_env.explain_gap(folder, ignore_doctor=True, say=say, **settings).result
+        solution = solve_gap(recording, settings, say=partial(print, file=sys.stderr, flush=True))
     except LooseEnvError as error:
-        return {"recording": folder.name, "error": str(error), "held_out": []}
-    return {
-        "recording": folder.name,
-        "seconds": time.perf_counter() - begun,
-        "verdict": found.verdict,
+        return row | {"error": str(error), "held_out": []}
+    found, seconds = solution.result, time.process_time() - begun
+    motion = solution.answer.selection.evidence.balance.motion
+    print(
+        f"== {row['recording']}: {motion.runs[0].form}, band {motion.band:.1f} Hz, {seconds:.1f} s"
+    )
+    print("\n".join(f"  {line}" for line in _lines(solution)), flush=True)
+    return row | {
+        "seconds": seconds,
         "held_out": list(found.held_out_runs),
         "error": None,
         "rmse": found.gap.by_quantity.get(QUANTITY),
-        "effects": [plain(asdict(effect), digits=17) for effect in found.effects],
-        "unexplained": [c.channel for c in found.channels if c.verdict == "unexplained"],
+        "named": "; ".join(map(_words, found.effects)) or found.verdict,
+        "result": plain(asdict(found), digits=17),
     }
+
+
+def _lines(solution: GapSolution) -> list[str]:
+    """Exact fits, effects, and verdicts joint by joint."""
+    result, answer = solution.result, solution.answer
+    lines = []
+    for fit in answer.exact:
+        sets = ", ".join(f"{term.effect.kind}@{term.effect.where}" for term in fit.terms)
+        lines.append(f"exact {fit.total:.0f}: {sets}; rms {fit.rms.round(1)}")
+    for word, effects in (("NAMED", result.effects), ("     ", result.doubtful)):
+        for e in effects:
+            gains = " ".join(f"{gain:+.0f} by {way}" for way, gain in e.held_out_gain.items())
+            sure = f"p {e.probability:.2f}, z {e.z:.1f}, held-out {gains}"
+            lines.append(f"{word} {_words(e)} {e.variant}; {sure}")
+    rivals = [f"{kind}@{where} {p:.2f}" for p, kind, where in answer.decision.rivals[:8]]
+    lines += [f"rivals: {', '.join(rivals)}"] if rivals else []
+    for c in result.channels:
+        kinds = ", ".join(e.kind for e in c.effects)
+        lines.append(f"{c.channel}: {c.verdict} {kinds} ({c.before:.3g} -> {c.after:.3g})")
+    return lines
 
 
 def table(rows: Sequence[Row]) -> str:
     """Rows in Markdown."""
     lines = [
-        "| recording | held out | named | error before [rad] | after [rad] | ratio | time [s] |",
+        "| recording | held out | named | error before [rad] | after [rad] | ratio | CPU [s] |",
         "|---|---|---|---:|---:|---:|---:|",
     ]
     for row in rows:
         if row["error"] is not None:
             lines.append(f"| {row['recording']} | | refused: {row['error']} | | | | |")
             continue
-        named = "; ".join(_effect_words(effect) for effect in row["effects"]) or row["verdict"]
         numbers = "| | | "
         if row["rmse"] is not None:
             before, after = row["rmse"]
             numbers = f"| {before:.4f} | {after:.4f} | {after / before:.2f} "
         names = [f"`{Path(name).stem}`" for name in row["held_out"]]
         held = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} runs"
-        lines.append(f"| {row['recording']} | {held} | {named} {numbers}| {row['seconds']:.0f} |")
+        first = f"| {row['recording']} | {held} | {row['named']} "
+        lines.append(f"{first}{numbers}| {row['seconds']:.0f} |")
     return "\n".join(lines)
 
 
-def _effect_words(effect: Row) -> str:
-    figures = []
-    for name, value in effect["parameters"].items():
-        low, high = effect["interval_95"].get(name, (None, None))
-        span = "" if low is None or high is None else f" ({low:.3g} to {high:.3g})"
-        unit = effect["units"].get(name, "")
-        figures.append(f"{name} {value:.3g}{span}{' ' if unit else ''}{unit}")
-    return f"`{effect['kind']}` at {effect['where']}: {', '.join(figures)}"
+def _words(effect: NamedEffect) -> str:
+    """Kind and location with the values and their intervals."""
+    parts = []
+    for name, value in effect.parameters.items():
+        low, high = effect.interval_95[name]
+        unit = effect.units[name]
+        parts.append(f"{name} {value:.4g} ({low:.4g} to {high:.4g}) {unit}".rstrip())
+    return f"`{effect.kind}` at {effect.where}: {', '.join(parts)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,34 +107,29 @@ class MeasuredSettings:
 
     recordings: Positional[tuple[Path, ...]] = ()
     """Folders of recordings."""
-    out: Path
-    """File of rows (JSON lines)."""
+    out: Path | None = None
+    """File of rows (JSON lines); those that it has already are not run again."""
     threads: int = 1
     """Threads of each comparison."""
     each: bool = False
-    """Hold out every run in turn, not what the names say."""
-    table: bool = False
-    """Print the table of the kept rows alone."""
+    """Hold out every run in turn, not what the tool holds out."""
 
 
 def run(given: MeasuredSettings) -> None:
     """Run the recordings that the file lacks and print the table."""
-    rows = kept(given.out)
-    if given.table and not rows:
-        raise InvalidSetting(f"{given.out} has no rows to make a table of; run some recordings")
-    done = {(row["recording"], tuple(row.get("asked", ()))) for row in rows if row["error"] is None}
-    for folder in () if given.table else given.recordings:
-        # every run in turn, or () for those that the names say
-        names = [(run.name,) for run in read_recording(folder).runs] if given.each else [()]
-        for held in names:
-            if (folder.name, held) in done:
+    rows = [] if given.out is None else kept(given.out)
+    done = {(row["recording"], tuple(row["asked"])) for row in rows if row["error"] is None}
+    for folder in given.recordings:
+        recording = read_recording(folder)
+        for held in [(run.name,) for run in recording.runs] if given.each else [()]:
+            if (recording.folder.name, held) in done:
                 continue
-            row = row_of(folder, {"threads": given.threads, "held_out": held}) | {"asked": held}
+            settings = GapSettings(threads=given.threads, held_out=held)
+            row = row_of(recording, settings) | {"asked": held}
             rows.append(row)
-            add(given.out, row)
-            print(table([row]).splitlines()[-1], flush=True)
-    rows.sort(key=lambda row: (row["recording"], row["held_out"]))
-    print(table(rows))
+            if given.out is not None:
+                add(given.out, row)
+    print(table(sorted(rows, key=lambda row: (row["recording"], row["held_out"]))))
 
 
 if __name__ == "__main__":
