@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from loose_env.doctor import Finding as Preflight
 from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms
 from loose_env.gap.core.exact import LARGE
-from loose_env.gap.core.find import Answer, evidence_of, find_gap, silent
+from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
 from loose_env.gap.core.residual import (
     Correlation,
@@ -51,7 +51,6 @@ from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
-Say = Callable[[str], None]
 PULLED = 2.0
 """Standard deviations from which the pull of a tolerance is told: 1 in 20 by chance."""
 FIGURES = 4
@@ -171,10 +170,13 @@ def solve_gap(
         before, after = left_by(selection, nominal), left_by(selection, fit)
         tests, correlations = residual_tests(selection, after)
         errors, played = simulated(answer, corrected)
+        evidence = selection.evidence
+        channels = [evidence.balance.channels[c.joint] for c in evidence.channels]
+        sides = [held_out_rms(selection, each).tolist() for each in (nominal, fit)]
         gap = Gap(
             before=pooled_rms(selection, nominal),
             after=pooled_rms(selection, fit),
-            by_channel=_by_channel(answer),
+            by_channel=dict(zip(channels, zip(*sides, strict=True), strict=True)),
             by_quantity=force_errors(answer, before, after) | errors,
         )
         result = GapResult(
@@ -194,7 +196,7 @@ def solve_gap(
             settings=asdict(answer.settings),
         )
         largest = np.argsort([test.rms for test in tests])[::-1][: FIGURES - 1]
-        band = selection.evidence.balance.motion.band
+        band = evidence.balance.motion.band
     return GapSolution(
         answer=answer, corrected=corrected, overlays=overlays(selection, before, after, FIGURES),
         correlations=tuple(correlations[k] for k in largest), played=played,
@@ -300,16 +302,6 @@ def pooled_rms(selection: Selection, fit: SetFit) -> float:
     return float(np.sqrt(np.sum(counts * held_out_rms(selection, fit) ** 2) / counts.sum()))
 
 
-def _by_channel(answer: Answer) -> dict[str, tuple[float, float]]:
-    """Held-out residual of each channel, before and after."""
-    selection, names = answer.selection, answer.selection.evidence.balance.channels
-    sides = [held_out_rms(selection, f) for f in (selection.solve(()), answer.decision.fit)]
-    return {
-        names[channel.joint]: (float(before), float(after))
-        for channel, before, after in zip(selection.evidence.channels, *sides, strict=True)
-    }
-
-
 def _effect(found: Finding) -> NamedEffect:
     """An effect of the answer in the form of a result."""
     effect, names = found.term.effect, [p.name for p in found.term.effect.parameters]
@@ -341,22 +333,18 @@ def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
         before, after = gap.by_channel[own.joint]
         found.append(
             ChannelVerdict(
-                channel=own.joint,
-                verdict=own.verdict,
+                channel=own.joint, verdict=own.verdict, before=before, after=after,
                 effects=tuple(EffectLocation(kind=k, where=w) for k, w in dict.fromkeys(effects)),
-                before=before,
-                after=after,
                 advice=_advice(answer, number, own, effects),
             )
-        )
-    named = {each.channel for each in found}
-    standing = [joint for joint in machine.joints if joint not in named]
+        )  # fmt: skip
     found += [
         ChannelVerdict(
-            channel=joint, verdict="cannot tell", before=float("nan"), after=float("nan"),
+            channel=joint, verdict="cannot tell", before=nan, after=nan,
             advice="it hardly moves, or its torque was not read: record runs in which it moves",
         )
-        for joint in standing
+        for joint in machine.joints
+        if joint not in gap.by_channel
     ]  # fmt: skip
     return tuple(found)
 
@@ -374,26 +362,22 @@ def _advice(
     channel = answer.selection.evidence.channels[number]
     runs = answer.selection.evidence.balance.motion.runs
     excess = answer.decision.fit.left[number] - channel.count
-    by_run: dict[str, float] = defaultdict(float)
-    by_band: dict[float, float] = defaultdict(float)
-    for run, turn, each in zip(channel.run, channel.turn, excess, strict=True):
-        by_run[runs[run].name] += float(each)
-        by_band[float(turn) / (2 * np.pi)] += float(each)
-    share = 1 - (own.after / max(own.before, 1e-300)) ** 2
-    where = f"most is left in {max(by_run, key=lambda name: by_run[name])}, around "
-    loudest = max(by_band, key=lambda frequency: by_band[frequency])
-    return f"{100 * max(share, 0.0):.0f} % explained; {where}{loudest:.2g} Hz"
+    by_run = np.bincount(channel.run, excess)
+    turns, at = np.unique(channel.turn, return_inverse=True)
+    loudest = turns[int(np.argmax(np.bincount(at, excess)))] / (2 * np.pi)
+    share = max(1 - (own.after / max(own.before, 1e-300)) ** 2, 0.0)
+    return (
+        f"{100 * share:.0f} % explained; most is left in {runs[int(np.argmax(by_run))].name}, "
+        f"around {loudest:.2g} Hz"
+    )
 
 
 def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
     """Tolerances pulled by more than two standard deviations, the most first."""
     evidence = answer.selection.evidence
-    pulls = evidence.mixed @ answer.decision.fit.values[: evidence.tolerances]
-    found = [
-        TolerancePull(name=nuisance.name, deviations=float(pull))
-        for nuisance, pull in zip(evidence.nuisances, pulls, strict=True)
-        if abs(pull) > PULLED
-    ]
+    pulls = (evidence.mixed @ answer.decision.fit.values[: evidence.tolerances]).tolist()
+    pairs = zip(evidence.nuisances, pulls, strict=True)
+    found = [TolerancePull(name=n.name, deviations=pull) for n, pull in pairs if abs(pull) > PULLED]
     return tuple(sorted(found, key=lambda each: -abs(each.deviations)))
 
 
@@ -432,13 +416,10 @@ def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
         )
     for each in answer.decision.findings:
         effect = each.term.effect
-        if each.named and not (effect.in_model or correction_code(_alone(each))):
+        alone = Hypothesis(effects=(effect,), values=(each.values,))
+        if each.named and not (effect.in_model or correction_code(alone)):
             found.append(
                 f"{effect.kind} at {effect.where} is named, and no file applies it: neither MJCF "
                 "nor a line of code has means for it"
             )
     return tuple(found)
-
-
-def _alone(found: Finding) -> Hypothesis:
-    return Hypothesis(effects=(found.term.effect,), values=(found.values,))
