@@ -46,18 +46,14 @@ def left_by(selection: Selection, fit: SetFit) -> Array:
     Each run, or each alternate stretch of the only one, is left by the fit to the others.
     """
     balance, channels = selection.evidence.balance, selection.evidence.channels
-    starts = np.cumsum([0, *(len(run.position) for run in balance.motion.runs)])
-    pieces = [
-        slice(starts[run] + rows.start, starts[run] + rows.stop)
-        for run, rows in stretches_of(balance)
-    ]
-    found = balance.residual.copy()
+    found, stretches = balance.residual.copy(), stretches_of(balance)
+    parts = balance.motion.split(found)  # views
     for held in folds_of(selection)[0]:
         own = selection.on([~h for h in held]).fit(fit.terms, fit.powers, 3)
-        whole = _remainder(selection, own)
-        shown = {int(s) for c, h in zip(channels, held, strict=True) for s in c.stretch[h]}
-        for piece in shown:
-            found[pieces[piece]] = whole[pieces[piece]]
+        whole = balance.motion.split(_remainder(selection, own))
+        for k in {int(s) for c, h in zip(channels, held, strict=True) for s in c.stretch[h]}:
+            run, rows = stretches[k]
+            parts[run][rows] = whole[run][rows]
     return found
 
 
@@ -69,11 +65,8 @@ def _remainder(selection: Selection, fit: SetFit) -> Array:
     place = {k: i for i, k in enumerate(fit.numbers)}
     parts = [(n.change, x) for n, x in zip(evidence.nuisances, pulls, strict=True)]
     for term in fit.terms:
-        numbers = evidence.columns_of(term)
-        parts += [
-            (column.change, fit.values[place[k]])
-            for k, column in zip(numbers, term.columns, strict=True)
-        ]
+        values = fit.values[[place[k] for k in evidence.columns_of(term)]]
+        parts += [(c.change, x) for c, x in zip(term.columns, values, strict=True)]
     for change, size in parts:
         left[:, : change.shape[1]] -= size * change.whole()
     return left
@@ -275,21 +268,20 @@ def simulated(
 
 def _errors(exact: Exact, predicted: Sequence[Sequence[Array]]) -> dict[str, tuple[float, float]]:
     """Root mean square error by quantity of the nominal and of the corrected model."""
-    names = [quantity_of(exact.balance.machine, c.column) for c in exact.channels]
-
-    def error(shown: Sequence[Array], quantity: str) -> float:
-        own, parts = [k for k, name in enumerate(names) if name == quantity], []
-        for trial, values in zip(exact.simulator.trials, shown, strict=True):
-            seen = np.isfinite(trial.measured[:, own])
-            parts.append((trial.measured - values)[:, own][seen])
-        off = np.concatenate(parts)
-        return float(np.sqrt(np.mean(off**2))) if np.isfinite(off).all() else np.inf
-
-    nominal, corrected = predicted
-    return {
-        name: (error(nominal, name), error(corrected, name))
-        for name in dict.fromkeys(filter(None, names))
-    }
+    trials = exact.simulator.trials
+    names = np.array([quantity_of(exact.balance.machine, c.column) for c in exact.channels])
+    count = sum(np.isfinite(trial.measured).sum(axis=0) for trial in trials)
+    squares = np.zeros((2, len(names)))
+    for own, shown in zip(squares, predicted, strict=True):
+        for trial, values in zip(trials, shown, strict=True):
+            off = np.where(np.isfinite(trial.measured), trial.measured - values, 0.0)
+            own += np.nan_to_num(np.sum(off**2, axis=0), nan=np.inf)
+    found = {}
+    for name in filter(None, dict.fromkeys(names.tolist())):
+        of = names == name
+        nominal, corrected = np.sqrt(squares[:, of].sum(axis=1) / np.sum(count, where=of))
+        found[name] = float(nominal), float(corrected)
+    return found
 
 
 def _beginnings(recording: Recording, motion: Motion, exact: Exact) -> Simulator:
