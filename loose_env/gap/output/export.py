@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite, nan
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -173,6 +173,7 @@ _ALL: tuple[str, ...] = ("*",)
 """Stands for all parameters of an effect."""
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_NO_DRIVE = "no actuator drives it"
 _SAME = 1e-6
 """Relative difference of two gains that are the same."""
 
@@ -183,67 +184,60 @@ def _words(effect: NamedEffect, names: Iterable[str] | None = None) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Drive:
-    """One actuator at a joint; gains are those of a PD controller at the joint.
+class _Joint:
+    """One hinge or slide, and its drive as a PD controller at the joint.
 
     A drive with an affine force law, force = k u + b0 + b1 x + b2 v with gear g and damping d, has
     the stiffness -g² b1 and the damping g² (d - b2), as MuJoCo documents for its servos.
     """
 
     name: str
-    mode: Literal["position", "velocity", "effort"]  # quantity that its command sets
-    stiffness: float  # [N·m/rad, N/m]
-    damping: float  # [N·m·s/rad, N·s/m]
-    effort_limit: float | None  # largest torque or force at the joint [N·m, N]
-    gear: float  # torque at the joint over the force of the actuator
-    effort_gain: float  # torque at the joint per unit of an effort command
-    delay: float  # of the command [s]
-    remarks: tuple[str, ...]  # properties that a PD law does not have
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Joint:
-    """One hinge or slide with its passive properties."""
-
-    name: str
     turns: bool
     armature: float  # [kg·m², kg]
     frictionloss: float  # at rest [N·m, N]
-    damping: float  # [N·m·s/rad, N·s/m]
-    drive: _Drive | None
-    undriven: str  # reason why it has no drive that is a PD law
+    viscous: float  # [N·m·s/rad, N·s/m]
+    drive: str = ""  # its actuator; "" if it has none that is a PD law
+    undriven: str = _NO_DRIVE  # reason why
+    mode: str = ""  # "position", "velocity" or "effort", which its command sets
+    stiffness: float = 0.0  # [N·m/rad, N/m]
+    damping: float = 0.0  # [N·m·s/rad, N·s/m]
+    effort_limit: float | None = None  # largest torque or force at the joint [N·m, N]
+    gear: float = 1.0  # torque at the joint over the force of the actuator
+    effort_gain: float = 1.0  # torque at the joint per unit of an effort command
+    delay: float = 0.0  # of the command [s]
+    remarks: tuple[str, ...] = ()  # properties that a PD law does not have
+    scale: tuple[str, ...] = ()  # remark on the torque per effort command, where that is not 1
 
 
 def _joint(model: mujoco.MjModel, joint: int) -> _Joint:
-    """Read a joint with its drive from a compiled model."""
+    """Read a joint from a compiled model."""
     at_joint = np.isin(model.actuator_trntype, _AT_JOINT)
     there = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
     # an actuator without a command, as effects add them, is no drive
     own = [int(k) for k in there if model.actuator_ctrlnum[k] > 0]
     names = ", ".join(str(model.actuator(k).name) for k in own)
-    drive, reason = None, ""
+    drive: dict[str, Any] = {}
     if len(own) > 1:
-        reason = f"several actuators drive it ({names})"
-    elif own and not (affine_actuators(model)[own] & ~model.actuator_gainprm[own, 1:3].any()):
-        reason = f"the force of {names} is not linear in command, position and speed"
+        drive["undriven"] = f"several actuators drive it ({names})"
+    elif own and (not affine_actuators(model)[own[0]] or model.actuator_gainprm[own[0], 1:3].any()):
+        drive["undriven"] = f"the force of {names} is not linear in command, position and speed"
     elif own:
         drive = _drive(model, joint, own[0])
     dof = int(model.jnt_dofadr[joint])
     return _Joint(
         name=str(model.joint(joint).name), turns=bool(model.jnt_type[joint] == _HINGE),
         armature=float(model.dof_armature[dof]), frictionloss=float(model.dof_frictionloss[dof]),
-        damping=float(model.dof_damping[dof]), drive=drive, undriven=reason,
+        viscous=float(model.dof_damping[dof]), **drive,
     )  # fmt: skip
 
 
-def _drive(model: mujoco.MjModel, joint: int, k: int) -> _Drive:
-    """Read an actuator whose force is affine."""
+def _drive(model: mujoco.MjModel, joint: int, k: int) -> dict[str, Any]:
+    """Fields of a joint that an actuator of affine force drives."""
     name, gain = str(model.actuator(k).name), float(model.actuator_gainprm[k, 0])
     gear = float(model.actuator_gear[k, 0])
     bias, stiff, damped = (float(v) for v in model.actuator_biasprm[k][:3])
     remarks = [f"the constant force of {name}"] if bias else []
     # a motor with a voltage limit loses torque with speed, the reverse of a velocity servo's sign
-    mode: Literal["position", "velocity", "effort"]
     mode = "position" if stiff else "velocity" if damped < 0 else "effort"
     expected = {"position": -stiff, "velocity": -damped, "effort": gain}[mode]
     if abs(gain - expected) > _SAME * abs(expected):
@@ -261,12 +255,17 @@ def _drive(model: mujoco.MjModel, joint: int, k: int) -> _Drive:
             f"the effort limits of {name} by direction ({low:.4g} and {high:.4g}): the smaller one "
             "is exported"
         )
-    return _Drive(
-        name=name, mode=mode, stiffness=-(gear**2) * stiff + 0.0,
-        damping=(gear**2) * (float(model.actuator_damping[k]) - damped) + 0.0,
-        effort_limit=min(low, high) if len(ends) > 1 else None, gear=gear, effort_gain=gear * gain,
-        delay=float(model.actuator_delay[k]), remarks=tuple(remarks),
-    )  # fmt: skip
+    scale = (
+        f"the torque of {name} per command, {gear * gain:.4g}; multiply the effort targets by it"
+    )
+    scaled = mode == "effort" and abs(gear * gain - 1.0) > 1e-9
+    return {
+        "drive": name, "mode": mode, "stiffness": -(gear**2) * stiff + 0.0,
+        "damping": (gear**2) * (float(model.actuator_damping[k]) - damped) + 0.0,
+        "effort_limit": min(low, high) if len(ends) > 1 else None, "gear": gear,
+        "effort_gain": gear * gain, "delay": float(model.actuator_delay[k]),
+        "remarks": tuple(remarks), "scale": (scale,) * scaled,
+    }  # fmt: skip
 
 
 # Parameters with their intervals: mujoco.sysid, ranges
@@ -521,31 +520,26 @@ def _mjlab(source: _Source, urdf: Path | None) -> Export:
     configs: dict[str, tuple[str, _Fields]] = {}
     left: list[str] = []
     for joint in source.joints:
-        low, high = _lags(source, joint, left)
-        if joint.drive is None:
+        if not joint.drive:
             left += _undriven(source, joint)
             continue
-        drive, motor = joint.drive, _motor(source, joint)
-        effort = drive.mode == "effort"
-        left += drive.remarks
+        low, high = _lags(source, joint, left)
+        kind, motor = f"Builtin{joint.mode.capitalize()}ActuatorCfg", _motor(source, joint)
+        effort, limit = joint.mode == "effort", joint.effort_limit
         own: _Fields = {"target_names_expr": f"({re.escape(joint.name)!r},)"}
-        own |= {"stiffness": drive.stiffness, "damping": drive.damping}
-        own["effort_limit"] = limit = drive.effort_limit
-        kind = f"Builtin{drive.mode.capitalize()}ActuatorCfg"
+        own |= {"stiffness": joint.stiffness, "damping": joint.damping, "effort_limit": limit}
         if motor:
-            kind, own = "DcMotorActuatorCfg", own | motor
-            if effort:
-                own["damping"] = 0.0
-                left += _effort_scale(drive)
-        elif effort:
-            kind, gear = "BuiltinMotorActuatorCfg", drive.effort_gain
+            kind, own = "DcMotorActuatorCfg", own | motor | ({"damping": 0.0} if effort else {})
+        elif effort:  # its gear is the torque per command
+            kind, gear = "BuiltinMotorActuatorCfg", joint.effort_gain
             own |= {"stiffness": None, "damping": None, "gear": gear}
             own["effort_limit"] = 'float("inf")' if limit is None else limit / abs(gear)
-        elif drive.mode == "velocity":
+        elif joint.mode == "velocity":
             own["stiffness"] = None
+        left += joint.remarks + (joint.scale if motor else ())
         own |= {
             "armature": joint.armature, "frictionloss": joint.frictionloss,
-            "viscous_damping": joint.damping, "delay_min_lag": low, "delay_max_lag": high,
+            "viscous_damping": joint.viscous, "delay_min_lag": low, "delay_max_lag": high,
         }  # fmt: skip
         configs[joint.name] = kind, own
     left = [*source.not_carried(_CARRIED), *left]
@@ -571,26 +565,23 @@ def _isaaclab(source: _Source, urdf: Path | None) -> Export:
     left: list[str] = []
     for joint in source.joints:
         low, high = _lags(source, joint, left)
-        own: _Fields = {"joint_names_expr": f"[{re.escape(joint.name)!r}]"}
-        kind, drive, motor = "IdealPDActuatorCfg", joint.drive, _motor(source, joint)
-        if drive is None:  # a joint that nothing drives has friction and inertia too
-            left += _undriven(source, joint) if joint.undriven else []
-            kind, own = "ImplicitActuatorCfg", own | {"stiffness": 0.0, "damping": 0.0}
-        else:
-            left += [*drive.remarks, *_effort_scale(drive)]
-            own |= {"stiffness": drive.stiffness, "damping": drive.damping}
-            own["effort_limit"] = drive.effort_limit
+        # a joint that nothing drives has friction and inertia too
+        kind = "IdealPDActuatorCfg" if joint.drive else "ImplicitActuatorCfg"
+        left += joint.remarks + joint.scale
+        left += [] if joint.drive or joint.undriven == _NO_DRIVE else _undriven(source, joint)
         falls = sum(
             (e.parameters["static_ratio"] - 1.0) * e.parameters["torque"]
             for e in source.effects
             if e.kind == "stribeck_friction" and e.where == joint.name
         )
-        own |= {
+        own: _Fields = {
+            "joint_names_expr": f"[{re.escape(joint.name)!r}]", "stiffness": joint.stiffness,
+            "damping": joint.damping, "effort_limit": joint.effort_limit,
             "armature": joint.armature, "friction": joint.frictionloss,
             "dynamic_friction": max(joint.frictionloss - falls, 0.0),
-            "viscous_friction": joint.damping,
+            "viscous_friction": joint.viscous,
         }  # fmt: skip
-        if motor:
+        if motor := _motor(source, joint):
             kind, own = "DCMotorCfg", own | motor
             left += [f"the delay of {joint.name}: DCMotorCfg has none"] if high else []
         elif high:
@@ -613,46 +604,33 @@ def _isaaclab(source: _Source, urdf: Path | None) -> Export:
 
 def _lags(source: _Source, joint: _Joint, left: list[str]) -> tuple[int, int] | tuple[None, None]:
     """Smallest and largest delay of a joint's commands in steps; a lost one is listed."""
-    drive = joint.drive
-    if drive is None or drive.delay <= 0:
+    if joint.delay <= 0:
         return None, None
-    step, low, high = source.step, drive.delay, drive.delay
+    step, low, high = source.step, joint.delay, joint.delay
     for effect in source.effects:
-        if effect.kind == "command_delay" and effect.where in (drive.name, "all"):
+        if effect.kind == "command_delay" and effect.where in (joint.drive, "all"):
             value = effect.parameters["delay"]
             ends = effect.interval_95.get("delay", (value, value))
-            low, high = (drive.delay + end - value for end in ends)
+            low, high = (joint.delay + end - value for end in ends)
     if most := max(round(high / step), 0):
         return max(round(low / step), 0), most
-    late = f"the delay of {drive.name}, {drive.delay:.3g} s"
+    late = f"the delay of {joint.drive}, {joint.delay:.3g} s"
     left.append(f"{late}: less than half a physics step of {step:.3g} s")
     return None, None
 
 
 def _undriven(source: _Source, joint: _Joint) -> list[str]:
     """What is lost at a joint without a drive that can be configured."""
-    reason = joint.undriven or "no actuator drives it"
     kinds = [e.kind for e in source.effects if e.where == joint.name and e.kind not in _AT_DRIVE]
     words = f": {', '.join(kinds)}" * bool(kinds)
-    return [f"the configuration of joint {joint.name}{words}, because {reason}"]
-
-
-def _effort_scale(drive: _Drive) -> list[str]:
-    """Remark on the torque per command of a motor, where that is not one."""
-    if drive.mode != "effort" or abs(drive.effort_gain - 1.0) <= 1e-9:
-        return []
-    return [
-        f"the torque of {drive.name} per command, {drive.effort_gain:.4g}; multiply the effort "
-        "targets by it"
-    ]
+    return [f"the configuration of joint {joint.name}{words}, because {joint.undriven}"]
 
 
 def _motor(source: _Source, joint: _Joint) -> _Fields:
     """Torque-speed line of a joint's drive whose voltage limit was identified; empty if none."""
-    drive = joint.drive
     for effect in source.effects:
-        if drive is not None and effect.kind == "voltage_limit" and effect.where == drive.name:
-            gear = abs(drive.gear)
+        if effect.kind == "voltage_limit" and effect.where == joint.drive:
+            gear = abs(joint.gear)
             stall = gear * effect.parameters["stall_torque"]
             speed = effect.parameters["no_load_speed"] / gear
             return {"effort_limit": stall, "saturation_effort": stall, "velocity_limit": speed}
@@ -720,7 +698,7 @@ def _urdf(source: _Source, urdf: Path | None) -> Export:
         if (element := there.get(joint.name)) is not None:
             tag = element.find("dynamics")
             tag = ET.SubElement(element, "dynamics") if tag is None else tag
-            tag.set("damping", _number(joint.damping))
+            tag.set("damping", _number(joint.viscous))
             tag.set("friction", _number(joint.frictionloss))
     if urdf is not None and lost:
         root.insert(0, lost[0])
@@ -778,7 +756,7 @@ def _bam(source: _Source, urdf: Path | None) -> Export:
         )
     files, left = {}, list(source.not_carried(_BY_BAM))
     for joint in source.joints:
-        places = {joint.name} if joint.drive is None else {joint.name, joint.drive.name}
+        places = (joint.name, joint.drive)
         own = {e.kind: e for e in source.effects if e.where in places and e.kind in _BY_BAM}
         if own and joint.turns:
             name = re.sub(r"[^\w.-]", "_", joint.name)
@@ -828,7 +806,7 @@ def _bam_parameters(
             "load_friction_motor_stribeck": share * (load.parameters.get("static_ratio", 1.0) - 1),
             "load_friction_external_stribeck": 0.0,
         }
-    found["friction_viscous"] = joint.damping
+    found["friction_viscous"] = joint.viscous
     found["model"] = "m5" if load is not None else "m2" if stribeck is not None else "m1"
     found["actuator"] = servo
     return found
