@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from loose_env.doctor import Finding, graded_findings
-from loose_env.errors import InvalidData
 from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
 
 FORMAT = "loose-gap/1"
@@ -235,15 +234,6 @@ class GapResult:
     """Provenance: all inputs of the result besides the recording."""
     format: str = FORMAT
     """Format of the file."""
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        if self.format != FORMAT:
-            raise InvalidData(f"a result of the format {FORMAT!r} is needed, not {self.format!r}")
-        if self.verdict not in get_args(Verdict):
-            raise InvalidData(
-                f"the verdict is one of {list(get_args(Verdict))}, not {self.verdict!r}"
-            )
 
     @property
     def graded_warnings(self) -> tuple[tuple[str, str], ...]:
