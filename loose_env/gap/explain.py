@@ -182,8 +182,8 @@ def solve_gap(
         result = GapResult(
             verdict=_verdict(answer),
             gap=gap,
-            effects=tuple(map(_effect, named)),
-            doubtful=tuple(_effect(f) for f in findings if not f.named),
+            effects=tuple(map(named_effect, named)),
+            doubtful=tuple(named_effect(f) for f in findings if not f.named),
             channels=_channels(answer, gap),
             pulled=_pulled(answer),
             held_out_runs=tuple(r.name for r in answer.held_out.runs) if answer.held_out else (),
@@ -302,7 +302,7 @@ def pooled_rms(selection: Selection, fit: SetFit) -> float:
     return float(np.sqrt(np.sum(counts * held_out_rms(selection, fit) ** 2) / counts.sum()))
 
 
-def _effect(found: Finding) -> NamedEffect:
+def named_effect(found: Finding) -> NamedEffect:
     """An effect of the answer in the form of a result."""
     effect, names = found.term.effect, [p.name for p in found.term.effect.parameters]
     ends = zip(found.low.tolist(), found.high.tolist(), strict=True)

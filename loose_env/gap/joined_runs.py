@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from loose_env.errors import InvalidData
 from loose_env.gap.output.result import read_result
@@ -95,7 +95,7 @@ def join_recordings(kept: Path, recordings: Sequence[Recording]) -> Recording:
     """
     first = recordings[0]
     text = first.spec().to_xml()
-    runs: list[Run] = [replace(run, name=_stem(run.name)) for run in first.runs]
+    runs: list[Run] = list(first.runs)
     for number, own in enumerate(recordings[1:], start=2):
         if own.spec().to_xml() != text:
             raise InvalidData(
@@ -103,15 +103,12 @@ def join_recordings(kept: Path, recordings: Sequence[Recording]) -> Recording:
                 "compared with one model: give it as --model"
             )
         stem = _free(f"next{number}", {run.name for run in runs})
-        runs += [replace(run, name=f"{stem}-{_stem(run.name)}") for run in own.runs]
+        runs += [replace(run, name=f"{stem}-{run.name}") for run in own.runs]
+    folder = kept / _JOINED
     return write_recording(
-        kept / _JOINED, model_xml=first.model_path, runs=runs, overwrite=(kept / _JOINED).exists()
-    )
-
-
-def _stem(name: str) -> str:
-    path = PurePosixPath(name)
-    return str(path.with_suffix("")) if path.suffix in (".csv", ".parquet") else name
+        folder, model_xml=first.model_path, runs=runs, file_format="parquet",
+        overwrite=folder.exists(),
+    )  # fmt: skip
 
 
 def _free(stem: str, names: set[str]) -> str:

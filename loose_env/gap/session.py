@@ -16,7 +16,7 @@ from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import append
 from loose_env.gap.core.find import evidence_of, silent
 from loose_env.gap.core.selection import SetFit
-from loose_env.gap.explain import pooled_rms
+from loose_env.gap.explain import named_effect, pooled_rms
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.corrected_model import correction_code, step_for, write_model
@@ -46,8 +46,7 @@ class TriedEffect:
     @property
     def parameters(self) -> dict[str, float]:
         """Fitted parameter values."""
-        names = [p.name for p in self.effect.parameters]
-        return dict(zip(names, self.finding.values.tolist(), strict=True))
+        return dict(named_effect(self.finding).parameters)
 
     @property
     def accepted(self) -> bool:
@@ -56,15 +55,16 @@ class TriedEffect:
 
     def _rows(self) -> list[tuple[str, str]]:
         """What a reader sees: names and values."""
-        ends = zip(self.finding.low, self.finding.high, strict=True)
-        found = [
-            (p.name, f"{v:.4g} ({a:.4g} to {b:.4g}) {p.unit}".rstrip())
-            for p, v, (a, b) in zip(self.effect.parameters, self.finding.values, ends, strict=True)
+        effect, found = named_effect(self.finding), self.finding
+        return [
+            *((name, effect.value_in_words(name)) for name in effect.parameters),
+            ("residual on held-out data", f"{self.before:.2f} before, {self.after:.2f}"),
+            (
+                "rise of twice the held-out log likelihood",
+                f"{found.by_run:.0f} by run, {found.by_stretch:.0f} by stretch",
+            ),
+            ("accepted", "yes" if self.accepted else "no"),
         ]
-        found.append(("residual on held-out data", f"{self.before:.2f} before, {self.after:.2f}"))
-        gains = f"{self.finding.by_run:.0f} by run, {self.finding.by_stretch:.0f} by stretch"
-        found.append(("rise of twice the held-out log likelihood", gains))
-        return [*found, ("accepted", "yes" if self.accepted else "no")]
 
     def __str__(self) -> str:
         """Format as one line."""

@@ -22,8 +22,8 @@ from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
-_PARTS = (1, 2, 4, 8)
-"""Into how many parts a step is cut."""
+_HALVINGS = 3
+"""Times that a step is halved, at most."""
 
 
 def corrected_spec(
@@ -58,8 +58,8 @@ def step_for(machine: NominalModel, hypothesis: Hypothesis) -> float:
         for parameter, value in zip(effect.parameters, values, strict=True)
         if effect.drives and parameter.unit == "s" and value > 0
     ]
-    parts = next((k for k in _PARTS if step <= k * min(late, default=step)), _PARTS[-1])
-    return step / parts
+    halvings = np.clip(np.ceil(np.log2(step / min(late, default=step))), 0, _HALVINGS)
+    return float(step / 2**halvings)
 
 
 def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:

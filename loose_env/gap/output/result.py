@@ -60,10 +60,14 @@ class NamedEffect:
 
     def values_in_words(self, names: Iterable[str] | None = None) -> str:
         """Format some of its parameters, by default all, with their units."""
-        return ", ".join(
-            f"{name} {self.parameters[name]:.4g} {self.units.get(name, '')}".rstrip()
-            for name in (self.parameters if names is None else names)
-        )
+        given = self.parameters if names is None else names
+        return ", ".join(f"{name} {self.value_in_words(name, interval=False)}" for name in given)
+
+    def value_in_words(self, name: str, *, interval: bool = True) -> str:
+        """Format the value of a parameter with its unit and 95 % interval."""
+        ends = self.interval_95.get(name) if interval else None
+        between = "" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"
+        return f"{self.parameters[name]:.4g}{between} {self.units.get(name, '')}".rstrip()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -93,12 +93,8 @@ def table(rows: Sequence[Row]) -> str:
 
 def _words(effect: NamedEffect) -> str:
     """Kind and location with the values and their intervals."""
-    parts = []
-    for name, value in effect.parameters.items():
-        low, high = effect.interval_95[name]
-        unit = effect.units[name]
-        parts.append(f"{name} {value:.4g} ({low:.4g} to {high:.4g}) {unit}".rstrip())
-    return f"`{effect.kind}` at {effect.where}: {', '.join(parts)}"
+    values = ", ".join(f"{name} {effect.value_in_words(name)}" for name in effect.parameters)
+    return f"`{effect.kind}` at {effect.where}: {values}"
 
 
 @dataclass(frozen=True, kw_only=True)
