@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.resources import files
 from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -351,66 +352,8 @@ def _places(source: _Source, effect: NamedEffect, element: str) -> dict[str, Any
     return {e.name: e for e in getattr(source.spec, f"{element}s") if e.name in wanted}
 
 
-_SYSID = '''"""Effects identified by 'loose gap' as parameters of mujoco.sysid.
-
-    import mujoco
-    from parameters import parameters
-
-    spec = mujoco.MjSpec.from_file("model.xml")  # the corrected model beside result.json
-    found = parameters()
-
-Bounds are 95 % intervals, nominal is the value of the nominal model. A frozen parameter has no
-modifier: model.xml contains its effect, which is no single attribute of MJCF.
-{left}"""
-
-from collections.abc import Callable
-
-import mujoco
-import numpy as np
-from mujoco import sysid
-
-Modifier = Callable[[mujoco.MjSpec, sysid.Parameter], None]
-
-
-def _sets(element: str, name: str, attribute: str, index: int | None = None) -> Modifier:
-    """Modifier that sets an attribute of an element."""
-
-    def modify(spec: mujoco.MjSpec, parameter: sysid.Parameter) -> None:
-        found = getattr(spec, element)(name)
-        value = float(parameter.value[0])
-        if index is not None:
-            whole = np.array(getattr(found, attribute))
-            whole[index] = value
-            setattr(found, attribute, whole)
-        else:
-            setattr(found, attribute, value)
-            if attribute == "delay":  # its history covers twice the delay
-                needed = 2 * int(np.ceil(value / spec.option.timestep)) + 2
-                found.nsample = max(int(found.nsample), needed)
-
-    return modify
-
-
-def _scales(name: str, nominal: dict[str, list[float]]) -> Modifier:
-    """Modifier that multiplies attributes of an actuator."""
-
-    def modify(spec: mujoco.MjSpec, parameter: sysid.Parameter) -> None:
-        for attribute, value in nominal.items():
-            setattr(spec.actuator(name), attribute, float(parameter.value[0]) * np.array(value))
-
-    return modify
-
-
-def parameters() -> sysid.ParameterDict:
-    """Return the parameters, at their identified values."""
-    found = sysid.ParameterDict()
-
-    def add(name, nominal, low, high, value, frozen, modifier=None):
-        found.add(sysid.Parameter(name, nominal, low, high, frozen, modifier))
-        found[name].update_from_vector(np.array(value))
-
-{added}    return found
-'''
+_SYSID = files("loose_env.gap.output").joinpath("parameters.py.txt").read_text("utf-8")
+"""Program with a ``ParameterDict``, without its parameters."""
 
 
 def _sysid(source: _Source, urdf: Path | None) -> Export:
@@ -754,22 +697,22 @@ def _bam(source: _Source, urdf: Path | None) -> Export:
             f"BAM needs the servo of the joints: give --servo with one of {', '.join(SERVOS)}"
             + (f"; got {servo!r}" if servo else "")
         )
-    files, left = {}, list(source.not_carried(_BY_BAM))
+    made, left = {}, list(source.not_carried(_BY_BAM))
     for joint in source.joints:
         places = (joint.name, joint.drive)
         own = {e.kind: e for e in source.effects if e.where in places and e.kind in _BY_BAM}
         if own and joint.turns:
             name = re.sub(r"[^\w.-]", "_", joint.name)
-            files[f"bam_{name}.json"] = json_text(_bam_parameters(joint, own, servo))
+            made[f"bam_{name}.json"] = json_text(_bam_parameters(joint, own, servo))
         else:
             left += [f"{_words(e)}; BAM has no slides" for e in own.values()]
-    if not files:
+    if not made:
         raise InvalidSetting(
             "the result names no effect that BAM has: viscous, Coulomb, Stribeck or load-dependent "
             "friction or rotor inertia of a hinge; choose another target"
         )
     return Export(
-        files=files,
+        files=made,
         not_expressed=tuple(left),
         notes=(
             f"torque constant and resistance (kt, R) are those of {servo} in BAM; they are not "
