@@ -631,8 +631,8 @@ def _urdf(source: _Source, urdf: Path | None) -> Export:
         name, head = urdf.name, '<?xml version="1.0"?>\n'
         notes = (f"paths of meshes in {urdf.name} are relative to the folder of the original",)
     there = {each.get("name"): each for each in root.findall("joint")}
-    named = {e.where for e in source.effects if e.kind in carried}
-    if lacking := sorted(named - set(there)):
+    lacking = sorted({e.where for e in source.effects if e.kind in carried} - set(there))
+    if urdf is not None and lacking:
         raise InvalidData(
             f"{urdf} has no joint {lacking[0]!r}, where the result names friction; it has "
             f"{sorted(str(name) for name in there)}"
