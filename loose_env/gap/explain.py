@@ -34,7 +34,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import naming_notes
 from loose_env.gap.next_motion import NEXT_MOTION, NextMotion, write_next_motion
 from loose_env.gap.output.advice import how_to_see, how_to_separate
-from loose_env.gap.output.corrected_model import correction_code, model_notes, step_for, write_model
+from loose_env.gap.output.corrected_model import correction_code, model_notes, write_model
 from loose_env.gap.output.result import (
     ChannelVerdict,
     EffectLocation,
@@ -269,7 +269,6 @@ def write_gap(
         place / "model.xml",
         machine,
         solution.corrected,
-        step=step_for(machine, solution.corrected),
         source=solution.answer.recording.model_path,
         notes=model_notes(result.effects, pulled_words(result)),
     )

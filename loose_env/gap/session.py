@@ -19,7 +19,7 @@ from loose_env.gap.core.selection import SetFit
 from loose_env.gap.explain import named_effect, pooled_rms
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.output.corrected_model import correction_code, step_for, write_model
+from loose_env.gap.output.corrected_model import correction_code, write_model
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording
 from loose_env.typing import Array
@@ -221,10 +221,8 @@ class GapSession:
             If it does not compile.
         """
         machine = self.selection.evidence.balance.machine
-        step = step_for(machine, self.hypothesis)
-        return write_model(
-            Path(path), machine, self.hypothesis, step=step, source=self.recording.model_path
-        )
+        source = self.recording.model_path
+        return write_model(Path(path), machine, self.hypothesis, source=source)
 
     def _terms(self, effect: Effect) -> list[Term]:
         """Terms of one effect: those of the evidence, else new ones."""

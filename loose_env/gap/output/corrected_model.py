@@ -145,7 +145,6 @@ def write_model(
     machine: NominalModel,
     hypothesis: Hypothesis,
     *,
-    step: float | None = None,
     source: Path | None = None,
     notes: Sequence[str] = (),
 ) -> list[Path]:
@@ -155,8 +154,8 @@ def write_model(
     ----------
     path : Path
         Path of the model file.
-    machine, hypothesis, step
-        As in `corrected_spec`.
+    machine, hypothesis
+        The nominal model, and its effects. The step is at most any delay or lag of its drives.
     source : Path, optional
         File of the nominal model; files it refers to are copied.
     notes : sequence of str
@@ -173,10 +172,10 @@ def write_model(
         If the model does not compile from the file, or a column of the recording would no longer
         name anything in it.
     """
-    text = corrected_spec(machine, hypothesis, step=step)
+    spec = corrected_spec(machine, hypothesis, step=step_for(machine, hypothesis))
     try:
-        text.compile()
-        xml = text.to_xml()
+        spec.compile()
+        xml = spec.to_xml()
     except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
         raise InvalidData(f"the corrected model does not compile: {error}") from error
     if notes:
