@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar
 
 import mujoco
@@ -29,29 +30,14 @@ class TorqueOffset(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Torque in the joint's direction that the model lacks."""
-        load = self.load
-        return (
-            Parameter(
-                name="torque", unit=self.torque_unit, low=-20 * load, high=20 * load,
-                scale=0.1 * load,
-            ),
-        )  # fmt: skip
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a tenth of the typical torque of either sign."""
-        return ((-0.1 * self.load,), (0.1 * self.load,))
+        starts = (-0.1, 0.1)
+        return (Parameter.sized("torque", self.torque_unit, self.load, -20, 20, starts=starts),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add an actuator without input that gives the torque."""
         if values[0] != 0:
-            add_constant(
-                spec, self.where, added_name(spec, self.where, self.kind), -float(values[0])
-            )
-
-    def passive_actuator_torque(self, angle: Array, speed: Array, values: Array) -> Array:
-        """Torque of the drive against it."""
-        return np.full_like(angle, float(values[0]))
+            name = added_name(spec, self.where, self.kind)
+            add_constant(spec, self.where, name, -float(values[0]))
 
 
 class FrictionBehindSlack(JointEffect):
@@ -70,26 +56,15 @@ class FrictionBehindSlack(JointEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Friction, slack, and elastic way."""
-        span = self.speed  # of the order of the way in a second
+        """Friction, slack, and elastic way; the way is of the order of that in a second."""
+        way = Parameter.sized(
+            "slack", self.angle_unit, self.speed, 1e-5, 10, scale=1.0, starts=(0.3,), log=True
+        )
         return (
-            Parameter(
-                name="torque", unit=self.torque_unit, low=0.0, high=20 * self.load,
-                scale=0.1 * self.load,
-            ),
-            *(
-                Parameter(
-                    name=name, unit=self.angle_unit, low=1e-5 * span, high=10 * span, scale=span,
-                    log=True,
-                )
-                for name in ("slack", "elastic")
-            ),
-        )  # fmt: skip
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a fifth of the typical torque behind a third of the way in a second."""
-        return ((0.2 * self.load, 0.3 * self.speed, 0.1 * self.speed),)
+            Parameter.sized("torque", self.torque_unit, self.load, 0, 20, starts=(0.2,)),
+            way,
+            replace(way, name="elastic", starts=(0.1 * self.speed,)),
+        )
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
@@ -108,10 +83,6 @@ class FrictionBehindSlack(JointEffect):
         found = np.zeros_like(position)
         found[:, joint] = -values[0] * behind_slack(position[:, joint], values[1], values[2])
         return found
-
-    def torque_code(self, values: Array) -> str:
-        """Python lines: none of a state of its own yet."""
-        return ""
 
 
 class CommandInterpolation(Effect):
@@ -134,12 +105,7 @@ class CommandInterpolation(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Share of the way from a held command to the straight line."""
-        return (Parameter(name="share", unit="", low=0.0, high=1.0, scale=1.0),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Start: all of it."""
-        return ((1.0,),)
+        return (Parameter(name="share", unit="", low=0.0, high=1.0, starts=(1.0,)),)
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
         """Draw lines between the steps of the commands."""

@@ -7,8 +7,9 @@ on the joints, `Effect.read` changes the sensor values. ``docs/gap.md`` has exam
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import ClassVar
 
 import mujoco
@@ -57,6 +58,8 @@ class Parameter:
     """Prior standard deviation of a factor on a nominal value, in free units; None of others."""
     usual: float | None = None
     """Size of a change that would not surprise; None: ten times the scale."""
+    starts: tuple[float, ...] = ()
+    """Values from which fits start, each clearly visible."""
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -66,6 +69,25 @@ class Parameter:
                 f"logarithmic; got {self.low:g} to {self.high:g}, scale {self.scale:g}"
             )
 
+    @classmethod
+    def sized(
+        cls,
+        name: str,
+        unit: str,
+        size: float,
+        low: float,
+        high: float,
+        *,
+        scale: float = 0.1,
+        starts: Iterable[float] = (),
+        log: bool = False,
+    ) -> Parameter:
+        """Parameter whose bounds, scale and starts are given over a typical size."""
+        return cls(
+            name=name, unit=unit, low=low * size, high=high * size, scale=scale * size, log=log,
+            starts=tuple(start * size for start in starts),
+        )  # fmt: skip
+
     def free(self, value: float) -> float:
         """Convert a value to a free number."""
         return float(np.log(value / self.scale)) if self.log else value / self.scale
@@ -73,7 +95,7 @@ class Parameter:
     def value(self, free: float) -> float:
         """Convert a free number to a value, within the bounds."""
         raw = self.scale * np.exp(np.clip(free, -50, 50)) if self.log else self.scale * free
-        return float(np.clip(raw, self.low, self.high))
+        return self.clipped(float(raw))
 
     def clipped(self, value: float) -> float:
         """Clip a value to the bounds."""
@@ -233,8 +255,8 @@ class Effect:
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starting values of fits, each clearly visible."""
-        raise NotImplementedError
+        """Starting values of fits: all combinations of those of the parameters."""
+        return tuple(product(*(p.starts for p in self.parameters)))
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
@@ -323,7 +345,7 @@ class Effect:
         """Value of a parameter without the effect; NaN if it vanishes only in a limit."""
         if cls.is_additive:
             return 0.0
-        if cls.null_values is None or len(cls.null_values) != len(parameters):
+        if cls.null_values is None or len(cls.null_values) < len(parameters):
             return float("nan")
         return cls.null_values[list(parameters).index(parameter)]
 
@@ -344,9 +366,11 @@ class Effect:
             if self.has_stops and "gap" in reached:
                 return bool(reached["gap"])
             return bool(reached) and all(reached.values())
-        return bool(
-            np.all((low <= np.array(self.null_values)) & (np.array(self.null_values) <= high))
-        )
+        null = np.array(self.null_values)
+        included = (low <= null) & (null <= high)
+        # what shapes an effect of no size does not matter
+        sized = self.proportional is not None and not self.axes
+        return bool(included[self.proportional] if sized else included.all())
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
         """Convert a joint's torque to the measured drive torque in inverse runs (T,).
@@ -374,7 +398,7 @@ class Effect:
         return tuple(tuple(float(v) for v in none + row) for row in np.diag(sizes))
 
     def combined(self, shares: Array) -> tuple[float, ...]:
-        """Values that change what its `axes` do together, each times its share, within bounds.
+        """Values that change what its `axes` do together, each times its share.
 
         Parameters
         ----------
@@ -382,15 +406,22 @@ class Effect:
             Share of each of the axes.
         """
         none = np.array(self.null_values)
-        return self._clipped(none + shares @ (np.array(self.axes) - none))
+        return tuple((none + shares @ (np.array(self.axes) - none)).tolist())
 
     def shares_of(self, values: Array) -> Array:
         """Shares (K,) of the axes that `combined` turns into some values."""
         none = np.array(self.null_values)
         return np.asarray((values - none) / np.diag(np.array(self.axes) - none))
 
-    def _clipped(self, values: Array) -> tuple[float, ...]:
-        return tuple(p.clipped(float(v)) for p, v in zip(self.parameters, values, strict=True))
+
+class AdditiveEffect(Effect):
+    """An effect whose parameters are small steps along axes, from zero."""
+
+    is_additive: ClassVar[bool] = True
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        self.null_values = (0.0,) * len(self.parameters)  # type: ignore[misc]
 
 
 class DrivenEffect(Effect):

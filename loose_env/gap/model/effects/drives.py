@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil
 
 import mujoco
@@ -58,17 +59,12 @@ class ActuatorGain(DriveEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Scale factor."""
+        """Scale factor: a tenth of a command is visible, forces have to vary more."""
         if self.variant == "servo":
-            return (Parameter(name="gain", unit="", low=1e-3, high=20.0, scale=1.0, log=True),)
-        return (Parameter(name="gain", unit="", low=0.02, high=20.0, scale=0.1),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a tenth of a command is visible; with feedback forces have to vary more."""
-        if self.variant == "servo":
-            return ((0.01,), (0.03,), (0.1,), (0.3,))
-        return ((0.9,), (1.1,)) if self.variant else ((0.8,), (1.25,))
+            starts: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
+            return (Parameter.sized("gain", "", 1, 1e-3, 20, scale=1, starts=starts, log=True),)
+        starts = (0.9, 1.1) if self.variant else (0.8, 1.25)
+        return (Parameter.sized("gain", "", 1.0, 0.02, 20, starts=starts),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Scale the actuator's parameters."""
@@ -110,9 +106,13 @@ class ActuatorLag(DriveEffect):
     kind = "actuator_lag"
     null_values = (0.0,)
     is_time_shift = True
-    parameters = (Parameter(name="time_constant", unit="s", low=0.0, high=1.0, scale=0.01),)
     # from a fast drive to a very slow one: a servo's response is not linear
-    starts = ((0.001,), (0.003,), (0.008,), (0.02,), (0.06,), (0.15,))
+    parameters = (
+        Parameter(
+            name="time_constant", unit="s", low=0.0, high=1.0, scale=0.01,
+            starts=(0.001, 0.003, 0.008, 0.02, 0.06, 0.15),
+        ),
+    )  # fmt: skip
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -162,11 +162,11 @@ class ActuatorLag(DriveEffect):
         actuator.dynprm = [lag, *np.array(actuator.dynprm)[1:]]
 
 
-LONGEST_DELAY = 0.25
-"""Longest delay that is tried [s]."""
-DELAY_STARTS = ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
-"""Delays from which fits start, from a fast bus to hobby servos: a servo is not linear."""
-_LINEAR = 1  # MuJoCo's interpolation order
+DELAY = Parameter(
+    name="delay", unit="s", low=0.0, high=0.25, scale=0.01,
+    starts=(0.001, 0.003, 0.008, 0.02, 0.05, 0.12),
+)  # fmt: skip
+"""Delay, from a fast bus to hobby servos: a servo is not linear."""
 
 
 class CommandDelay(Effect):
@@ -181,8 +181,7 @@ class CommandDelay(Effect):
     acts_on = "actuator"
     null_values = (0.0,)
     is_time_shift = True
-    parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST_DELAY, scale=0.01),)
-    starts = DELAY_STARTS
+    parameters = (DELAY,)
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -192,22 +191,17 @@ class CommandDelay(Effect):
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
         """Shift the commands; before the first sample the first one holds."""
-        delay = float(values[0])
-        if delay <= 0:
-            return controls
         late = controls.copy()
         for number in self._numbers:
-            late[:, number] = np.interp(time - delay, time, controls[:, number])
+            late[:, number] = np.interp(time - float(values[0]), time, controls[:, number])
         return late
 
     def command_at(self, time: Array, controls: Array, values: Array) -> Array:
         """Shift the commands, each held until the next."""
-        delay = float(values[0])
-        if delay <= 0 or len(time) < 2:
-            return controls
         late = controls.copy()
-        back = np.floor(np.arange(len(time)) - delay / (time[1] - time[0]) + 1e-9)
-        late[:, self._numbers] = controls[np.maximum(back, 0).astype(int)][:, self._numbers]
+        if len(time) > 1:
+            back = np.floor(np.arange(len(time)) - float(values[0]) / (time[1] - time[0]) + 1e-9)
+            late[:, self._numbers] = controls[np.maximum(back, 0).astype(int)][:, self._numbers]
         return late
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
@@ -217,9 +211,7 @@ class CommandDelay(Effect):
         for number in self._numbers:
             actuator = spec.actuators[number]
             delay = _as_line(actuator, spec.option) + float(values[0])
-            actuator.delay, actuator.interp = delay, _LINEAR
-            needed = history_for(delay, spec.option.timestep)
-            actuator.nsample = max(needed, int(actuator.nsample))
+            delay_by(actuator, delay, spec.option.timestep)
 
     @property
     def _numbers(self) -> list[int]:
@@ -242,6 +234,12 @@ def _as_line(actuator: mujoco.MjsActuator, option: mujoco.MjOption) -> float:
     return sum(share * held_delay(own - at * step, step) for at, share in stages) + 0.5 * step
 
 
+def delay_by(late: mujoco.MjsActuator | mujoco.MjsSensor, delay: float, step: float) -> None:
+    """Delay an actuator or a sensor [s], with linear interpolation in its history."""
+    late.delay, late.interp = delay, 1
+    late.nsample = max(history_for(delay, step), int(late.nsample))
+
+
 def held_delay(delay: float, step: float) -> float:
     """Delay of a history that holds its samples [s]: whole steps, rounded up."""
     return max(ceil(delay / step - 1e-9), 0) * step
@@ -251,14 +249,10 @@ _LOWEST = 0.02
 """Lowest limit that is tried, over the typical torque."""
 _HIGHEST = 20.0
 """Highest one of a drive whose model has none."""
-_STARTS = (0.4, 0.8, 1.5, 2.5)
-"""Limits from which fits start."""
 _LEAST_GIVEN = 0.05
 """Lowest limit that is sought in data, over the largest torque given."""
 _GRID, _SPEED_GRID = 150, 16
 """Limits, 2 % apart, and no-load speeds that are tried on data."""
-_SPEEDS = (1.5, 4.0)
-"""No-load speeds from which fits start, over the typical speed."""
 
 
 class JointDriveEffect(DriveEffect):
@@ -290,20 +284,12 @@ class DriveLimit(JointDriveEffect):
         high = _HIGHEST * usual
         if model.actuator_forcelimited[self._number]:
             high = float(np.max(np.abs(model.actuator_forcerange[self._number])))
-        unit, low = (
-            "N·m" if self.machine.turns(self.joint) else "N",
-            min(_LOWEST * usual, 0.5 * high),
-        )
-        name = self.limit[0][0]
-        return (Parameter(name=name, unit=unit, low=low, high=high, scale=usual, log=True),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts around the typical torque, below the limit of the model, and typical speed."""
-        limit, *more = self.parameters
-        torques = (limit.clipped(min(s * limit.scale, 0.8 * limit.high)) for s in _STARTS)
-        speeds = [[share * p.scale] for p in more for share in _SPEEDS] or [[]]
-        return tuple((t, *speed) for t in dict.fromkeys(torques) for speed in speeds)
+        limit = Parameter(
+            name=self.limit[0][0], unit="N·m" if self.machine.turns(self.joint) else "N",
+            low=min(_LOWEST * usual, 0.5 * high), high=high, scale=usual, log=True,
+        )  # fmt: skip
+        starts = (limit.clipped(min(s * usual, 0.8 * high)) for s in (0.4, 0.8, 1.5, 2.5))
+        return (replace(limit, starts=tuple(dict.fromkeys(starts))),)
 
     def propose_limit(
         self, speed: Array, asked: Array, needed: Array
@@ -360,8 +346,8 @@ class VoltageLimit(DriveLimit):
         """Largest force at standstill; speed of the actuator at which none is left."""
         usual = self.machine.speed(self.joint) * abs(self.gear)
         unit = "rad/s" if self.machine.turns(self.joint) else "m/s"
-        speed = Parameter(
-            name="no_load_speed", unit=unit, low=0.2 * usual, high=50 * usual, scale=usual, log=True
+        speed = Parameter.sized(
+            "no_load_speed", unit, usual, 0.2, 50, scale=1.0, starts=(1.5, 4.0), log=True
         )
         return (*super().parameters, speed)
 
@@ -420,13 +406,12 @@ class DeadZone(DrivenEffect, JointDriveEffect):
         gain = abs(float(machine.model.actuator_gainprm[self._number, 0])) or 1.0
         usual = machine.load(joint) / (abs(self.gear) * gain)
         unit = "" if not self._servo else "rad" if machine.turns(joint) else "m"
-        return (Parameter(name="width", unit=unit, low=0.0, high=5 * usual, scale=0.1 * usual),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: errors of a thirtieth, a fifth and half of the typical torque."""
-        scale = self.parameters[0].scale
-        return ((0.3 * scale,), (2 * scale,), (5 * scale,))
+        # errors of a thirtieth, a fifth and half of the typical torque
+        scale = 0.1 * usual
+        starts = (0.3 * scale, 2 * scale, 5 * scale)
+        return (
+            Parameter(name="width", unit=unit, low=0.0, high=5 * usual, scale=scale, starts=starts),
+        )
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Move the command towards the position by the dead zone, at most onto it."""

@@ -9,7 +9,7 @@ cogging or gear teeth. Springs across a joint are cables, hoses, balancers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 from math import atan2, hypot, pi
 from typing import ClassVar
 
@@ -20,6 +20,7 @@ from scipy.signal import lombscargle
 from loose_env.gap.model.effect import DrivenEffect, JointEffect, Parameter
 from loose_env.gap.model.effects.mjcf import (
     add_constant,
+    add_friction,
     add_passive,
     added_name,
     angle_unit,
@@ -37,15 +38,10 @@ class _Resistance(JointEffect):
     """Name of the parameter."""
     power: ClassVar[int]
     """Power of the speed."""
-    most: ClassVar[float]
+    most: ClassVar[float] = 50.0
     """Largest value added, over the one that gives the typical torque at the typical speed."""
-    shares: ClassVar[tuple[float, ...]]
+    shares: ClassVar[tuple[float, ...]] = (0.05, 0.3)
     """Values from which fits start, over that one."""
-
-    @property
-    def usual(self) -> float:
-        """Value that gives the typical torque at the typical speed."""
-        return self.load / self.speed**self.power
 
     @property
     def nominal(self) -> float:
@@ -55,22 +51,21 @@ class _Resistance(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Added value; negative down to a total of zero."""
-        angle, nominal, usual = self.angle_unit, self.nominal, self.usual
+        angle, nominal, usual = self.angle_unit, self.nominal, self.load / self.speed**self.power
         unit = self.torque_unit + ("", f"·s/{angle}", f"·s²/{angle}²")[self.power]
-        low, high = 0.0 - nominal, nominal + self.most * usual
-        return (Parameter(name=self.name, unit=unit, low=low, high=high, scale=0.1 * usual),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a weak and a strong one."""
-        return tuple((share * self.usual,) for share in self.shares)
+        return (
+            Parameter(
+                name=self.name, unit=unit, low=0.0 - nominal, high=nominal + self.most * usual,
+                scale=0.1 * usual, starts=tuple(share * usual for share in self.shares),
+            ),
+        )  # fmt: skip
 
 
 class ViscousFriction(_Resistance):
     """Viscous damping added to that of the model; negative down to a total of zero."""
 
     kind = "viscous_friction"
-    name, power, most, shares = "damping", 1, 50.0, (0.05, 0.3)
+    name, power = "damping", 1
 
     @property
     def nominal(self) -> float:
@@ -120,18 +115,15 @@ class CoulombFriction(_Resistance):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's friction loss."""
-        if values[0] == 0:
-            return
-        joint = spec.joint(self.where)
-        joint.frictionloss = max(joint.frictionloss + float(values[0]), 0.0)
-        make_it_stick(joint, spec.option.timestep)
+        if values[0] != 0:
+            add_friction(spec, self.where, float(values[0]))
 
 
 class QuadraticDrag(_Resistance):
     """Quadratic drag -c v |v|: second coefficient of MuJoCo's damping polynomial."""
 
     kind = "quadratic_drag"
-    name, power, most, shares = "drag", 2, 50.0, (0.05, 0.3)
+    name, power = "drag", 2
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's damping polynomial."""
@@ -156,15 +148,9 @@ class RotorInertia(JointEffect):
         return (
             Parameter(
                 name="inertia", unit=unit, low=low, high=100 * moved, scale=0.1 * moved,
-                usual=10 * moved,
+                usual=10 * moved, starts=(0.2 * moved, moved),
             ),
         )  # fmt: skip
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a fifth of the inertia that the joint moves, and the same again."""
-        moved = self.machine.inertia(self.where)
-        return ((0.2 * moved,), (1.0 * moved,))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's armature."""
@@ -188,27 +174,20 @@ class AsymmetricFriction(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Friction in the positive and in the negative direction."""
         unit, load = self.torque_unit, self.load
-        return tuple(
-            Parameter(name=name, unit=unit, low=0.0, high=20 * load, scale=0.1 * load)
-            for name in ("forward", "backward")
-        )
+        return tuple(Parameter.sized(n, unit, load, 0, 20) for n in ("forward", "backward"))
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: a weak and a strong one, each larger in either direction."""
-        weak, strong = 0.03 * self.load, 0.2 * self.load
-        return tuple(
-            sides for size in (weak, strong) for sides in ((size, 0.3 * size), (0.3 * size, size))
-        )
+        sizes = (0.03 * self.load, 0.2 * self.load)
+        return tuple(s for size in sizes for s in ((size, 0.3 * size), (0.3 * size, size)))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add friction loss and a constant torque."""
         forward, backward = float(values[0]), float(values[1])
         if forward + backward <= 0:
             return
-        joint = spec.joint(self.where)
-        joint.frictionloss += 0.5 * (forward + backward)
-        make_it_stick(joint, spec.option.timestep)
+        add_friction(spec, self.where, 0.5 * (forward + backward))
         name = added_name(spec, self.where, self.kind)
         add_constant(spec, self.where, name, 0.5 * (backward - forward))
 
@@ -222,14 +201,12 @@ _PIECES = (_SLOPES[1], _KNOTS[1]), (_SLOPES[0] - _SLOPES[1], _KNOTS[0])
 """Slope and end of two ramps from zero whose sum is the decrease."""
 
 
-_START_SPEED = 0.3
-"""Stribeck speed from which fits start, over the typical speed."""
-
-
-def _stribeck_speed(speed: float, unit: str) -> Parameter:
-    """Speed over which a friction falls from its height at rest, at a typical speed."""
-    low, high = 1e-3 * speed, 2.0 * speed
-    return Parameter(name="speed", unit=unit, low=low, high=high, scale=0.1 * speed, log=True)
+def _peak(speed: float, unit: str, ratio: float) -> tuple[Parameter, Parameter]:
+    """Height of a friction at rest over that in motion, and the speed over which it falls."""
+    return (
+        Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5, starts=(ratio,)),
+        Parameter.sized("speed", f"{unit}/s", speed, 1e-3, 2.0, starts=(0.3,), log=True),
+    )
 
 
 class StribeckFriction(JointEffect):
@@ -250,28 +227,14 @@ class StribeckFriction(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Coulomb torque, ratio of static torque to it, Stribeck speed."""
-        load = self.load
-        return (
-            Parameter(
-                name="torque", unit=self.torque_unit, low=1e-4 * load, high=20 * load,
-                scale=0.1 * load, log=True,
-            ),
-            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
-            _stribeck_speed(self.speed, f"{self.angle_unit}/s"),
-        )  # fmt: skip
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a weak and a strong one, each half as strong again at rest."""
-        speed = _START_SPEED * self.speed
-        return (0.04 * self.load, 1.6, speed), (0.2 * self.load, 1.6, speed)
+        unit, starts = self.torque_unit, (0.04, 0.2)
+        torque = Parameter.sized("torque", unit, self.load, 1e-4, 20, starts=starts, log=True)
+        return (torque, *_peak(self.speed, self.angle_unit, 1.6))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add friction loss, and actuators without input for the decrease in motion."""
         torque, ratio, speed = (float(v) for v in values)
-        joint = spec.joint(self.where)
-        joint.frictionloss += ratio * torque
-        make_it_stick(joint, spec.option.timestep)
+        add_friction(spec, self.where, ratio * torque)
         fall = max(ratio - 1, 1e-6) * torque
         for number, (slope, end) in enumerate(_PIECES):
             name = added_name(spec, self.where, f"{self.kind}_{number}")
@@ -306,38 +269,29 @@ class LoadFriction(DrivenEffect, JointEffect):
     needs_fine_steps = True
     variants = ("", "stribeck", "external")
 
+    null_values = (0.0, 0.0)
+
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         if self.variant == "stribeck":
-            self.limit = (("share", "low"),)  # type: ignore[misc]
-        else:
-            self.null_values = (0.0, 0.0) if self.variant else (0.0,)  # type: ignore[misc]
-
-    @classmethod
-    def null_value(cls, parameters: Sequence[str], parameter: str) -> float:
-        """Without it the shares are zero; with a peak it vanishes in a limit."""
-        return float("nan") if "speed" in parameters else 0.0
+            self.null_values, self.limit = None, (("share", "low"),)  # type: ignore[misc]
+        elif not self.variant:
+            self.null_values = (0.0,)  # type: ignore[misc]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Friction over drive torque, and over the load or with a peak's height and speed."""
-        if self.variant != "stribeck":
-            names = ("share", "load_share") if self.variant else ("share",)
-            return tuple(Parameter(name=n, unit="", low=0.0, high=0.95, scale=0.1) for n in names)
-        return (
-            Parameter(name="share", unit="", low=_LEAST, high=0.95, scale=0.1, log=True),
-            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
-            _stribeck_speed(self.speed, f"{self.angle_unit}/s"),
-        )
+        peaked = self.variant == "stribeck"
+        low, starts = _LEAST if peaked else 0.0, (0.08, 0.4)
+        share = Parameter.sized("share", "", 1.0, low, 0.95, starts=starts, log=peaked)
+        if peaked:
+            return (share, *_peak(self.speed, self.angle_unit, 1.5))
+        return (share, replace(share, name="load_share"))[: 2 if self.variant else 1]
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: of a good gear and of a hobby servo's."""
-        if not self.variant:
-            return ((0.08,), (0.4,))
-        if self.variant == "external":
-            return ((0.08, 0.08), (0.3, 0.2))
-        return ((0.08, 1.5, _START_SPEED * self.speed), (0.4, 1.5, _START_SPEED * self.speed))
+        return ((0.08, 0.08), (0.3, 0.2)) if self.variant == "external" else super().starts
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Give the joint a trace of dry friction, whose size follows the load step by step."""
@@ -396,23 +350,18 @@ class TorqueRipple(JointEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude, periods per turn or per metre, phase."""
-        load, one = self.load, 1.0 / self._rate
-        unit = "1/turn" if self.turns else "1/m"
+        """Amplitude, periods per turn or per metre, phase; only `propose` covers all periods."""
+        one, unit = 1.0 / self._rate, "1/turn" if self.turns else "1/m"
+        few = tuple(n * (1.0 if self.turns else 1 / 0.1) for n in (2.0, 6.0))
+        turn = 2 * pi
         return (
+            Parameter.sized("amplitude", self.torque_unit, self.load, 0, 10, starts=(0.1,)),
             Parameter(
-                name="amplitude", unit=self.torque_unit, low=0.0, high=10 * load, scale=0.1 * load
+                name="periods", unit=unit, low=0.5 * one, high=2 * self._most, scale=one, starts=few
             ),
-            Parameter(name="periods", unit=unit, low=0.5 * one, high=2 * self._most, scale=one),
-            Parameter(name="phase", unit="rad", low=-2 * pi, high=2 * pi, scale=0.5),
-        )
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts with a few numbers of periods; only `propose` can cover all of them."""
-        lone = 1.0 if self.turns else 1 / 0.1
-        return tuple(
-            (0.1 * self.load, n * lone, phase) for n in (2.0, 6.0) for phase in (0.0, pi / 2)
+            Parameter(
+                name="phase", unit="rad", low=-turn, high=turn, scale=0.5, starts=(0.0, pi / 2)
+            ),
         )
 
     @property
@@ -429,10 +378,6 @@ class TorqueRipple(JointEffect):
         name = added_name(spec, self.where, self.kind)
         amplitude, periods, phase = (float(v) for v in values)
         add_passive(spec, self.where, name, cogging=(amplitude, self._rate * periods, phase))
-
-    def interval_includes_null(self, low: Array, high: Array) -> bool:
-        """Return whether the amplitude's interval includes zero."""
-        return bool(low[0] <= 0 <= high[0])
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
@@ -483,29 +428,21 @@ class JointSpring(JointEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness and equilibrium coordinate of the spring."""
+        """Stiffness and equilibrium coordinate of the spring, in the joint's range or beside it."""
         low, high = self._range
-        width = high - low
-        most = 50 * self.load / min(width, pi)
+        width, load = high - low, self.load
+        turn = min(width, pi)
+        rests = (0.5 * (low + high), low - 0.2 * width, high + 0.2 * width)
         return (
             Parameter(
-                name="stiffness", unit=f"{self.torque_unit}/{self.angle_unit}", low=0.0, high=most,
-                scale=0.2 * self.load / min(width, pi),
+                name="stiffness", unit=f"{self.torque_unit}/{self.angle_unit}", low=0.0,
+                high=50 * load / turn, scale=0.2 * load / turn, starts=(0.5 * load / turn,),
             ),
             Parameter(
                 name="reference", unit=self.angle_unit, low=low - 2 * width, high=high + 2 * width,
-                scale=0.2 * width,
+                scale=0.2 * width, starts=rests,
             ),
         )  # fmt: skip
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: half the typical torque over the range, equilibrium in and beside it."""
-        low, high = self._range
-        width = high - low
-        stiffness = 0.5 * self.load / min(width, pi)
-        rests = (0.5 * (low + high), low - 0.2 * width, high + 0.2 * width)
-        return tuple((stiffness, rest) for rest in rests)
 
     @property
     def _range(self) -> tuple[float, float]:
@@ -529,10 +466,6 @@ class JointSpring(JointEffect):
         rests = (stiffness[0] * joint.springref * unit + added * rest) / both
         stiffness[0] = both
         joint.stiffness, joint.springref = stiffness, rests / unit
-
-    def interval_includes_null(self, low: Array, high: Array) -> bool:
-        """Return whether the stiffness interval includes zero."""
-        return bool(low[0] <= 0 <= high[0])
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array

@@ -99,6 +99,13 @@ def add_passive(
         drive.forcelimited, drive.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
 
 
+def add_friction(spec: mujoco.MjSpec, joint: str, friction: float) -> None:
+    """Add dry friction to a joint, down to a total of zero, that holds it at rest."""
+    own = spec.joint(joint)
+    own.frictionloss = max(own.frictionloss + friction, 0.0)
+    make_it_stick(own, spec.option.timestep)
+
+
 def make_it_stick(joint: mujoco.MjsJoint | mujoco.MjsTendon, step: float) -> None:
     """Set a joint's or tendon's friction to the largest stiffness stable at a step [s]."""
     joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]

@@ -6,16 +6,24 @@ error of the measured angle once a turn. A torque constant scales a drive's meas
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter, Readings
-from loose_env.gap.model.effects.drives import DELAY_STARTS, LONGEST_DELAY, held_delay
+from loose_env.gap.model.effect import (
+    AdditiveEffect,
+    DrivenEffect,
+    Effect,
+    JointEffect,
+    Parameter,
+    Readings,
+)
+from loose_env.gap.model.effects.drives import DELAY, delay_by, held_delay
 from loose_env.gap.model.effects.mjcf import added_name, angle_unit, site_pose
-from loose_env.gap.model.nominal_model import NominalModel, history_for
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 _S = mujoco.mjtSensor
@@ -111,30 +119,18 @@ class SensorEffect(Effect):
 _AXES = {1: ("bias",), 3: ("bias_x", "bias_y", "bias_z")}
 
 
-class SensorBias(SensorEffect):
+class SensorBias(AdditiveEffect, SensorEffect):
     """Constant bias of a sensor, one for each axis."""
 
     kind = "sensor_bias"
-    is_additive = True
     dims = tuple(_AXES)
-
-    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
-        super().__init__(machine, where, variant)
-        self.null_values = (0.0,) * self.dim  # type: ignore[misc]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Bias of each axis."""
-        scale, unit = _reading_scale(self.machine, self.where)
-        return tuple(
-            Parameter(name=name, unit=unit, low=-500 * scale, high=500 * scale, scale=scale)
-            for name in _AXES[self.dim]
-        )
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: visible on every axis."""
-        return (tuple(p.scale for p in self.parameters),)
+        size, unit = _reading_scale(self.machine, self.where)
+        bias = Parameter.sized("", unit, size, -500, 500, scale=1.0, starts=(1.0,))
+        return tuple(replace(bias, name=name) for name in _AXES[self.dim])
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Add the bias."""
@@ -150,8 +146,7 @@ class SensorGain(SensorEffect):
 
     kind = "sensor_gain"
     null_values = (1.0,)
-    parameters = (Parameter(name="gain", unit="", low=0.1, high=10.0, scale=0.05),)
-    starts = ((0.9,), (1.1,))
+    parameters = (Parameter.sized("gain", "", 1.0, 0.1, 10, scale=0.05, starts=(0.9, 1.1)),)
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Scale the reading."""
@@ -160,10 +155,6 @@ class SensorGain(SensorEffect):
     def code(self, values: Array) -> str:
         """Python line: the reading times the gain."""
         return f"data.sensor({self.where!r}).data *= {float(values[0])!r}"
-
-
-_STEPS = (0.2, 1.0)
-"""Steps of a sensor from which fits start, over a change that matters."""
 
 
 class SensorQuantisation(SensorEffect):
@@ -176,14 +167,9 @@ class SensorQuantisation(SensorEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Step of the reading."""
-        scale, unit = _reading_scale(self.machine, self.where)
-        low, high = 1e-4 * scale, 1e3 * scale
-        return (Parameter(name="step", unit=unit, low=low, high=high, scale=scale, log=True),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: visible steps."""
-        return tuple((share * self.parameters[0].scale,) for share in _STEPS)
+        size, unit = _reading_scale(self.machine, self.where)
+        starts = (0.2, 1.0)
+        return (Parameter.sized("step", unit, size, 1e-4, 1e3, scale=1, starts=starts, log=True),)
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Round the reading."""
@@ -210,8 +196,7 @@ class SensorDelay(SensorEffect):
     in_model = True
     null_values = (0.0,)
     is_time_shift = True
-    parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST_DELAY, scale=0.01),)
-    starts = DELAY_STARTS
+    parameters = (DELAY,)
 
     @property
     def _jumps(self) -> bool:
@@ -235,8 +220,7 @@ class SensorDelay(SensorEffect):
             return
         sensor, step = spec.sensor(self.where), float(spec.option.timestep)
         own = float(sensor.delay) if sensor.interp else held_delay(float(sensor.delay), step)
-        sensor.delay, sensor.interp = own + float(values[0]), 1
-        sensor.nsample = max(history_for(sensor.delay, step), int(sensor.nsample))
+        delay_by(sensor, own + float(values[0]), step)
 
 
 def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Array:
@@ -249,17 +233,16 @@ def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Arra
     return np.moveaxis(moved[..., low] * (1 - share) + moved[..., high] * share, -1, axis)
 
 
-class SensorMisalignment(SensorEffect):
+class SensorMisalignment(AdditiveEffect, SensorEffect):
     """Misalignment of a vector sensor: a rotation vector in the site's own frame."""
 
     kind = "sensor_misalignment"
     in_model = True
-    null_values = (0.0, 0.0, 0.0)
-    is_additive = True
+    # three degrees about every axis, as small rotations add up
     parameters = tuple(
-        Parameter(name=f"turn_{axis}", unit="rad", low=-1.6, high=1.6, scale=0.05) for axis in "xyz"
+        Parameter.sized(f"turn_{axis}", "rad", 1.0, -1.6, 1.6, scale=0.05, starts=(0.05,))
+        for axis in "xyz"
     )
-    starts = ((0.05, 0.05, 0.05),)  # three degrees about every axis, as small rotations add up
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -295,8 +278,7 @@ class TorqueConstant(JointEffect):
     exact_law = True
     in_model = False
     null_values = (1.0,)
-    parameters = (Parameter(name="factor", unit="", low=0.02, high=50.0, scale=0.1),)
-    starts = ((0.8,), (1.25,))
+    parameters = (Parameter.sized("factor", "", 1.0, 0.02, 50, starts=(0.8, 1.25)),)
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
         """Scale the joint's torque."""
@@ -331,15 +313,9 @@ class EncoderOffset(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Offset: reading minus truth."""
-        if self.turns:
-            return (Parameter(name="offset", unit="rad", low=-1.0, high=1.0, scale=0.02),)
-        return (Parameter(name="offset", unit="m", low=-0.3, high=0.3, scale=0.005),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: visible, of either sign."""
-        scale = self.parameters[0].scale
-        return ((-scale,), (scale,))
+        most, step = (1.0, 0.02) if self.turns else (0.3, 0.005)
+        sizes = {"low": -most, "high": most, "scale": step, "starts": (-step, step)}
+        return (Parameter(name="offset", unit=self.angle_unit, **sizes),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Shift the joint's reference, range and spring."""
@@ -351,20 +327,18 @@ class EncoderOffset(JointEffect):
             joint.range = np.array(joint.range) + offset
 
 
-class GearEccentricity(DrivenEffect, JointEffect):
+class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
     """Once-per-turn error of the measured angle: a gear or a code wheel that turns off its centre.
 
     The encoder shows q + sine · sin q + cosine · cos q, and the servo closes its loop on that.
     """
 
     kind = "gear_eccentricity"
-    is_additive = True
-    null_values = (0.0, 0.0)
+    # a third of a degree in either phase, which add up
     parameters = tuple(
-        Parameter(name=name, unit="rad", low=-0.5, high=0.5, scale=0.005)
+        Parameter.sized(name, "rad", 1.0, -0.5, 0.5, scale=0.005, starts=(0.005,))
         for name in ("sine", "cosine")
     )
-    starts = ((0.005, 0.005),)  # a third of a degree in either phase, which add up
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
