@@ -7,13 +7,10 @@ A step is simulated with the mean of a command over it. An accelerometer reads t
 value: a servo's acceleration jumps with every command. A delayed one reads the value at an earlier
 time, between two steps.
 
-MJCF cannot express torque terms and driven effects, so that Python applies them step by step. A
-torque held over a step and evaluated at its beginning is late by half a step, so that a spring adds
-energy. Under a Runge-Kutta method the mean of the term along the step is held instead, over
-positions and speeds predicted from the acceleration at its beginning; the error of that mean is
-known after the step, and the next one corrects it. Sensors at the beginning of a step are computed
-with the instantaneous term. A dry friction that depends on the drives' torques is set before each
-step from those at its beginning.
+MJCF cannot express torque terms and driven effects, so that Python applies them step by step. Under
+a Runge-Kutta method the term in the middle of the step is held over it, predicted from the
+acceleration at its beginning; at the beginning, as by other methods, sensors are computed. A dry
+friction that depends on the drives' torques is set before each step from those at its beginning.
 """
 
 from __future__ import annotations
@@ -40,8 +37,6 @@ from loose_env.typing import Array, IndexArray
 
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
-_NODES = (0.5 + 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0]))[:, None, None]
-"""Parts of a step at which a term is taken: Gauss's two nodes, whose mean is exact for a cubic."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 _STATES = ("qpos", "qvel", "act")
 """State of a simulation: positions, speeds and activations."""
@@ -131,12 +126,7 @@ class _Stepped:
             self._base = np.array([m.dof_frictionloss[self._dofs] for m in self._own_models])
 
     def rollout(
-        self,
-        count: int,
-        control: Array,
-        control_spec: int,
-        record: Sequence[str],
-        ids: IndexArray,
+        self, count: int, control: Array, *, record: Sequence[str], ids: IndexArray
     ) -> dict[str, Array]:
         """Advance some simulations, as `mujoco.batch.Batch.rollout` does.
 
@@ -159,32 +149,24 @@ class _Stepped:
         step, looks_ahead = float(option.timestep), int(option.integrator) == _RUNGE_KUTTA
         if self._own_models and not looks_ahead:
             batch.forward(ids)  # drive torques of the first step
-        owed = mean = np.zeros((len(ids), len(self._dofs)))
-        before: State | None = None
+        rate = np.zeros((len(ids), len(self._dofs)))  # not known beforehand by other methods
         for k in range(count):
             now = fields["qpos"][places], fields["qvel"][dofs]
             commands[ids] = self._commands(groups, control[:, k], now)
             if self._pulls:
-                applied[dofs] = _terms(rows, (now[0][None], now[1][None]))[0]
-            ahead = 0.0 * now[1]
+                applied[dofs] = _terms(rows, now)
             if looks_ahead:
                 batch.forward(ids)
                 for name in read:
                     found[name][:, k] = fields[name][ids]
-                ahead = fields["qacc"][dofs]
-                if self._pulls and before is not None:
-                    along = _terms(rows, _nodes_between(before, now, step))
-                    owed = 0.5 * (along[0] + along[1]) - mean
-                if self._pulls:
-                    first, second = _terms(rows, _ahead(now, ahead, step * _NODES))
-                    mean = 0.5 * (first + second)
-                    applied[dofs] = mean + owed
-                before = now
-            commands[ids] = self._commands(groups, control[:, k], _ahead(now, ahead, 0.5 * step))
+                rate = fields["qacc"][dofs]
+            middle = _ahead(now, rate, 0.5 * step)
+            if looks_ahead and self._pulls:
+                applied[dofs] = _terms(rows, middle)
+            commands[ids] = self._commands(groups, control[:, k], middle)
             if self._own_models:
-                self._set_friction(
-                    ids, groups, fields["qfrc_actuator"], fields["qfrc_bias"], now[1]
-                )
+                drive, load = fields["qfrc_actuator"][dofs], -fields["qfrc_bias"][dofs]
+                self._set_friction(ids, groups, drive, load, now[1])
             batch.step(ids)
             for name in record:
                 if not (looks_ahead and name in read):
@@ -206,11 +188,10 @@ class _Stepped:
         return found
 
     def _set_friction(
-        self, ids: IndexArray, groups: _Groups, drives: Array, bias: Array, speed: Array
+        self, ids: IndexArray, groups: _Groups, drive: Array, load: Array, speed: Array
     ) -> None:
-        """Set the dry friction of some simulations from the torques of all and speed."""
-        dofs, friction = (ids[:, None], self._dofs), self._base[ids]
-        drive, load = drives[dofs], -bias[dofs]
+        """Set the dry friction of some simulations from drive, load and speed (ids, joints)."""
+        friction = self._base[ids]
         for driven, own in groups:
             for effect, values in driven:
                 friction[own] += effect.dry_friction(drive[own], load[own], speed[own], values)
@@ -219,20 +200,16 @@ class _Stepped:
         self.batch.set_models(self._own_models)
 
 
-_Places = slice | IndexArray
-"""Indices of simulations; a slice where they are all, which makes views."""
-_Rows = Sequence[tuple[Hypothesis, _Places]]
-_Groups = Sequence[tuple[_Driven, _Places]]
-
-
-def _where(mask: Sequence[bool]) -> _Places:
-    return slice(None) if all(mask) else np.flatnonzero(mask)
+_Rows = Sequence[tuple[Hypothesis, NDArray[np.bool_]]]
+"""Hypotheses, and which simulations have them."""
+_Groups = Sequence[tuple[_Driven, NDArray[np.bool_]]]
+"""Driven effects, and which simulations have them."""
 
 
 def _rows(each: Sequence[Hypothesis]) -> _Rows:
     """Hypotheses with torque terms, and their simulations."""
     known = {id(hypothesis): hypothesis for hypothesis in each if _has_torque(hypothesis)}
-    return [(h, _where([other is h for other in each])) for h in known.values()]
+    return [(h, np.array([other is h for other in each])) for h in known.values()]
 
 
 def _groups(each: Sequence[Hypothesis]) -> _Groups:
@@ -240,40 +217,26 @@ def _groups(each: Sequence[Hypothesis]) -> _Groups:
     keys = [tuple(id(effect) for effect, _ in _driven(hypothesis)) for hypothesis in each]
     found = []
     for key in dict.fromkeys(key for key in keys if key):
-        mask = [other == key for other in keys]
-        members = [_driven(h) for h, own in zip(each, mask, strict=True) if own]
-        stacked = [
-            (same[0][0], np.stack([values for _, values in same], axis=-1))
-            for same in zip(*members, strict=True)
-        ]
-        found.append((stacked, _where(mask)))
+        own = np.array([other == key for other in keys])
+        members = zip(*(_driven(each[k]) for k in np.flatnonzero(own)), strict=True)
+        stacked = [(m[0][0], np.stack([values for _, values in m], axis=-1)) for m in members]
+        found.append((stacked, own))
     return found
 
 
 def _terms(rows: _Rows, state: State) -> Array:
-    """Torque terms in some states, one after the other (states, sims, joints)."""
+    """Torque terms in a state (sims, joints)."""
     position, speed = state
     found = np.zeros(position.shape)
     for hypothesis, own in rows:
-        found[:, own] = _torque_terms(hypothesis, position[:, own], speed[:, own])
+        found[own] = _torque_terms(hypothesis, position[own], speed[own])
     return found
 
 
-def _ahead(now: State, rate: Array, time: Array | float) -> State:
+def _ahead(now: State, rate: Array, time: float) -> State:
     """Positions and speeds some time later, at constant acceleration."""
     position, speed = now
     return position + time * (speed + 0.5 * time * rate), speed + time * rate
-
-
-def _nodes_between(before: State, now: State, step: float) -> State:
-    """Positions and speeds at the nodes of a finished step, by cubic Hermite splines."""
-    (first, start), (last, end) = before, now
-    slope = (last - first) / step
-    bend, twist = 3 * slope - 2 * start - end, start + end - 2 * slope
-    return (
-        first + step * _NODES * (start + _NODES * (bend + _NODES * twist)),
-        start + _NODES * (2 * bend + 3 * _NODES * twist),
-    )
 
 
 def _states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[str, Array]:
@@ -524,13 +487,7 @@ def _advance(
 ) -> dict[str, Array]:
     """Advance some slots; return what is recorded, and mark the slots that diverged."""
     try:
-        out: dict[str, Array] = batch.rollout(
-            controls.shape[1],
-            np.ascontiguousarray(controls),
-            control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
-            record=names,
-            ids=ids,
-        )
+        out: dict[str, Array] = batch.rollout(controls.shape[1], controls, record=names, ids=ids)
     except SimulationError as error:
         raise InvalidData(f"MuJoCo cannot simulate the model: {error}") from error
     first = out[names[0]]

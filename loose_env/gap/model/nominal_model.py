@@ -339,30 +339,24 @@ def reach_of(machine: NominalModel) -> float:
 def link_ends(machine: NominalModel, link: str) -> tuple[Array, Array]:
     """Ends of a link in its body's frame: at its joint, and at the next or the tool.
 
-    The end is the farthest of the bodies and sites that it carries; without any, twice the distance
-    to its centre of mass.
+    The end is the farthest of the bodies with joints beyond it, or else of its sites; without any,
+    twice the distance to its centre of mass.
     """
     model = machine.model
     body = model.body(link).id
     start = np.array(model.jnt_pos[int(model.body_jntadr[body])])
-    ends = [model.body_pos[b] for b in range(body + 1, model.nbody) if _carries(model, body, b)]
+    carrying: set[int] = set()
+    for ancestor in np.unique(model.jnt_bodyid).tolist():
+        while ancestor not in carrying:
+            carrying.add(ancestor)
+            ancestor = int(model.body_parentid[ancestor])
+    ends = [model.body_pos[b] for b in sorted(carrying - {0}) if model.body_parentid[b] == body]
     if not ends:
         ends = [model.site_pos[s] for s in range(model.nsite) if model.site_bodyid[s] == body]
     if not ends:
         ends = [start + 2 * (model.body_ipos[body] - start)]
     far = max(ends, key=lambda end: float(np.linalg.norm(end - start)))
     return start, np.array(far)
-
-
-def _carries(model: mujoco.MjModel, body: int, other: int) -> bool:
-    """Return whether a body is a child of another and carries a joint somewhere."""
-    if int(model.body_parentid[other]) != body:
-        return False
-    tree = {other}
-    for b in range(other, model.nbody):
-        if int(model.body_parentid[b]) in tree:
-            tree.add(b)
-    return any(int(model.body_jntnum[b]) > 0 for b in tree)
 
 
 def frame_about(axis: Array) -> Array:
