@@ -212,16 +212,10 @@ class Effect:
         """
         if self.acts_on:
             return self.acts_on
-        machine = self.machine
-        known = {
-            "joint": machine.joints,
-            "link": machine.links,
-            "actuator": machine.actuators,
-            "sensor": machine.sensors,
-        }
-        likely = "actuator" if type(self).command is not Effect.command else "joint"
-        order = ("sensor" if not self.moves else likely, *known)
-        return next((part for part in order if self.where in known[part]), "arm")
+        likely = "actuator" if self._overrides("command") else "joint"
+        order = ("sensor" if not self.moves else likely, "joint", "link", "actuator", "sensor")
+        known = (part for part in order if self.where in getattr(self.machine, f"{part}s"))
+        return next(known, "arm")
 
     @property
     def drives(self) -> bool:
@@ -229,14 +223,16 @@ class Effect:
 
         None of them is active in a free run, and of an inverse run only the torque is known.
         """
-        return self.part == "actuator" or type(self).command is not Effect.command
+        return self.part == "actuator" or self._overrides("command")
 
     @property
     def moves(self) -> bool:
         """True if it changes the motion, not the readings alone."""
-        own = type(self)
-        acting = ((own.edit, Effect.edit), (own.command, Effect.command))
-        return any(a is not b for a, b in (*acting, (own.torque, Effect.torque)))
+        return self._overrides("edit", "command", "torque")
+
+    def _overrides(self, *names: str) -> bool:
+        """Return whether the class has any of some methods of its own."""
+        return any(getattr(type(self), name) is not getattr(Effect, name) for name in names)
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
@@ -507,9 +503,9 @@ class JointEffect(Effect):
     @property
     def torque_unit(self) -> str:
         """Unit of the joint's driving force."""
-        return "N·m" if self.turns else "N"
+        return self.machine.units(self.where)[1]
 
     @property
     def angle_unit(self) -> str:
         """Unit of the joint's coordinate."""
-        return "rad" if self.turns else "m"
+        return self.machine.units(self.where)[0]

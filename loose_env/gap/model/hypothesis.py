@@ -87,8 +87,6 @@ class Hypothesis:
             model.opt.disableactuator |= 1 << _OFF
         # an arm is one island: searching for more costs a tenth of its time and changes nothing
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
-        if _unconstrained(model):
-            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         return model
 
 
@@ -103,16 +101,3 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
             "ignore", message="Inertia matrix is too close to singular", category=UserWarning
         )
         return spec.compile()
-
-
-def _unconstrained(model: mujoco.MjModel) -> bool:
-    """Return whether a model can never have a constraint; it is simulated faster then."""
-    contact = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    limit = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    return not (
-        (contact and (model.geom_contype | model.geom_conaffinity).any())
-        or (limit and (model.jnt_limited.any() or model.tendon_limited.any()))
-        or model.dof_frictionloss.any()
-        or model.tendon_frictionloss.any()
-        or model.neq
-    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
@@ -218,11 +218,20 @@ class NominalModel:
         """Return whether a joint is a hinge."""
         return bool(self.model.jnt_type[self.joint_number(joint)] == _MOVING[0])
 
+    def units(self, joint: str) -> tuple[str, str]:
+        """Units of a joint's coordinate and of its driving force."""
+        return ("rad", "N·m") if self.turns(joint) else ("m", "N")
+
 
 def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Mask of the actuators whose gain and bias are affine in length and speed (actuators,)."""
     affine = np.isin(model.actuator_gaintype, _AFFINE_GAINS)
     return np.asarray(affine & np.isin(model.actuator_biastype, _AFFINE_BIASES))
+
+
+def named(names: Sequence[str], mask: Iterable[bool]) -> tuple[str, ...]:
+    """Names of elements with a name, of those in a mask."""
+    return tuple(name for name, chosen in zip(names, mask, strict=True) if name and chosen)
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> Array:

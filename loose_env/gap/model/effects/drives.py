@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from loose_env.gap.model.effect import DrivenEffect, Effect, Parameter
-from loose_env.gap.model.nominal_model import NominalModel, history_for
+from loose_env.gap.model.nominal_model import NominalModel, history_for, named
 from loose_env.typing import Array
 
 
@@ -46,8 +46,7 @@ class ActuatorGain(DriveEffect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators whose force is linear in command, position and speed."""
-        affine = machine.affine_actuators
-        return tuple(n for k, n in enumerate(machine.actuators) if n and affine[k])
+        return named(machine.actuators, machine.affine_actuators)
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
@@ -118,7 +117,7 @@ class ActuatorLag(DriveEffect):
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators without dynamics of their own."""
         plain = machine.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
-        return tuple(n for k, n in enumerate(machine.actuators) if n and plain[k])
+        return named(machine.actuators, plain)
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
         """Filter the actuator's commands: means over each step."""
@@ -186,8 +185,7 @@ class CommandDelay(Effect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every actuator, and "all" if there are several."""
-        named = tuple(name for name in machine.actuators if name)
-        return (*named, "all") if len(machine.actuators) > 1 else named
+        return (*machine.actuators, "all") if len(machine.actuators) > 1 else machine.actuators
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
         """Shift the commands; before the first sample the first one holds."""
@@ -215,10 +213,8 @@ class CommandDelay(Effect):
 
     @property
     def _numbers(self) -> list[int]:
-        actuators = self.machine.actuators
-        if self.where == "all":
-            return list(range(len(actuators)))
-        return [actuators.index(self.where)]
+        names = enumerate(self.machine.actuators)
+        return [k for k, name in names if self.where in (name, "all")]
 
 
 def _as_line(actuator: mujoco.MjsActuator, option: mujoco.MjOption) -> float:
@@ -285,7 +281,7 @@ class DriveLimit(JointDriveEffect):
         if model.actuator_forcelimited[self._number]:
             high = float(np.max(np.abs(model.actuator_forcerange[self._number])))
         limit = Parameter(
-            name=self.limit[0][0], unit="N·m" if self.machine.turns(self.joint) else "N",
+            name=self.limit[0][0], unit=self.machine.units(self.joint)[1],
             low=min(_LOWEST * usual, 0.5 * high), high=high, scale=usual, log=True,
         )  # fmt: skip
         starts = (limit.clipped(min(s * usual, 0.8 * high)) for s in (0.4, 0.8, 1.5, 2.5))
@@ -345,7 +341,7 @@ class VoltageLimit(DriveLimit):
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest force at standstill; speed of the actuator at which none is left."""
         usual = self.machine.speed(self.joint) * abs(self.gear)
-        unit = "rad/s" if self.machine.turns(self.joint) else "m/s"
+        unit = f"{self.machine.units(self.joint)[0]}/s"
         speed = Parameter.sized(
             "no_load_speed", unit, usual, 0.2, 50, scale=1.0, starts=(1.5, 4.0), log=True
         )
@@ -405,7 +401,7 @@ class DeadZone(DrivenEffect, JointDriveEffect):
         machine, joint = self.machine, self.joint
         gain = abs(float(machine.model.actuator_gainprm[self._number, 0])) or 1.0
         usual = machine.load(joint) / (abs(self.gear) * gain)
-        unit = "" if not self._servo else "rad" if machine.turns(joint) else "m"
+        unit = machine.units(joint)[0] if self._servo else ""
         # errors of a thirtieth, a fifth and half of the typical torque
         scale = 0.1 * usual
         starts = (0.3 * scale, 2 * scale, 5 * scale)

@@ -26,8 +26,7 @@ from loose_env.typing import Array
 
 def links_with_mass(machine: NominalModel) -> tuple[str, ...]:
     """Names of the links that have mass of their own."""
-    mass = machine.model.body_mass
-    return tuple(name for name in machine.links if mass[machine.model.body(name).id] > 0)
+    return tuple(name for name in machine.links if machine.model.body(name).mass[0] > 0)
 
 
 class LinkEffect(Effect):
@@ -279,7 +278,7 @@ class BaseTilt(AdditiveEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Rotate gravity."""
-        turn = Rotation.from_rotvec(np.asarray(values, dtype=float) @ self._axes)
+        turn = Rotation.from_rotvec(values @ self._axes)
         # Gravity in the base frame rotates opposite to the base.
         spec.option.gravity = turn.inv().apply(np.array(spec.option.gravity))
 

@@ -26,7 +26,7 @@ from loose_env.gap.model.effects.mjcf import (
     angle_unit,
     make_it_stick,
 )
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, named
 from loose_env.typing import Array
 
 
@@ -423,8 +423,7 @@ class JointSpring(JointEffect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return joints without a nonlinear spring."""
-        bent = np.any(machine.model.jnt_stiffnesspoly != 0, axis=1)
-        return tuple(name for name, b in zip(machine.joints, bent, strict=True) if not b)
+        return named(machine.joints, np.all(machine.model.jnt_stiffnesspoly == 0, axis=1))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -6,7 +6,7 @@ joints with their stops, and the split of a body, whose children, sites and geom
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 from typing import Any
@@ -382,22 +382,17 @@ def _move(spec: mujoco.MjSpec, old: Any, new: Any, placed: dict[str, Array]) -> 
     new.name = name
 
 
-def _elements(body: mujoco.MjsBody) -> Iterator[Any]:
-    """List all named elements in a body and in its subtree."""
-    yield body
-    for several in (body.joints, body.geoms, body.sites, body.cameras, body.lights):
-        yield from several
-    for child in body.bodies:
-        yield from _elements(child)
+def _elements(body: mujoco.MjsBody) -> list[Any]:
+    """List all elements in a body and in its subtree."""
+    kinds = ("body", "joint", "geom", "site", "camera", "light")
+    return [body, *(element for kind in kinds for element in body.find_all(kind))]
 
 
 def _pose(machine: NominalModel, body: mujoco.MjsBody) -> tuple[Array, Array | None]:
     """Pose of a body in its parent; its quaternion too if a frame lies in between."""
-    if body.frame is None:
-        return np.array(body.pos), None
     model = machine.model
-    if body.name not in {model.body(b).name for b in range(model.nbody)}:
+    known = {model.body(b).name for b in range(model.nbody)}
+    if body.frame is None or body.name not in known:
         return np.array(body.pos), None
     number = model.body(body.name).id
-    place = np.array(model.body_pos[number])
-    return place, np.array(model.body_quat[number])
+    return np.array(model.body_pos[number]), np.array(model.body_quat[number])

@@ -23,24 +23,18 @@ from loose_env.gap.model.effect import (
 )
 from loose_env.gap.model.effects.drives import DELAY, delay_by, held_delay
 from loose_env.gap.model.effects.mjcf import added_name, angle_unit, site_pose
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, named
 from loose_env.typing import Array
 
 _S = mujoco.mjtSensor
-_SMOOTH = tuple(
-    int(kind)
-    for kind in (
-        _S.mjSENS_JOINTPOS, _S.mjSENS_JOINTVEL, _S.mjSENS_FRAMEPOS, _S.mjSENS_FRAMELINVEL,
-        _S.mjSENS_FRAMEANGVEL, _S.mjSENS_VELOCIMETER, _S.mjSENS_GYRO,
-    )
+_SMOOTH = (
+    _S.mjSENS_JOINTPOS, _S.mjSENS_JOINTVEL, _S.mjSENS_FRAMEPOS, _S.mjSENS_FRAMELINVEL,
+    _S.mjSENS_FRAMEANGVEL, _S.mjSENS_VELOCIMETER, _S.mjSENS_GYRO,
 )  # fmt: skip
 """Positions and speeds."""
-_TURNING = tuple(
-    int(kind)
-    for kind in (
-        _S.mjSENS_ACCELEROMETER, _S.mjSENS_GYRO, _S.mjSENS_VELOCIMETER, _S.mjSENS_FORCE,
-        _S.mjSENS_TORQUE, _S.mjSENS_MAGNETOMETER,
-    )
+_TURNING = (
+    _S.mjSENS_ACCELEROMETER, _S.mjSENS_GYRO, _S.mjSENS_VELOCIMETER, _S.mjSENS_FORCE,
+    _S.mjSENS_TORQUE, _S.mjSENS_MAGNETOMETER,
 )  # fmt: skip
 """Vectors in the frame of their site."""
 
@@ -61,19 +55,20 @@ def _reading_scale(machine: NominalModel, sensor: str) -> tuple[float, str]:
     model = machine.model
     number = model.sensor(sensor).id
     load, speed = float(machine.load_scales.max()), float(machine.speed_scales.max())
-    turns = True
+    angle, torque = "rad", "N·m"
     if model.sensor_objtype[number] == mujoco.mjtObj.mjOBJ_JOINT:
         joint = machine.joints[int(model.sensor_objid[number])]
-        load, speed, turns = machine.load(joint), machine.speed(joint), machine.turns(joint)
+        load, speed = machine.load(joint), machine.speed(joint)
+        angle, torque = machine.units(joint)
     scales = {
-        _S.mjSENS_JOINTPOS: (0.01, "rad" if turns else "m"),
-        _S.mjSENS_JOINTVEL: (0.05 * speed, "rad/s" if turns else "m/s"),
+        _S.mjSENS_JOINTPOS: (0.01, angle),
+        _S.mjSENS_JOINTVEL: (0.05 * speed, f"{angle}/s"),
         _S.mjSENS_ACCELEROMETER: (0.2, "m/s²"),
         _S.mjSENS_GYRO: (0.05 * speed, "rad/s"),
         _S.mjSENS_VELOCIMETER: (0.05 * speed, "m/s"),
         _S.mjSENS_FORCE: (0.05 * load, "N"),
         _S.mjSENS_TORQUE: (0.05 * load, "N·m"),
-        _S.mjSENS_JOINTACTFRC: (0.05 * load, "N·m" if turns else "N"),
+        _S.mjSENS_JOINTACTFRC: (0.05 * load, torque),
         _S.mjSENS_ACTUATORFRC: (0.05 * load, ""),
         _S.mjSENS_FRAMELINACC: (0.2, "m/s²"),
         _S.mjSENS_FRAMEPOS: (0.005, "m"),
@@ -93,11 +88,7 @@ class SensorEffect(Effect):
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return sensors with so many axes."""
         dims = machine.model.sensor_dim
-        return tuple(
-            name
-            for k, name in enumerate(machine.sensors)
-            if name and (not cls.dims or int(dims[k]) in cls.dims)
-        )
+        return named(machine.sensors, np.isin(dims, cls.dims or dims))
 
     @property
     def dim(self) -> int:
@@ -249,13 +240,11 @@ class SensorMisalignment(AdditiveEffect, SensorEffect):
         """Return sensors of three axes that are fixed to a site."""
         model = machine.model
         at_site = (model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE) & (model.sensor_refid < 0)
-        chosen = at_site & np.isin(model.sensor_type, _TURNING)
-        return tuple(name for k, name in enumerate(machine.sensors) if name and chosen[k])
+        return named(machine.sensors, at_site & np.isin(model.sensor_type, _TURNING))
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Rotate the vector to the misaligned frame."""
-        turn = Rotation.from_rotvec(np.asarray(values, dtype=float)).as_matrix()
-        return np.asarray(reading @ turn)
+        return np.asarray(reading @ Rotation.from_rotvec(values).as_matrix())
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Move the sensor to a rotated site of its own."""
@@ -263,11 +252,8 @@ class SensorMisalignment(AdditiveEffect, SensorEffect):
         site = spec.site(sensor.objname)
         place, turned = site_pose(self.machine, site)
         askew = added_name(spec, self.where, self.kind)
-        x, y, z, w = (
-            Rotation.from_quat(turned, scalar_first=True)
-            * Rotation.from_rotvec(np.asarray(values, dtype=float))
-        ).as_quat()
-        site.parent.add_site(name=askew, pos=place, quat=[w, x, y, z])
+        turn = Rotation.from_quat(turned, scalar_first=True) * Rotation.from_rotvec(values)
+        site.parent.add_site(name=askew, pos=place, quat=turn.as_quat(scalar_first=True))
         sensor.objname = askew
 
 
@@ -402,13 +388,10 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
     def code(self, values: Array) -> str:
         """Python lines: the readings with the error."""
         error, slope = _eccentric_code("angle", values)
-        lines = [
-            "import numpy as np",
-            f"angle = float(data.sensor({self._encoders[0]!r}).data[0])",
-            *(f"data.sensor({name!r}).data *= 1 + {slope}" for name in self._rates),
-            *(f"data.sensor({name!r}).data += {error}" for name in self._encoders),
-        ]
-        return "\n".join(lines)
+        shown = f"import numpy as np\nangle = float(data.sensor({self._encoders[0]!r}).data[0])"
+        rates = (f"data.sensor({name!r}).data *= 1 + {slope}" for name in self._rates)
+        angles = (f"data.sensor({name!r}).data += {error}" for name in self._encoders)
+        return "\n".join([shown, *rates, *angles])
 
 
 _POSITION, _SPEED = int(_S.mjSENS_JOINTPOS), int(_S.mjSENS_JOINTVEL)
