@@ -20,8 +20,6 @@ _AFFINE_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFF
 _AFFINE_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Ways to drive a joint itself, the same for hinges and slides."""
-_POSES = 5
-"""Poses in which it is looked up which joints an actuator acts on."""
 _LISTED = 6
 """Names that a sentence lists."""
 
@@ -110,31 +108,15 @@ class NominalModel:
         """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
         return np.asarray(self._gears[self.joint_number(joint)])
 
-    def drives_of(self, joint: str) -> Array:
-        """Mask of the actuators that act on a joint in any of some poses (actuators,)."""
-        return np.asarray(self._acting[self.joint_number(joint)])
-
     @cached_property
-    def _acting(self) -> Array:
-        rng, zero = np.random.default_rng(0), self.model.qpos0
-        poses = [zero, *(zero + rng.uniform(-1.0, 1.0, len(zero)) for _ in range(_POSES))]
-        return np.asarray(np.any([self._moments(pose) != 0 for pose in poses], axis=0))
-
-    def _moments(self, pose: Array) -> Array:
-        """Torque on each joint per force of each actuator in a pose (joints, actuators)."""
-        model: mujoco.MjModel = self.model
-        data = mujoco.MjData(model)
-        data.qpos[:] = pose
-        mujoco.mj_fwdPosition(model, data)
+    def _gears(self) -> Array:
+        """Torque on each joint per force of each actuator, at the zero (joints, actuators)."""
+        model, data = self.model, self.at_zero
         dense = np.zeros((len(data.moment_rownnz), model.nv))
         mujoco.mju_sparse2dense(
             dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
         )
         return np.asarray(dense[: len(self.actuators)].T)
-
-    @cached_property
-    def _gears(self) -> Array:
-        return self._moments(self.model.qpos0)
 
     @cached_property
     def at_zero(self) -> mujoco.MjData:

@@ -83,7 +83,7 @@ class ActuatorGain(DriveEffect):
         machine = self.machine
         if self.variant == "command" or machine.actuated_joint.get(self.where) != joint:
             return torque
-        alone = np.count_nonzero(machine.drives_of(joint)) == 1
+        alone = np.count_nonzero(machine.gears(joint)) == 1
         return torque / float(values[0]) if alone else torque
 
 
@@ -239,6 +239,36 @@ def delay_by(late: mujoco.MjsActuator | mujoco.MjsSensor, delay: float, step: fl
 def held_delay(delay: float, step: float) -> float:
     """Delay of a history that holds its samples [s]: whole steps, rounded up."""
     return max(ceil(delay / step - 1e-9), 0) * step
+
+
+class CommandInterpolation(Effect):
+    """Commands that reach the drives along straight lines, where a model holds each one.
+
+    Many controllers interpolate between the set points that a log shows.
+    """
+
+    kind = "command_interpolation"
+    acts_on = "arm"
+    proportional = 0
+    in_model = False
+    null_values = (0.0,)
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return all drives together."""
+        return ("all",) if machine.actuators else ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Share of the way from a held command to the straight line."""
+        return (Parameter(name="share", unit="", low=0.0, high=1.0, starts=(1.0,)),)
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Draw lines between the steps of the commands."""
+        steps = np.flatnonzero(np.any(np.diff(controls, axis=0) != 0, axis=1)) + 1
+        at = np.concatenate([[0], steps, [len(time) - 1]])
+        lines = np.array([np.interp(time, time[at], column[at]) for column in controls.T]).T
+        return np.asarray(controls + values[0] * (lines - controls))
 
 
 _LOWEST = 0.02

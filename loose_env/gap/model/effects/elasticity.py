@@ -526,13 +526,9 @@ def parts(
     lever = apart * length * along
     reduced = mass * (1 - mass) * whole.mass
     left = whole.tensor - steiner(reduced, lever)
-    while not _solid(left):
-        lever = 0.9 * lever
-        if np.linalg.norm(lever) < 1e-6 * length:
-            lever = np.zeros(3)
+    while lever.any() and not _solid(left):
+        lever = 0.9 * lever * (np.linalg.norm(0.9 * lever) >= 1e-6 * length)
         left = whole.tensor - steiner(reduced, lever)
-        if not lever.any():
-            break
     near = _piece(left, along, mass, spread)
     if not (_solid(near) and _solid(left - near)):
         near = mass * left

@@ -268,7 +268,6 @@ class LoadFriction(DrivenEffect, JointEffect):
     kind = "load_friction"
     needs_fine_steps = True
     variants = ("", "stribeck", "external")
-
     null_values = (0.0, 0.0)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
@@ -478,3 +477,80 @@ class JointSpring(JointEffect):
             return ()
         stiffness, reference = self.parameters
         return ((stiffness.clipped(rate), reference.clipped(-at_zero / rate)),)
+
+
+class TorqueOffset(JointEffect):
+    """Constant torque at a joint: the zero of a torque sensor, or a preload."""
+
+    kind = "torque_offset"
+    exact_law = True
+    null_values = (0.0,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Torque in the joint's direction that the model lacks."""
+        starts = (-0.1, 0.1)
+        return (Parameter.sized("torque", self.torque_unit, self.load, -20, 20, starts=starts),)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add an actuator without input that gives the torque."""
+        if values[0] != 0:
+            name = added_name(spec, self.where, self.kind)
+            add_constant(spec, self.where, name, -float(values[0]))
+
+
+class FrictionBehindSlack(JointEffect):
+    """Dry friction of an element that is coupled with slack and an elastic way.
+
+    The force is zero within the slack, grows over the elastic way, and slides at its bound: a
+    friction damper with play in its joints.
+    """
+
+    kind = "friction_behind_slack"
+    proportional = 0
+    needs_data_starts = True
+    has_memory = True
+    in_model = False
+    null_values = (0.0, 1.0, 1.0)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Friction, slack, and elastic way; the way is of the order of that in a second."""
+        way = Parameter.sized(
+            "slack", self.angle_unit, self.speed, 1e-5, 10, scale=1.0, starts=(0.3,), log=True
+        )
+        return (
+            Parameter.sized("torque", self.torque_unit, self.load, 0, 20, starts=(0.2,)),
+            way,
+            replace(way, name="elastic", starts=(0.1 * self.speed,)),
+        )
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Start at slacks from a hundredth to a third of the way, on stiff and soft elements."""
+        way = float(np.ptp(angle))
+        return tuple(
+            (0.2 * self.load, slack * way, stretch * slack * way)
+            for slack in np.geomspace(0.01, 0.33, 8)
+            for stretch in (0.15, 0.5, 1.2)
+        )
+
+    def torque(self, position: Array, speed: Array, values: Array) -> Array:
+        """Force along a path (T, joints)."""
+        joint = self.machine.joint_number(self.where)
+        found = np.zeros_like(position)
+        found[:, joint] = -values[0] * behind_slack(position[:, joint], values[1], values[2])
+        return found
+
+
+def behind_slack(position: Array, slack: float, elastic: float) -> Array:
+    """Share of the friction that acts along a path (T,)."""
+    anchor, found = float(position[0]), np.empty_like(position)
+    for k, x in enumerate(position):
+        stretch = abs(x - anchor) - slack / 2
+        if stretch > elastic:
+            anchor = x - np.sign(x - anchor) * (slack / 2 + elastic)
+            stretch = elastic
+        found[k] = np.sign(x - anchor) * max(stretch, 0.0) / elastic
+    return found
