@@ -218,7 +218,7 @@ def _groups(each: Sequence[Hypothesis]) -> _Groups:
     found = []
     for key in dict.fromkeys(key for key in keys if key):
         own = np.array([other == key for other in keys])
-        members = zip(*(_driven(each[k]) for k in np.flatnonzero(own)), strict=True)
+        members = zip(*(_driven(each[k]) for k in np.flatnonzero(own).tolist()), strict=True)
         stacked = [(m[0][0], np.stack([values for _, values in m], axis=-1)) for m in members]
         found.append((stacked, own))
     return found
@@ -350,7 +350,7 @@ class Simulator:
         model, parts = slots[0].model, slots[0].parts
         width = model.nsensordata + parts * (model.nu + model.nq + model.nv + model.na)
         each = max(slot.trial.steps for slot in slots) * max(width, 1)
-        return max(self.threads or os.cpu_count() or 1, _AT_ONCE // each)
+        return int(max(self.threads or os.cpu_count() or 1, _AT_ONCE // each))
 
     def _simulate(self, slots: list[_Slot]) -> list[Array]:
         """Simulate the sensors at the samples (T, sensors), by slot."""

@@ -488,12 +488,13 @@ class JointEffect(Effect):
     @property
     def carried(self) -> float:
         """Inertia that the joint moves without its own rotor [kg·m² or kg]."""
-        rotor = float(self.machine.model.dof_armature[self._dof])
+        rotor = float(self.machine.model.dof_armature[self.number])
         return max(self.machine.inertia(self.where) - rotor, 1e-9)
 
     @property
-    def _dof(self) -> int:
-        return int(self.machine.model.joint(self.where).dofadr[0])
+    def number(self) -> int:
+        """Index of the joint, and of its degree of freedom."""
+        return self.machine.joint_number(self.where)
 
     @property
     def turns(self) -> bool:

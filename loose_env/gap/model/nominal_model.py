@@ -131,20 +131,14 @@ class NominalModel:
 
         "" if no site moves.
         """
-        model = self.model
-        bodies = [int(b) for b in model.site_bodyid]
-        sites = [(model.site(k).name, b) for k, b in enumerate(bodies) if model.body_weldid[b] > 0]
-        last = model.body(self.last_link).id
-        for chosen in (
-            [name for name, _ in sites if name == "tool"],
-            [name for name, body in sites if body == last],
-            # Bodies without a joint between them and the last link are part of it.
-            [name for name, body in sites if model.body_weldid[body] == last],
-            [name for name, _ in sites],
-        ):
-            if chosen:
-                return str(chosen[-1])
-        return ""
+        model, last = self.model, self.model.body(self.last_link).id
+        # Bodies without a joint between them and the last link are part of it.
+        ranked = [
+            (model.site(k).name == "tool", body == last, model.body_weldid[body] == last, k)
+            for k, body in enumerate(model.site_bodyid)
+            if model.body_weldid[body] > 0
+        ]
+        return str(model.site(max(ranked)[-1]).name) if ranked else ""
 
     @cached_property
     def last_link(self) -> str:

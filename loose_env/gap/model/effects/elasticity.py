@@ -61,29 +61,30 @@ class AddedJoint(Effect):
     needs_fine_steps = True
 
     @property
+    def unit(self) -> str:
+        """Unit of a stiffness at the joint."""
+        return "N·m/rad"
+
+    @property
     def _name(self) -> str:
         """Kind and variant."""
         return f"{self.kind}_{self.variant}" if self.variant else self.kind
 
-    def _insert(
-        self, spec: mujoco.MjSpec, stiffness: float = 0.0, damping: float = 0.0, *shape: float
-    ) -> mujoco.MjsJoint:
-        """Add the joint with a spring and a damper; return it."""
+    def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
+        """Add the joint with a stiffness, a damping and what shapes it; return it."""
         raise NotImplementedError
 
     @cached_property
     def inertia(self) -> tuple[float, float]:
         """Inertia on the joint [kg·m²] or mass [kg], and its inverse weight with all free."""
         spec = self.machine.fresh()
-        return joint_inertia(spec, self._insert(spec).name)
+        return joint_inertia(spec, self._insert(spec, 0.0, 0.0).name)
 
 
 class SpringEffect(AddedJoint):
     """An effect with a joint on a spring and a damper; the limit of a stiff spring is rigid."""
 
     limit = (("stiffness", "high"),)
-    unit: str = "N·m/rad"
-    """Unit of the stiffness."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -127,16 +128,14 @@ class SplitJoint(JointEffect, AddedJoint):
         last = dict(zip(machine.model.jnt_bodyid.tolist(), machine.joints, strict=True))
         return tuple(joint for joint in machine.joints if joint in last.values())
 
-    def _insert(
-        self, spec: mujoco.MjSpec, stiffness: float = 0.0, damping: float = 0.0, *shape: float
-    ) -> mujoco.MjsJoint:
+    def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
         """Add the link side; return its joint."""
-        machine, number = self.machine, self.machine.joint_number(self.where)
+        machine, number = self.machine, self.number
         keep_motor_side(machine, spec, self.where, self.carried)
         return add_extra_joint(
             spec.body(machine.body_of(self.where)), added_name(spec, self.where, self.kind),
             turns=self.turns, axis=machine.model.jnt_axis[number],
-            pos=machine.model.jnt_pos[number], stiffness=stiffness, damping=damping,
+            pos=machine.model.jnt_pos[number], stiffness=spring[0], damping=spring[1],
         )  # fmt: skip
 
     @cached_property
@@ -220,7 +219,7 @@ class Backlash(SplitJoint):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the clearance behind the joint."""
-        joint = self._insert(spec, damping=_DRAG_RATE * self.carried)
+        joint = self._insert(spec, 0.0, _DRAG_RATE * self.carried)
         gap, stiffness, ratio, *friction = (float(v) for v in values)
         if friction:
             tendon = spec.add_tendon(
@@ -296,9 +295,7 @@ class BaseCompliance(SpringEffect):
                 kept.append(axis)
         return tuple(kept)
 
-    def _insert(
-        self, spec: mujoco.MjSpec, stiffness: float = 0.0, damping: float = 0.0, *shape: float
-    ) -> mujoco.MjsJoint:
+    def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
         """Insert the hinge before the first joint."""
         model, data = self.machine.model, self.machine.at_zero
         first = int(model.jnt_bodyid[0])
@@ -307,8 +304,8 @@ class BaseCompliance(SpringEffect):
         hinge = add_extra_joint(
             body, added_name(spec, "base", self._name), turns=True,
             axis=turn.T @ _axis(self.machine, self.variant),
-            pos=turn.T @ (_foot(self.machine) - data.xpos[first]), stiffness=stiffness,
-            damping=damping,
+            pos=turn.T @ (_foot(self.machine) - data.xpos[first]), stiffness=spring[0],
+            damping=spring[1],
         )  # fmt: skip
         insert_first(spec, body, hinge.name)
         return hinge
@@ -489,11 +486,9 @@ class LinkFlexibility(LinkEffect, SpringEffect):
         )  # fmt: skip
         return (*super().parameters, place)
 
-    def _insert(
-        self, spec: mujoco.MjSpec, stiffness: float = 0.0, damping: float = 0.0, *shape: float
-    ) -> mujoco.MjsJoint:
+    def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
         """Cut the link at a share of its length; return the hinge, named as the far part is."""
-        share = shape[0] if shape else _MIDDLE
+        stiffness, damping, share = spring if len(spring) > 2 else (*spring, _MIDDLE)
         name = added_name(spec, self.where, self._name)
         whole = inertial_of(self.machine, spec, self.where)
         start, end = self._start, self._start + self._length * self._along

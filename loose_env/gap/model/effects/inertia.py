@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -126,7 +127,7 @@ class Payload(Effect):
     kind = "payload"
     acts_on = "arm"
     variants = ("", "centre")
-    null_values = (0.0, 0.0, 0.0, 0.0)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 0.0, 0.0)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)

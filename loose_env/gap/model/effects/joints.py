@@ -70,7 +70,7 @@ class ViscousFriction(_Resistance):
     @property
     def nominal(self) -> float:
         """Damping of the model."""
-        return float(self.machine.model.dof_damping[self._dof])
+        return float(self.machine.model.dof_damping[self.number])
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -111,7 +111,7 @@ class CoulombFriction(_Resistance):
     @property
     def nominal(self) -> float:
         """Friction of the model."""
-        return float(self.machine.model.dof_frictionloss[self._dof])
+        return float(self.machine.model.dof_frictionloss[self.number])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's friction loss."""
@@ -144,7 +144,7 @@ class RotorInertia(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Added inertia; ten times what the joint moves is usual: the gear's ratio squared."""
         moved, unit = self.machine.inertia(self.where), "kg·m²" if self.turns else "kg"
-        low = -float(self.machine.model.dof_armature[self._dof])
+        low = -float(self.machine.model.dof_armature[self.number])
         return (
             Parameter(
                 name="inertia", unit=unit, low=low, high=100 * moved, scale=0.1 * moved,
@@ -268,7 +268,7 @@ class LoadFriction(DrivenEffect, JointEffect):
     kind = "load_friction"
     needs_fine_steps = True
     variants = ("", "stribeck", "external")
-    null_values = (0.0, 0.0)
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
@@ -302,9 +302,9 @@ class LoadFriction(DrivenEffect, JointEffect):
 
     def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
         """Shares of the torques of drive and load."""
-        joint, share = self.machine.joint_number(self.where), np.asarray(values[0])
+        joint, share = self.number, values[0]
         if self.variant == "stribeck":
-            share, ratio, slow = values
+            _, ratio, slow = values
             share = share * (1 + (ratio - 1) * np.exp(-((speed[..., joint] / slow) ** 2)))
         found = np.zeros_like(drive)
         found[..., joint] = share * np.abs(drive[..., joint])
@@ -314,15 +314,14 @@ class LoadFriction(DrivenEffect, JointEffect):
 
     def friction_code(self, values: Array) -> str:
         """Python line: the shares of the torques at that speed."""
-        joint = self.machine.joint_number(self.where)
-        share, *more = (float(v) for v in values)
-        own, beside = repr(share), ""
+        joint, (share, *more) = self.number, map(float, values)
+        own = f"{share!r} * abs(drive[{joint}])"
         if self.variant == "stribeck":
-            ratio, slow = more
-            own += f" * (1 + {ratio - 1!r} * np.exp(-((speed[{joint}] / {slow!r}) ** 2)))"
+            fallen = f"np.exp(-((speed[{joint}] / {more[1]!r}) ** 2))"
+            own = f"{share!r} * (1 + {more[0] - 1!r} * {fallen}) * abs(drive[{joint}])"
         elif self.variant == "external":
-            beside = f" + {more[0]!r} * abs(load[{joint}])"
-        return f"friction[{joint}] += {own} * abs(drive[{joint}]){beside}"
+            own += f" + {more[0]!r} * abs(load[{joint}])"
+        return f"friction[{joint}] += {own}"
 
 
 _MOST_PERIODS = 400.0
@@ -445,7 +444,7 @@ class JointSpring(JointEffect):
     @property
     def _range(self) -> tuple[float, float]:
         """Range of the joint [rad or m], or half a turn about its zero."""
-        number = self.machine.joint_number(self.where)
+        number = self.number
         if self.machine.model.jnt_limited[number]:
             low, high = self.machine.model.jnt_range[number]
             return float(low), float(high)
@@ -538,7 +537,7 @@ class FrictionBehindSlack(JointEffect):
 
     def torque(self, position: Array, speed: Array, values: Array) -> Array:
         """Force along a path (T, joints)."""
-        joint = self.machine.joint_number(self.where)
+        joint = self.number
         found = np.zeros_like(position)
         found[:, joint] = -values[0] * behind_slack(position[:, joint], values[1], values[2])
         return found

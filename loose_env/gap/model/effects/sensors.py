@@ -280,7 +280,7 @@ class TorqueConstant(JointEffect):
     def code(self, values: Array) -> str:
         """Python line: the measured torque of the joint."""
         return (
-            f"measured_torque_{self.machine.joint_number(self.where)} = "
+            f"measured_torque_{self.number} = "
             f"{float(values[0])!r} * data.joint({self.where!r}).qfrc_actuator"
         )
 
@@ -300,8 +300,12 @@ class EncoderOffset(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Offset: reading minus truth."""
         most, step = (1.0, 0.02) if self.turns else (0.3, 0.005)
-        sizes = {"low": -most, "high": most, "scale": step, "starts": (-step, step)}
-        return (Parameter(name="offset", unit=self.angle_unit, **sizes),)
+        return (
+            Parameter(
+                name="offset", unit=self.angle_unit, low=-most, high=most, scale=step,
+                starts=(-step, step),
+            ),
+        )  # fmt: skip
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Shift the joint's reference, range and spring."""
@@ -309,7 +313,7 @@ class EncoderOffset(JointEffect):
         offset = float(values[0]) / angle_unit(joint)
         joint.ref += offset
         joint.springref += offset
-        if self.machine.model.jnt_limited[self.machine.joint_number(self.where)]:
+        if self.machine.model.jnt_limited[self.number]:
             joint.range = np.array(joint.range) + offset
 
 
@@ -334,9 +338,8 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        self._joint = machine.joint_number(where)
-        self._encoders = _names(machine, self._joint, _POSITION)
-        self._rates = _names(machine, self._joint, _SPEED)
+        self._encoders = _names(machine, self.number, _POSITION)
+        self._rates = _names(machine, self.number, _SPEED)
         model = machine.model
         self._servos: list[tuple[int, float, float, float]] = [
             (k, float(model.actuator_gear[k, 0]), *self._gains(k))
@@ -353,16 +356,16 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Shift the commands of the joint's servos as the shown position and speed do."""
-        error, slope = _eccentric(position[..., self._joint], values)
+        error, slope = _eccentric(position[..., self.number], values)
         found = command.copy()
         for number, gear, per_angle, per_speed in self._servos:
-            shift = per_angle * error + per_speed * slope * speed[..., self._joint]
+            shift = per_angle * error + per_speed * slope * speed[..., self.number]
             found[..., number] += gear * shift
         return found
 
     def feedback_code(self, values: Array) -> str:
         """Python lines: the commands shifted by the error of what the servo sees."""
-        joint = self._joint
+        joint = self.number
         error, slope = _eccentric_code(f"position[{joint}]", values)
         return "\n".join(
             f"command[{number}] += {gear!r} * ({p!r} * ({error}) + {d!r} * ({slope}) * "
