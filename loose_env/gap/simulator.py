@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
-from loose_env.gap.model.effect import DrivenEffect, Effect, Readings
+from loose_env.gap.model.effect import DrivenEffect, Readings
 from loose_env.gap.model.effects.sensors import column_of, is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
@@ -57,12 +57,12 @@ def changes_within(
     """
     if all(is_position_or_speed(machine, channel.column) for channel in channels):
         return False
-    return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.stepping)
+    return any(effect.overrides("command_at") for effect in hypothesis.stepping)
 
 
 def _has_torque(hypothesis: Hypothesis) -> bool:
     """Return whether any effect of a hypothesis is a torque term."""
-    return any(type(effect).torque is not Effect.torque for effect in hypothesis.effects)
+    return any(effect.overrides("torque") for effect in hypothesis.effects)
 
 
 def _torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
@@ -70,7 +70,7 @@ def _torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Arra
     found = np.zeros(position.shape)
     with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
         for effect, values in hypothesis.pairs:
-            if type(effect).torque is Effect.torque:
+            if not effect.overrides("torque"):
                 continue
             given = np.asarray(effect.torque(position, speed, values))
             if given.shape != position.shape:
@@ -117,9 +117,9 @@ class _Stepped:
         self._places, self._dofs = _addresses(slots[0].model, joints)
         self._pulls = any(map(_has_torque, self.hypotheses))
         driven = [e for hypothesis in self.hypotheses for e, _ in _driven(hypothesis)]
-        self._feeds = any(type(e).feedback is not DrivenEffect.feedback for e in driven)
+        self._feeds = any(effect.overrides("feedback") for effect in driven)
         self._own_models: list[mujoco.MjModel] = []
-        if any(type(e).dry_friction is not DrivenEffect.dry_friction for e in driven):
+        if any(effect.overrides("dry_friction") for effect in driven):
             # each simulation has its own friction
             self._own_models = [copy.deepcopy(slot.model) for slot in slots]
             batch.set_models(self._own_models)

@@ -212,27 +212,31 @@ class Effect:
         """
         if self.acts_on:
             return self.acts_on
-        likely = "actuator" if self._overrides("command") else "joint"
+        likely = "actuator" if self.overrides("command") else "joint"
         order = ("sensor" if not self.moves else likely, "joint", "link", "actuator", "sensor")
         known = (part for part in order if self.where in getattr(self.machine, f"{part}s"))
         return next(known, "arm")
 
     @property
     def drives(self) -> bool:
-        """True if it changes the actuators.
+        """True if it changes the actuators; a friction acts beside them.
 
         None of them is active in a free run, and of an inverse run only the torque is known.
         """
-        return self.part == "actuator" or self._overrides("command")
+        return self.part == "actuator" or self.overrides("command", "feedback")
 
     @property
     def moves(self) -> bool:
         """True if it changes the motion, not the readings alone."""
-        return self._overrides("edit", "command", "torque")
+        return self.overrides("edit", "command", "torque", "feedback", "dry_friction")
 
-    def _overrides(self, *names: str) -> bool:
+    def overrides(self, *names: str) -> bool:
         """Return whether the class has any of some methods of its own."""
-        return any(getattr(type(self), name) is not getattr(Effect, name) for name in names)
+        own, bases = type(self), (Effect, DrivenEffect)
+        return any(
+            all(getattr(own, name, None) is not getattr(base, name, None) for base in bases)
+            for name in names
+        )
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
@@ -428,16 +432,6 @@ class DrivenEffect(Effect):
     """
 
     in_model: ClassVar[bool] = False
-
-    @property
-    def drives(self) -> bool:
-        """True if it changes the drives; a friction acts beside them."""
-        return type(self).feedback is not DrivenEffect.feedback or super().drives
-
-    @property
-    def moves(self) -> bool:
-        """True: it changes the motion."""
-        return True
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Compute the commands that reach the actuators in some states.

@@ -330,8 +330,6 @@ _TRIED = 4000
 """Numbers of periods in the search, at most."""
 _PROPOSED = 3
 """Peaks that become starts."""
-_SAMPLES = 4000
-"""Samples that the search looks at."""
 
 
 class TorqueRipple(JointEffect):
@@ -386,11 +384,9 @@ class TorqueRipple(JointEffect):
         the resolution of the range of motion. The strongest peaks that are not neighbours become
         starts.
         """
-        good = np.isfinite(angle) & np.isfinite(torque)
-        every = max(1, int(good.sum()) // _SAMPLES)
-        q, force = angle[good][::every], -torque[good][::every]
-        width = float(np.ptp(q)) if len(q) else 0.0
-        if len(q) < 10 or width <= 0:
+        q, force = angle, -torque
+        width = float(np.ptp(q)) if len(q) >= 10 else 0.0
+        if width <= 0:
             return ()
         spacing = 0.25 * 2 * pi / width
         lowest = max(0.5, pi / width)
@@ -468,10 +464,9 @@ class JointSpring(JointEffect):
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
         """Propose a start by regression of torque on angle; its zero is the equilibrium."""
-        good = np.isfinite(angle) & np.isfinite(torque)
-        if good.sum() < 3 or not np.ptp(angle[good]):
+        if len(angle) < 3 or not np.ptp(angle):
             return ()
-        rate, at_zero = np.polyfit(angle[good], torque[good], 1)
+        rate, at_zero = np.polyfit(angle, torque, 1)
         if rate <= 0:
             return ()
         stiffness, reference = self.parameters
