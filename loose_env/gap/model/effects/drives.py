@@ -107,11 +107,10 @@ class ActuatorLag(DriveEffect):
     is_time_shift = True
     # from a fast drive to a very slow one: a servo's response is not linear
     parameters = (
-        Parameter(
-            name="time_constant", unit="s", low=0.0, high=1.0, scale=0.01,
-            starts=(0.001, 0.003, 0.008, 0.02, 0.06, 0.15),
+        Parameter.sized(
+            "time_constant", "s", 0.01, 0, 100, scale=1.0, starts=(0.1, 0.3, 0.8, 2.0, 6.0, 15.0)
         ),
-    )  # fmt: skip
+    )
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -433,11 +432,7 @@ class DeadZone(DrivenEffect, JointDriveEffect):
         usual = machine.load(joint) / (abs(self.gear) * gain)
         unit = machine.units(joint)[0] if self._servo else ""
         # errors of a thirtieth, a fifth and half of the typical torque
-        scale = 0.1 * usual
-        starts = (0.3 * scale, 2 * scale, 5 * scale)
-        return (
-            Parameter(name="width", unit=unit, low=0.0, high=5 * usual, scale=scale, starts=starts),
-        )
+        return (Parameter.sized("width", unit, usual, 0, 5, starts=(0.03, 0.2, 0.5)),)
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Move the command towards the position by the dead zone, at most onto it."""

@@ -102,11 +102,8 @@ class SpringEffect(AddedJoint):
         starts = dict.fromkeys(stiffness.clipped(min(k, 0.5 * high)) for k in wanted)
         return (
             replace(stiffness, starts=tuple(starts)),
-            Parameter(
-                name="damping_ratio", unit="", low=1e-3, high=2.0, scale=_LIKELY_DAMPING, log=True,
-                starts=(_START_DAMPING,),
-            ),
-        )  # fmt: skip
+            _ratio(1e-3, 2.0, _LIKELY_DAMPING, _START_DAMPING),
+        )
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the joint with its spring and damper."""
@@ -196,18 +193,19 @@ class Backlash(SplitJoint):
         if not self.turns:
             # a lone slide has no reach, but it travels
             length = max(reach_of(self.machine), _TRAVEL_S * self.speed)
-        gap = Parameter(
-            name="gap", unit=self.angle_unit, low=1e-5 * length, high=0.5 * length,
-            scale=0.01 * length, log=True, starts=tuple(s * (0.01 * length) for s in starts),
-        )  # fmt: skip
+        gap = Parameter.sized(
+            "gap", self.angle_unit, 0.01 * length, 1e-3, 50, scale=1, starts=starts, log=True
+        )
         play = (gap, *_stops(self.inertia[1], self.machine.time_step, self.unit))
         if not self.variant:
             return play
-        friction = Parameter.sized(
-            "friction", self.torque_unit, self.load, 1e-3, 20, scale=0.3, starts=(0.3, 1.0),
-            log=True,
-        )  # fmt: skip
-        return (*play, friction)
+        unit, starts = self.torque_unit, (0.3, 1.0)
+        return (
+            *play,
+            Parameter.sized(
+                "friction", unit, self.load, 1e-3, 20, scale=0.3, starts=starts, log=True
+            ),
+        )
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -242,11 +240,13 @@ def _stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]
     high = (_FASTEST / step) ** 2 / weight
     return (
         Parameter.sized("stiffness", unit, high, 1e-3, 1, scale=0.25, starts=(0.25,), log=True),
-        Parameter(
-            name="damping_ratio", unit="", low=0.02, high=1.0, scale=_DAMPING, log=True,
-            starts=(_DAMPING,),
-        ),
-    )  # fmt: skip
+        _ratio(0.02, 1.0, _DAMPING, _DAMPING),
+    )
+
+
+def _ratio(low: float, high: float, scale: float, start: float) -> Parameter:
+    """Damping ratio of a mode."""
+    return Parameter.sized("damping_ratio", "", 1, low, high, scale=scale, starts=[start], log=True)
 
 
 _SAME = 0.999
@@ -480,10 +480,8 @@ class LinkFlexibility(LinkEffect, SpringEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, damping ratio with the near part locked, and location of the hinge."""
-        place = Parameter(
-            name="position", unit="", low=_NEAREST, high=1 - _NEAREST, scale=_SCATTER,
-            starts=(_MIDDLE,),
-        )  # fmt: skip
+        low, high = _NEAREST, 1 - _NEAREST
+        place = Parameter.sized("position", "", 1, low, high, scale=_SCATTER, starts=[_MIDDLE])
         return (*super().parameters, place)
 
     def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:

@@ -51,14 +51,10 @@ class _Resistance(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Added value; negative down to a total of zero."""
-        angle, nominal, usual = self.angle_unit, self.nominal, self.load / self.speed**self.power
+        angle, usual = self.angle_unit, self.load / self.speed**self.power
         unit = self.torque_unit + ("", f"·s/{angle}", f"·s²/{angle}²")[self.power]
-        return (
-            Parameter(
-                name=self.name, unit=unit, low=0.0 - nominal, high=nominal + self.most * usual,
-                scale=0.1 * usual, starts=tuple(share * usual for share in self.shares),
-            ),
-        )  # fmt: skip
+        added = Parameter.sized(self.name, unit, usual, 0, self.most, starts=self.shares)
+        return (replace(added, low=0.0 - self.nominal, high=self.nominal + added.high),)
 
 
 class ViscousFriction(_Resistance):
@@ -144,13 +140,9 @@ class RotorInertia(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Added inertia; ten times what the joint moves is usual: the gear's ratio squared."""
         moved, unit = self.machine.inertia(self.where), "kg·m²" if self.turns else "kg"
+        added = Parameter.sized("inertia", unit, moved, 0, 100, starts=(0.2, 1.0))
         low = -float(self.machine.model.dof_armature[self.number])
-        return (
-            Parameter(
-                name="inertia", unit=unit, low=low, high=100 * moved, scale=0.1 * moved,
-                usual=10 * moved, starts=(0.2 * moved, moved),
-            ),
-        )  # fmt: skip
+        return (replace(added, low=low, usual=10 * moved),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's armature."""
@@ -348,16 +340,12 @@ class TorqueRipple(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Amplitude, periods per turn or per metre, phase; only `propose` covers all periods."""
         one, unit = 1.0 / self._rate, "1/turn" if self.turns else "1/m"
-        few = tuple(n * (1.0 if self.turns else 1 / 0.1) for n in (2.0, 6.0))
-        turn = 2 * pi
+        few = (2.0, 6.0) if self.turns else (20.0, 60.0)
+        periods = Parameter.sized("periods", unit, one, 0.5, 2 * self._most, scale=1.0)
         return (
             Parameter.sized("amplitude", self.torque_unit, self.load, 0, 10, starts=(0.1,)),
-            Parameter(
-                name="periods", unit=unit, low=0.5 * one, high=2 * self._most, scale=one, starts=few
-            ),
-            Parameter(
-                name="phase", unit="rad", low=-turn, high=turn, scale=0.5, starts=(0.0, pi / 2)
-            ),
+            replace(periods, high=2 * self._most, starts=few),
+            Parameter.sized("phase", "rad", 1.0, -2 * pi, 2 * pi, scale=0.5, starts=(0.0, pi / 2)),
         )
 
     @property
@@ -423,14 +411,11 @@ class JointSpring(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness and equilibrium coordinate of the spring, in the joint's range or beside it."""
         low, high = self._range
-        width, load = high - low, self.load
-        turn = min(width, pi)
+        width, unit = high - low, f"{self.torque_unit}/{self.angle_unit}"
+        usual = self.load / min(width, pi)
         rests = (0.5 * (low + high), low - 0.2 * width, high + 0.2 * width)
         return (
-            Parameter(
-                name="stiffness", unit=f"{self.torque_unit}/{self.angle_unit}", low=0.0,
-                high=50 * load / turn, scale=0.2 * load / turn, starts=(0.5 * load / turn,),
-            ),
+            Parameter.sized("stiffness", unit, usual, 0, 50, scale=0.2, starts=(0.5,)),
             Parameter(
                 name="reference", unit=self.angle_unit, low=low - 2 * width, high=high + 2 * width,
                 scale=0.2 * width, starts=rests,
