@@ -113,22 +113,20 @@ class _Stepped:
     """Simulations of a batch with torque terms and driven effects, stepped from Python."""
 
     def __init__(self, batch: Batch, joints: Sequence[str], slots: Sequence[_Slot]) -> None:
-        self.batch, self.hypotheses = batch, [slot.hypothesis for slot in slots]
+        self.batch, hypotheses = batch, [slot.hypothesis for slot in slots]
         self._places, self._dofs = _addresses(slots[0].model, joints)
-        self._pulls = any(map(_has_torque, self.hypotheses))
-        driven = [e for hypothesis in self.hypotheses for e, _ in _driven(hypothesis)]
+        self._rows, self._groups = _rows(hypotheses), _groups(hypotheses)
+        self._option, self._own_models = slots[0].model.opt, list[mujoco.MjModel]()
+        driven = [effect for own, _ in self._groups for effect, _ in own]
         self._feeds = any(effect.overrides("feedback") for effect in driven)
-        self._own_models: list[mujoco.MjModel] = []
         if any(effect.overrides("dry_friction") for effect in driven):
             # each simulation has its own friction
             self._own_models = [copy.deepcopy(slot.model) for slot in slots]
             batch.set_models(self._own_models)
             self._base = np.array([m.dof_frictionloss[self._dofs] for m in self._own_models])
 
-    def rollout(
-        self, count: int, control: Array, *, record: Sequence[str], ids: IndexArray
-    ) -> dict[str, Array]:
-        """Advance some simulations, as `mujoco.batch.Batch.rollout` does.
+    def rollout(self, count: int, control: Array, *, record: Sequence[str]) -> dict[str, Array]:
+        """Advance the simulations, as `mujoco.batch.Batch.rollout` does.
 
         Readings and forces are those at the beginning of each step, under its own command. A
         simulation with a MuJoCo warning is NaN from the beginning, since a term may make it
@@ -139,64 +137,59 @@ class _Stepped:
         needed = (*record, "qpos", "qvel", "qacc", "qfrc_actuator", "qfrc_bias")
         fields = {name: batch.bind(name) for name in needed}
         commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
-        found = {name: np.empty((len(ids), count, *fields[name].shape[1:])) for name in record}
+        found = {name: np.empty((len(control), count, fields[name].shape[1])) for name in record}
         read = [name for name in record if name not in _STATES]
-        places, dofs = (ids[:, None], self._places), (ids[:, None], self._dofs)
-        simulated = [self.hypotheses[i] for i in ids]
-        rows, groups = _rows(simulated), _groups(simulated)
-        warned = np.array(batch.warning[ids])
-        option = (self._own_models or [batch.models[0]])[0].opt
-        step, looks_ahead = float(option.timestep), int(option.integrator) == _RUNGE_KUTTA
+        warned = np.array(batch.warning)
+        step = float(self._option.timestep)
+        looks_ahead = int(self._option.integrator) == _RUNGE_KUTTA
         if self._own_models and not looks_ahead:
-            batch.forward(ids)  # drive torques of the first step
-        rate = np.zeros((len(ids), len(self._dofs)))  # not known beforehand by other methods
+            batch.forward()  # drive torques of the first step
+        rate = np.zeros((len(control), len(self._dofs)))  # not known beforehand by other methods
         for k in range(count):
-            now = fields["qpos"][places], fields["qvel"][dofs]
-            commands[ids] = self._commands(groups, control[:, k], now)
-            if self._pulls:
-                applied[dofs] = _terms(rows, now)
+            now = fields["qpos"][:, self._places], fields["qvel"][:, self._dofs]
+            commands[:] = self._commands(control[:, k], now)
+            if self._rows:
+                applied[:, self._dofs] = _terms(self._rows, now)
             if looks_ahead:
-                batch.forward(ids)
+                batch.forward()
                 for name in read:
-                    found[name][:, k] = fields[name][ids]
-                rate = fields["qacc"][dofs]
+                    found[name][:, k] = fields[name]
+                rate = fields["qacc"][:, self._dofs]
             middle = _ahead(now, rate, 0.5 * step)
-            if looks_ahead and self._pulls:
-                applied[dofs] = _terms(rows, middle)
-            commands[ids] = self._commands(groups, control[:, k], middle)
+            if looks_ahead and self._rows:
+                applied[:, self._dofs] = _terms(self._rows, middle)
+            commands[:] = self._commands(control[:, k], middle)
             if self._own_models:
-                drive, load = fields["qfrc_actuator"][dofs], -fields["qfrc_bias"][dofs]
-                self._set_friction(ids, groups, drive, load, now[1])
-            batch.step(ids)
+                drive, bias = (fields[n][:, self._dofs] for n in ("qfrc_actuator", "qfrc_bias"))
+                self._set_friction(drive, -bias, now[1])
+            batch.step()
             for name in record:
                 if not (looks_ahead and name in read):
-                    found[name][:, k] = fields[name][ids]
-        applied[ids] = 0.0
-        diverged = (batch.warning[ids] != warned).any(axis=(1, 2))
+                    found[name][:, k] = fields[name]
+        applied[:] = 0.0
+        diverged = (batch.warning != warned).any(axis=(1, 2))
         for values in found.values():
             values[diverged] = np.nan
         return found
 
-    def _commands(self, groups: _Groups, command: Array, state: State) -> Array:
+    def _commands(self, command: Array, state: State) -> Array:
         """Commands (sims, actuators) that reach the actuators in a state."""
         if not self._feeds:
             return command
         found, (position, speed) = command.copy(), state
-        for driven, own in groups:
+        for driven, own in self._groups:
             count = len(driven[0][0].machine.actuators)
             found[own, :count] = _fed(driven, command[own, :count], position[own], speed[own])
         return found
 
-    def _set_friction(
-        self, ids: IndexArray, groups: _Groups, drive: Array, load: Array, speed: Array
-    ) -> None:
-        """Set the dry friction of some simulations from drive, load and speed (ids, joints)."""
-        friction = self._base[ids]
-        for driven, own in groups:
+    def _set_friction(self, drive: Array, load: Array, speed: Array) -> None:
+        """Set the dry friction of the simulations from drive, load and speed (sims, joints)."""
+        friction = self._base.copy()
+        for driven, own in self._groups:
             for effect, values in driven:
                 friction[own] += effect.dry_friction(drive[own], load[own], speed[own], values)
-        for number, row in zip(ids.tolist(), friction, strict=True):
-            self._own_models[number].dof_frictionloss[self._dofs] = row
+        for model, row in zip(self._own_models, friction, strict=True):
+            model.dof_frictionloss[self._dofs] = row
         self.batch.set_models(self._own_models)
 
 
@@ -343,7 +336,8 @@ class Simulator:
         terms, trial = _has_terms(slot.hypothesis), slot.trial
         joints = slot.model.jnt_bodyid.tobytes(), slot.model.body_parentid.tobytes()
         sizes = tuple(getattr(slot.model, name, 0) for name in _SIZES)
-        return sizes, joints, trial.step, trial.form, terms or trial.steps, slot.parts
+        steps = trial.step, terms or trial.steps, slot.parts
+        return sizes, joints, steps, trial.form, trial.resting
 
     def _at_once(self, slots: Sequence[_Slot]) -> int:
         """Number of simulations that fit into the memory of `_AT_ONCE`, one a thread at least."""
@@ -377,16 +371,14 @@ class Simulator:
             controls[k, count:] = controls[k, count - 1]  # a shorter run ends there
             act[k] = steady_activations(slot.model, controls[k, 0])
         diverged = np.zeros(len(slots), dtype=bool)
-        resting = np.array([slot.trial.resting for slot in slots])
-        if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time
-            held = np.repeat(controls[resting, :1], settle, axis=1)
-            _advance(moved, held, np.flatnonzero(resting), diverged, ("qpos",))
+        if slots[0].trial.resting and settle:
+            # the clock runs on, since delayed commands are stored by time
+            _advance(moved, np.repeat(controls[:, :1], settle, axis=1), diverged, ("qpos",))
         # where a command changes within a step, or a sensor is delayed, sensors are recomputed
         late = [self._late(slot.hypothesis) for slot in slots]
         names = _STATES if parts > 1 or any(late) else ()
         before = {name: np.array(getattr(batch, name))[:, None] for name in names}
-        every = np.arange(len(slots))
-        records = _advance(moved, controls, every, diverged, ("sensordata", *names))
+        records = _advance(moved, controls, diverged, ("sensordata", *names))
         kept = records["sensordata"][:, ::parts]
         begun = {n: np.concatenate([before[n], records[n][:, :-1]], axis=1) for n in names}
         for k in np.flatnonzero(~diverged).tolist() if names else ():
@@ -479,18 +471,14 @@ _SIZES = (
 
 
 def _advance(
-    batch: Batch | _Stepped,
-    controls: Array,
-    ids: IndexArray,
-    diverged: NDArray[np.bool_],
-    names: Sequence[str],
+    batch: Batch | _Stepped, controls: Array, diverged: NDArray[np.bool_], names: Sequence[str]
 ) -> dict[str, Array]:
     """Advance some slots; return what is recorded, and mark the slots that diverged."""
     try:
-        out: dict[str, Array] = batch.rollout(controls.shape[1], controls, record=names, ids=ids)
+        out: dict[str, Array] = batch.rollout(controls.shape[1], controls, record=names)
     except SimulationError as error:
         raise InvalidData(f"MuJoCo cannot simulate the model: {error}") from error
     first = out[names[0]]
-    bad = ~np.isfinite(first[:, -1]).all(axis=-1) | (np.abs(first).max(axis=(1, 2)) > 1e9)
-    diverged[ids[bad]] = True
+    diverged |= ~np.isfinite(first[:, -1]).all(axis=-1)
+    diverged |= np.abs(first).max(axis=(1, 2)) > 1e9
     return out

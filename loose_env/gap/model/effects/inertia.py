@@ -205,9 +205,8 @@ class Payload(Effect):
             name, place = _outermost(self.machine)
             carrier = spec.body(name)
         body = carrier.add_body(name=added_name(spec, "tool", self.kind), pos=place)
-        body.mass, body.ipos = mass, centre
-        body.inertia = [mass * (_RADIUS * reach_of(self.machine)) ** 2] * 3
-        body.explicitinertial = True
+        tensor = mass * (_RADIUS * reach_of(self.machine)) ** 2 * np.eye(3)
+        set_inertial(self.machine, spec, body.name, Inertial(mass, centre, tensor))
 
 
 def payload_notes(machine: NominalModel) -> list[str]:
