@@ -25,6 +25,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
@@ -238,19 +239,11 @@ def _states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[
     Positions follow cubics through the positions and speeds at both ends of a step, within which
     commands are constant, and speeds their slopes; activations are linear.
     """
-    count = len(states["qpos"])
-    steps = np.clip(at / step, 0.0, count - 1.0)
-    low = np.minimum(np.floor(steps + 1e-9).astype(int), max(count - 2, 0))
-    high = np.minimum(low + 1, count - 1)
-    s = np.clip(steps - low, 0.0, 1.0)[:, None]
-    found = {name: v[low] * (1 - s) + v[high] * s for name, v in states.items()}
-    place, speed = states["qpos"], states["qvel"]
-    if place.shape == speed.shape:
-        way = place[high] - place[low]
-        one, two = step * speed[low] - way, step * speed[high] - way
-        found["qpos"] += s * (1 - s) * ((1 - s) * one - s * two)
-        found["qvel"] = (way + one * (1 - s) * (1 - 3 * s) - two * s * (2 - 3 * s)) / step
-    return found
+    clock, act = step * np.arange(len(states["qpos"])), states["act"]
+    at = np.clip(at, 0.0, clock[-1])
+    path = CubicHermiteSpline(clock, states["qpos"], states["qvel"])
+    lines = np.array([np.interp(at, clock, values) for values in act.T])
+    return {"qpos": path(at), "qvel": path(at, 1), "act": lines.reshape(act.shape[1], len(at)).T}
 
 
 @dataclass(frozen=True, eq=False)

@@ -199,13 +199,11 @@ class Backlash(SplitJoint):
         play = (gap, *_stops(self.inertia[1], self.machine.time_step, self.unit))
         if not self.variant:
             return play
-        unit, starts = self.torque_unit, (0.3, 1.0)
-        return (
-            *play,
-            Parameter.sized(
-                "friction", unit, self.load, 1e-3, 20, scale=0.3, starts=starts, log=True
-            ),
+        unit, some = self.torque_unit, (0.3, 1.0)
+        friction = Parameter.sized(
+            "friction", unit, self.load, 1e-3, 20, scale=0.3, starts=some, log=True
         )
+        return (*play, friction)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
