@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain, count
 from math import ceil
 from typing import Any
 
@@ -242,18 +243,23 @@ def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
     model = spec.copy().compile()
     for body in spec.bodies[1:]:
         k = model.body(body.name).id
-        body.mass = float(model.body_mass[k])
-        body.ipos = model.body_ipos[k].copy()
-        body.iquat = model.body_iquat[k].copy()
-        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        body.inertia = model.body_inertia[k].copy()
-        body.fullinertia = np.full(6, np.nan)
-        body.explicitinertial = body.mass > 0
+        mass, centre, moments = model.body_mass[k], model.body_ipos[k], model.body_inertia[k]
+        write_inertial(body, float(mass), centre, model.body_iquat[k], moments)
     # else an edited mass is inferred from shapes again, or scaled with all others to the total
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     spec.compiler.settotalmass = -1.0
     return spec
+
+
+def write_inertial(
+    body: mujoco.MjsBody, mass: float, centre: Array, quat: Array, moments: Array
+) -> None:
+    """Write mass [kg], centre [m], and principal axes and moments [kg·m²] of a body's inertia."""
+    body.mass, body.ipos, body.iquat, body.inertia = mass, centre, quat, moments
+    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    body.fullinertia = np.full(6, np.nan)
+    body.explicitinertial = mass > 0
 
 
 def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -287,12 +293,14 @@ def _name(elements: Iterable[Any], noun: str, every: Iterable[Any]) -> None:
         if element.name:
             continue
         joint = element.joints[0].name if noun == "body" and element.joints else ""
-        wanted = f"{joint}_link" if joint else f"{noun}_{number}"
-        name, again = wanted, 2
-        while name in taken:
-            name, again = f"{wanted}_{again}", again + 1
-        element.name = name
-        taken.add(name)
+        element.name = unused(f"{joint}_link" if joint else f"{noun}_{number}", taken)
+        taken.add(element.name)
+
+
+def unused(name: str, taken: Container[str]) -> str:
+    """The name, or where it is taken the first with a number behind it that is not."""
+    names = chain([name], (f"{name}_{number}" for number in count(2)))
+    return next(each for each in names if each not in taken)
 
 
 def normal_of(machine: NominalModel) -> Array | None:

@@ -13,6 +13,9 @@ from loose_env.gap.model.effect import DrivenEffect, Effect, Parameter
 from loose_env.gap.model.nominal_model import NominalModel, history_for, named
 from loose_env.typing import Array
 
+_SHORTEST = 1e-9
+"""Shift of commands below which it is none [s]."""
+
 
 class DriveEffect(Effect):
     """An effect of one drive."""
@@ -23,11 +26,37 @@ class DriveEffect(Effect):
     def _number(self) -> int:
         return self.machine.actuators.index(self.where)
 
-    def _with(self, controls: Array, own: Array) -> Array:
-        """Commands with others for this drive (T, actuators)."""
+
+class ShiftedCommand(Effect):
+    """An effect that shifts the commands of one drive, or of "all", in time."""
+
+    acts_on = "actuator"
+    null_values = (0.0,)
+    is_time_shift = True
+
+    @property
+    def _numbers(self) -> list[int]:
+        names = enumerate(self.machine.actuators)
+        return [k for k, name in names if self.where in (name, "all")]
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Shift the commands: means over each step."""
+        return self._shifted(time, controls, values, 0)
+
+    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
+        """Shift the commands: instantaneous values at each step."""
+        return self._shifted(time, controls, values, 1)
+
+    def _shifted(self, time: Array, controls: Array, values: Array, which: int) -> Array:
         found = controls.copy()
-        found[:, self._number] = own
+        if values[0] >= _SHORTEST and len(time) > 1:
+            for k in self._numbers:
+                found[:, k] = self.passed(k, time, controls[:, k], float(values[0]))[which]
         return found
+
+    def passed(self, number: int, time: Array, held: Array, shift: float) -> tuple[Array, Array]:
+        """Mean over each step and value at each step (T,) of a drive's commands, each held."""
+        raise NotImplementedError
 
 
 class ActuatorGain(DriveEffect):
@@ -87,13 +116,12 @@ class ActuatorGain(DriveEffect):
         return torque / float(values[0]) if alone else torque
 
 
-_SHORTEST = 1e-9  # a lag below this is zero [s]
 _STABLE = 0.5
 """Lag over the step from which on a Runge-Kutta method of fourth order is surely stable: its limit
 is 1 / 2.785."""
 
 
-class ActuatorLag(DriveEffect):
+class ActuatorLag(ShiftedCommand):
     """First-order lag: commands pass a low-pass with a time constant.
 
     Commands are held from step to step, and the filter's response is exact: its mean moves the arm,
@@ -103,8 +131,6 @@ class ActuatorLag(DriveEffect):
     """
 
     kind = "actuator_lag"
-    null_values = (0.0,)
-    is_time_shift = True
     # from a fast drive to a very slow one: a servo's response is not linear
     parameters = (
         Parameter.sized(
@@ -118,31 +144,15 @@ class ActuatorLag(DriveEffect):
         plain = machine.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
         return named(machine.actuators, plain)
 
-    def command(self, time: Array, controls: Array, values: Array) -> Array:
-        """Filter the actuator's commands: means over each step."""
-        state, held = self._filtered(time, controls, values)
-        if state is None:
-            return controls
-        lag, step = float(values[0]), time[1] - time[0]
-        mean = held + (state - held) * (lag / step) * (1.0 - np.exp(-step / lag))
-        return self._with(controls, mean)
-
-    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
-        """Filter the actuator's commands: instantaneous values at each step."""
-        state, _ = self._filtered(time, controls, values)
-        return controls if state is None else self._with(controls, state)
-
-    def _filtered(self, time: Array, controls: Array, values: Array) -> tuple[Array | None, Array]:
-        """State of the filter at each step (T,), None without a lag; held commands."""
-        model, number = self.machine.model, self._number
-        held = controls[:, number]
+    def passed(self, number: int, time: Array, held: Array, shift: float) -> tuple[Array, Array]:
+        """Filter the actuator's commands."""
+        model, step = self.machine.model, time[1] - time[0]
         if model.actuator_ctrllimited[number]:  # as MuJoCo clamps before filtering
             held = np.clip(held, *model.actuator_ctrlrange[number])
-        if values[0] < _SHORTEST or len(time) < 2:
-            return None, held
-        share = 1.0 - np.exp(-(time[1] - time[0]) / float(values[0]))
+        share = 1.0 - np.exp(-step / shift)
         after, _ = lfilter([share], [1.0, share - 1.0], held, zi=[(1.0 - share) * held[0]])
-        return np.concatenate([held[:1], after[:-1]]), held
+        state = np.concatenate([held[:1], after[:-1]])
+        return held + (state - held) * (shift / step) * share, state
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Export as MuJoCo's filter that suits the integrator."""
@@ -167,7 +177,7 @@ DELAY = Parameter(
 """Delay, from a fast bus to hobby servos: a servo is not linear."""
 
 
-class CommandDelay(Effect):
+class CommandDelay(ShiftedCommand):
     """Delay of the commands, at one actuator or ("all") at all of them.
 
     A command is held from its step to the next. Held commands delayed by a fraction of a step
@@ -176,9 +186,6 @@ class CommandDelay(Effect):
     """
 
     kind = "command_delay"
-    acts_on = "actuator"
-    null_values = (0.0,)
-    is_time_shift = True
     parameters = (DELAY,)
 
     @classmethod
@@ -186,20 +193,10 @@ class CommandDelay(Effect):
         """Return every actuator, and "all" if there are several."""
         return (*machine.actuators, "all") if len(machine.actuators) > 1 else machine.actuators
 
-    def command(self, time: Array, controls: Array, values: Array) -> Array:
+    def passed(self, number: int, time: Array, held: Array, shift: float) -> tuple[Array, Array]:
         """Shift the commands; before the first sample the first one holds."""
-        late = controls.copy()
-        for number in self._numbers:
-            late[:, number] = np.interp(time - float(values[0]), time, controls[:, number])
-        return late
-
-    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
-        """Shift the commands, each held until the next."""
-        late = controls.copy()
-        if len(time) > 1:
-            back = np.floor(np.arange(len(time)) - float(values[0]) / (time[1] - time[0]) + 1e-9)
-            late[:, self._numbers] = controls[np.maximum(back, 0).astype(int)][:, self._numbers]
-        return late
+        back = np.floor(np.arange(len(time)) - shift / (time[1] - time[0]) + 1e-9)
+        return np.interp(time - shift, time, held), held[np.maximum(back, 0).astype(int)]
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Export as a history and a delay of the actuators, on top of existing ones."""
@@ -209,11 +206,6 @@ class CommandDelay(Effect):
             actuator = spec.actuators[number]
             delay = _as_line(actuator, spec.option) + float(values[0])
             delay_by(actuator, delay, spec.option.timestep)
-
-    @property
-    def _numbers(self) -> list[int]:
-        names = enumerate(self.machine.actuators)
-        return [k for k, name in names if self.where in (name, "all")]
 
 
 def _as_line(actuator: mujoco.MjsActuator, option: mujoco.MjOption) -> float:

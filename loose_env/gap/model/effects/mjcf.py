@@ -15,7 +15,12 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.nominal_model import NominalModel, mass_matrix
+from loose_env.gap.model.nominal_model import (
+    NominalModel,
+    mass_matrix,
+    unused,
+    write_inertial,
+)
 from loose_env.typing import Array
 
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
@@ -57,10 +62,7 @@ def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
     """
     several = (spec.bodies, spec.joints, spec.sites, spec.actuators)
     taken = {element.name for elements in several for element in elements}
-    name, again = f"{where}_{kind}", 2
-    while name in taken:
-        name, again = f"{where}_{kind}_{again}", again + 1
-    return name
+    return unused(f"{where}_{kind}", taken)
 
 
 def add_constant(spec: mujoco.MjSpec, joint: str, name: str, torque: float) -> None:
@@ -139,12 +141,8 @@ def set_inertial(machine: NominalModel, spec: mujoco.MjSpec, body: str, inertial
         axes[:, 0] *= -1
     # Of a flat body the largest moment is the sum of the others; rounding must not exceed it.
     moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-15))
-    own = spec.body(body)
-    own.mass, own.ipos, own.inertia = inertial.mass, inertial.centre, moments
-    own.iquat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
-    own.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    own.fullinertia = np.full(6, np.nan)
-    own.explicitinertial = True
+    quat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    write_inertial(spec.body(body), inertial.mass, inertial.centre, quat, moments)
 
 
 def steiner(mass: float, lever: Array) -> Array:
