@@ -17,16 +17,6 @@ _SHORTEST = 1e-9
 """Shift of commands below which it is none [s]."""
 
 
-class DriveEffect(Effect):
-    """An effect of one drive."""
-
-    acts_on = "actuator"
-
-    @property
-    def _number(self) -> int:
-        return self.machine.actuators.index(self.where)
-
-
 class ShiftedCommand(Effect):
     """An effect that shifts the commands of one drive, or of "all", in time."""
 
@@ -59,7 +49,7 @@ class ShiftedCommand(Effect):
         raise NotImplementedError
 
 
-class ActuatorGain(DriveEffect):
+class ActuatorGain(Effect):
     """Factor on the gain of an actuator.
 
     Variant "" scales its force, limits included, as another motor constant does. Variant "command"
@@ -68,6 +58,7 @@ class ActuatorGain(DriveEffect):
     """
 
     kind = "actuator_gain"
+    acts_on = "actuator"
     exact_law = True
     variants = ("", "command", "servo")
     null_values = (1.0,)
@@ -272,13 +263,19 @@ _GRID, _SPEED_GRID = 150, 16
 """Limits, 2 % apart, and no-load speeds that are tried on data."""
 
 
-class JointDriveEffect(DriveEffect):
+class JointDriveEffect(Effect):
     """An effect of the drive of one joint, its force linear in command, position and speed."""
+
+    acts_on = "actuator"
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return drives of a joint without states of their own."""
         return tuple(n for n in ActuatorGain.locations(machine) if n in machine.actuated_joint)
+
+    @property
+    def _number(self) -> int:
+        return self.machine.actuators.index(self.where)
 
     @property
     def joint(self) -> str:

@@ -241,8 +241,8 @@ def joint_inertia(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
 def site_pose(machine: NominalModel, site: mujoco.MjsSite) -> tuple[Array, Array]:
     """Position and quaternion of a site in its body, with frames and angles resolved."""
     model, place, turned = machine.model, np.array(site.pos), np.array(site.quat)
-    if any(model.site(k).name == site.name for k in range(model.nsite)):
-        number = model.site(site.name).id
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site.name)
+    if number >= 0:
         turned = model.site_quat[number]
         if site.frame is not None or not np.isfinite(place).all():
             place = model.site_pos[number]
@@ -389,8 +389,7 @@ def _elements(body: mujoco.MjsBody) -> list[Any]:
 def _pose(machine: NominalModel, body: mujoco.MjsBody) -> tuple[Array, Array | None]:
     """Pose of a body in its parent; its quaternion too if a frame lies in between."""
     model = machine.model
-    known = {model.body(b).name for b in range(model.nbody)}
-    if body.frame is None or body.name not in known:
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body.name)
+    if body.frame is None or number < 0:
         return np.array(body.pos), None
-    number = model.body(body.name).id
     return np.array(model.body_pos[number]), np.array(model.body_quat[number])
