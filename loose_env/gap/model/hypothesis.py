@@ -41,9 +41,9 @@ class NominalParameters:
         """Attribute and element of the nominal parameters of the model that are not zero."""
         model, machine = self.machine.model, self.machine
         links = [link for link in machine.links if model.body(link).mass[0] > 0]
-        found = [(field, link) for link in links for field in ("mass", "inertia")]
+        found = [(name, link) for link in links for name in ("mass", "inertia")]
         for k, joint in enumerate(machine.joints):
-            values = (getattr(model, f"dof_{field}")[model.jnt_dofadr[k]] for field in _JOINT)
+            values = (getattr(model, f"dof_{name}")[model.jnt_dofadr[k]] for name in _JOINT)
             found += [(f, joint) for f, value in zip(_JOINT, values, strict=True) if value > 0]
         for k, actuator in enumerate(machine.actuators):
             found.append(("gain", actuator))
@@ -57,25 +57,25 @@ class NominalParameters:
         wide = _BEYOND * self.tolerance
         return tuple(
             Parameter(
-                name=f"{field}.{of}", unit="", low=1 - wide, high=1 + wide, scale=self.tolerance,
+                name=f"{name}.{of}", unit="", low=1 - wide, high=1 + wide, scale=self.tolerance,
                 spread=_SPREAD,
             )
-            for field, of in self.entries
+            for name, of in self.entries
         )  # fmt: skip
 
     def edit(self, spec: mujoco.MjSpec, factors: Array) -> None:
         """Scale the nominal parameters by factors (P,)."""
-        for (field, of), factor in zip(self.entries, factors, strict=True):
-            if field in ("gain", "velocity_gain"):
+        for (name, of), factor in zip(self.entries, factors, strict=True):
+            if name in ("gain", "velocity_gain"):
                 actuator = spec.actuator(of)
                 gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
-                if field == "gain":
+                if name == "gain":
                     gain[0] *= factor
-                bias[slice(2) if field == "gain" else 2] *= factor
+                bias[slice(2) if name == "gain" else 2] *= factor
                 actuator.gainprm, actuator.biasprm = gain, bias
             else:
-                own = spec.joint(of) if field in _JOINT else spec.body(of)
-                setattr(own, field, np.asarray(getattr(own, field)) * factor)
+                own = spec.joint(of) if name in _JOINT else spec.body(of)
+                setattr(own, name, np.asarray(getattr(own, name)) * factor)
 
 
 @dataclass(frozen=True, eq=False)
