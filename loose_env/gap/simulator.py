@@ -259,11 +259,6 @@ class _Slot:
     parts: int
     """Number of substeps of each step of the run."""
 
-    @property
-    def steps(self) -> Trial:
-        """The run with a step for each of the substeps."""
-        return self.trial.finer(self.parts)
-
 
 class Simulator:
     """Simulates the runs of a recording."""
@@ -356,7 +351,7 @@ class Simulator:
             places, dofs = _addresses(slot.model, self.machine.joints)
             qpos[k] = slot.model.qpos0
             qpos[k, places], qvel[k, dofs] = slot.trial.position, slot.trial.speed
-            values = slot.steps.controls
+            values = slot.trial.finer(parts).controls
             count = len(values)
             for effect, own in slot.hypothesis.pairs:
                 values = effect.command(clock[:count], values, own)
