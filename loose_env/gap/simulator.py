@@ -7,48 +7,43 @@ A step is simulated with the mean of a command over it. An accelerometer reads t
 value: a servo's acceleration jumps with every command. A delayed one reads the value at an earlier
 time, between two steps.
 
-MJCF cannot express torque terms and driven effects, so that Python applies them step by step. A
-torque held over a step and evaluated at its beginning is late by half a step, so that a spring adds
-energy. Under a Runge-Kutta method the mean of the term along the step is held instead, over
-positions and speeds predicted from the acceleration at its beginning; the error of that mean is
-known after the step, and the next one corrects it. Sensors at the beginning of a step are computed
-with the instantaneous term. A dry friction that depends on the drives' torques is set before each
-step from those at its beginning.
+MJCF cannot express torque terms and driven effects, so that Python applies them step by step. Under
+a Runge-Kutta method the term in the middle of the step is held over it, predicted from the
+acceleration at its beginning; at the beginning, as by other methods, sensors are computed. A dry
+friction that depends on the drives' torques is set before each step from those at its beginning.
 """
 
 from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
-from loose_env.gap.model.effect import DrivenEffect, Effect, Readings
+from loose_env.gap.model.effect import DrivenEffect, Readings
 from loose_env.gap.model.effects.sensors import column_of, is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import SETTLE, Channel, Trial, steady_activations
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
-_NODES = (0.5 + 0.5 / np.sqrt(3.0) * np.array([-1.0, 1.0]))[:, None, None]
-"""Parts of a step at which a term is taken: Gauss's two nodes, whose mean is exact for a cubic."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 _STATES = ("qpos", "qvel", "act")
 """State of a simulation: positions, speeds and activations."""
 _PARTS = 2
 """Parts of a step where commands change within it: a mean moves the speed rightly, and the place
 only as far as the change lies in the middle."""
-_AT_A_TIME = 1024
-"""States at which sensors are worked out at a time."""
 _AT_ONCE = 4_000_000
 """Numbers of commands, readings and states that are held at a time, 32 MB; more where a thread
 would have no simulation."""
@@ -63,18 +58,12 @@ def changes_within(
     """
     if all(is_position_or_speed(machine, channel.column) for channel in channels):
         return False
-    return any(type(effect).command_at is not Effect.command_at for effect in hypothesis.stepping)
-
-
-def has_terms(hypothesis: Hypothesis) -> bool:
-    """Return whether any effect of a hypothesis has to be applied step by step."""
-    effects = hypothesis.effects
-    return _has_torque(hypothesis) or any(isinstance(effect, DrivenEffect) for effect in effects)
+    return any(effect.overrides("command_at") for effect in hypothesis.stepping)
 
 
 def _has_torque(hypothesis: Hypothesis) -> bool:
     """Return whether any effect of a hypothesis is a torque term."""
-    return any(type(effect).torque is not Effect.torque for effect in hypothesis.effects)
+    return any(effect.overrides("torque") for effect in hypothesis.effects)
 
 
 def _torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
@@ -82,7 +71,7 @@ def _torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Arra
     found = np.zeros(position.shape)
     with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
         for effect, values in hypothesis.pairs:
-            if type(effect).torque is Effect.torque:
+            if not effect.overrides("torque"):
                 continue
             given = np.asarray(effect.torque(position, speed, values))
             if given.shape != position.shape:
@@ -103,6 +92,11 @@ def _driven(hypothesis: Hypothesis) -> _Driven:
     return [(e, values) for e, values in hypothesis.pairs if isinstance(e, DrivenEffect)]
 
 
+def _has_terms(hypothesis: Hypothesis) -> bool:
+    """Return whether any effect of a hypothesis has to be applied step by step."""
+    return _has_torque(hypothesis) or bool(_driven(hypothesis))
+
+
 def _fed(driven: _Driven, command: Array, position: Array, speed: Array) -> Array:
     """Commands (..., actuators) that reach the actuators in some states (..., joints)."""
     for effect, values in driven:
@@ -110,39 +104,30 @@ def _fed(driven: _Driven, command: Array, position: Array, speed: Array) -> Arra
     return command
 
 
+def _addresses(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[IndexArray, IndexArray]:
+    """Addresses of joints in positions and in speeds (joints,)."""
+    numbers = [model.joint(name).id for name in joints]
+    return model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
+
+
 class _Stepped:
     """Simulations of a batch with torque terms and driven effects, stepped from Python."""
 
-    def __init__(
-        self, batch: Batch, machine: NominalModel, hypotheses: Sequence[Hypothesis]
-    ) -> None:
-        self.batch, self.hypotheses = batch, tuple(hypotheses)
-        joints = [batch.model.joint(name) for name in machine.joints]
-        self._places = np.array([int(joint.qposadr[0]) for joint in joints])
-        self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
-        self._actuators = len(machine.actuators)
-        self._pulls = any(map(_has_torque, hypotheses))
-        driven = [e for hypothesis in hypotheses for e, _ in _driven(hypothesis)]
-        self._feeds = any(type(e).feedback is not DrivenEffect.feedback for e in driven)
-        self._own_models: list[mujoco.MjModel] = []
-        if any(type(e).dry_friction is not DrivenEffect.dry_friction for e in driven):
-            models = batch.model if batch.models is None else batch.models
-            several = models if isinstance(models, (list, tuple)) else [models] * batch.nsim
+    def __init__(self, batch: Batch, joints: Sequence[str], slots: Sequence[_Slot]) -> None:
+        self.batch, hypotheses = batch, [slot.hypothesis for slot in slots]
+        self._places, self._dofs = _addresses(slots[0].model, joints)
+        self._rows, self._groups = _rows(hypotheses), _groups(hypotheses)
+        self._option, self._own_models = slots[0].model.opt, list[mujoco.MjModel]()
+        driven = [effect for own, _ in self._groups for effect, _ in own]
+        self._feeds = any(effect.overrides("feedback") for effect in driven)
+        if any(effect.overrides("dry_friction") for effect in driven):
             # each simulation has its own friction
-            self._own_models = [copy.deepcopy(model) for model in several]
+            self._own_models = [copy.deepcopy(slot.model) for slot in slots]
             batch.set_models(self._own_models)
-            self._losses = [model.dof_frictionloss for model in self._own_models]
-            self._base = np.array([loss[self._dofs] for loss in self._losses])
+            self._base = np.array([m.dof_frictionloss[self._dofs] for m in self._own_models])
 
-    def rollout(
-        self,
-        count: int,
-        control: Array,
-        control_spec: int,
-        record: Sequence[str],
-        ids: NDArray[np.intp],
-    ) -> dict[str, Array]:
-        """Advance some simulations, as `mujoco.batch.Batch.rollout` does.
+    def rollout(self, count: int, control: Array, *, record: Sequence[str]) -> dict[str, Array]:
+        """Advance the simulations, as `mujoco.batch.Batch.rollout` does.
 
         Readings and forces are those at the beginning of each step, under its own command. A
         simulation with a MuJoCo warning is NaN from the beginning, since a term may make it
@@ -153,94 +138,72 @@ class _Stepped:
         needed = (*record, "qpos", "qvel", "qacc", "qfrc_actuator", "qfrc_bias")
         fields = {name: batch.bind(name) for name in needed}
         commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
-        found = {name: np.empty((len(ids), count, *fields[name].shape[1:])) for name in record}
+        found = {name: np.empty((len(control), count, fields[name].shape[1])) for name in record}
         read = [name for name in record if name not in _STATES]
-        every = len(ids) == batch.nsim
-        own, called = (slice(None), None) if every else (ids, ids)
-        acting = (own, self._dofs) if every else (ids[:, None], self._dofs)
-        simulated = [self.hypotheses[i] for i in ids]
-        rows, groups = _rows(simulated), _groups(simulated)
-        warned = np.array(batch.warning[ids])
-        models = batch.models if isinstance(batch.models, tuple) else (batch.model,)
-        step = float(models[0].opt.timestep)
-        looks_ahead = int(models[0].opt.integrator) == _RUNGE_KUTTA
+        warned = np.array(batch.warning)
+        step = float(self._option.timestep)
+        looks_ahead = int(self._option.integrator) == _RUNGE_KUTTA
         if self._own_models and not looks_ahead:
-            batch.forward(called)  # drive torques of the first step
-        owed = mean = np.zeros((len(ids), len(self._dofs)))
-        before: State | None = None
+            batch.forward()  # drive torques of the first step
+        rate = np.zeros((len(control), len(self._dofs)))  # not known beforehand by other methods
         for k in range(count):
-            now = fields["qpos"][own][:, self._places], fields["qvel"][own][:, self._dofs]
-            commands[own] = self._commands(groups, control[:, k], now)
-            if self._pulls:
-                applied[acting] = _terms(rows, (now[0][None], now[1][None]))[0]
-            ahead = 0.0 * now[1]
+            now = fields["qpos"][:, self._places], fields["qvel"][:, self._dofs]
+            commands[:] = self._commands(control[:, k], now)
+            if self._rows:
+                applied[:, self._dofs] = _terms(self._rows, now)
             if looks_ahead:
-                batch.forward(called)
+                batch.forward()
                 for name in read:
-                    found[name][:, k] = fields[name][own]
-                ahead = fields["qacc"][own][:, self._dofs]
-                if self._pulls and before is not None:
-                    along = _terms(rows, _nodes_between(before, now, step))
-                    owed = 0.5 * (along[0] + along[1]) - mean
-                if self._pulls:
-                    first, second = _terms(rows, _ahead(now, ahead, step * _NODES))
-                    mean = 0.5 * (first + second)
-                    applied[acting] = mean + owed
-                before = now
-            if self._feeds:
-                middle = _ahead(now, ahead, 0.5 * step)
-                commands[own] = self._commands(groups, control[:, k], middle)
+                    found[name][:, k] = fields[name]
+                rate = fields["qacc"][:, self._dofs]
+            middle = _ahead(now, rate, 0.5 * step)
+            if looks_ahead and self._rows:
+                applied[:, self._dofs] = _terms(self._rows, middle)
+            commands[:] = self._commands(control[:, k], middle)
             if self._own_models:
-                drive = fields["qfrc_actuator"][own][:, self._dofs]
-                load = -fields["qfrc_bias"][own][:, self._dofs]
-                self._set_friction(ids, groups, drive, load, now[1])
-            batch.step(called)
+                drive, bias = (fields[n][:, self._dofs] for n in ("qfrc_actuator", "qfrc_bias"))
+                self._set_friction(drive, -bias, now[1])
+            batch.step()
             for name in record:
                 if not (looks_ahead and name in read):
-                    found[name][:, k] = fields[name][own]
-        applied[own] = 0.0
-        diverged = (batch.warning[ids] != warned).any(axis=(1, 2))
+                    found[name][:, k] = fields[name]
+        applied[:] = 0.0
+        diverged = (batch.warning != warned).any(axis=(1, 2))
         for values in found.values():
             values[diverged] = np.nan
         return found
 
-    def _commands(self, groups: _Groups, command: Array, state: State) -> Array:
+    def _commands(self, command: Array, state: State) -> Array:
         """Commands (sims, actuators) that reach the actuators in a state."""
         if not self._feeds:
             return command
         found, (position, speed) = command.copy(), state
-        for driven, own in groups:
-            given = command[own, : self._actuators]
-            found[own, : self._actuators] = _fed(driven, given, position[own], speed[own])
+        for driven, own in self._groups:
+            count = len(driven[0][0].machine.actuators)
+            found[own, :count] = _fed(driven, command[own, :count], position[own], speed[own])
         return found
 
-    def _set_friction(
-        self, ids: NDArray[np.intp], groups: _Groups, drive: Array, load: Array, speed: Array
-    ) -> None:
-        """Set the dry friction of some simulations from drive, load and speed (ids, joints)."""
-        friction = self._base[ids]
-        for driven, own in groups:
+    def _set_friction(self, drive: Array, load: Array, speed: Array) -> None:
+        """Set the dry friction of the simulations from drive, load and speed (sims, joints)."""
+        friction = self._base.copy()
+        for driven, own in self._groups:
             for effect, values in driven:
                 friction[own] += effect.dry_friction(drive[own], load[own], speed[own], values)
-        for number, row in zip(ids.tolist(), friction, strict=True):
-            self._losses[number][self._dofs] = row
+        for model, row in zip(self._own_models, friction, strict=True):
+            model.dof_frictionloss[self._dofs] = row
         self.batch.set_models(self._own_models)
 
 
-_Places = slice | NDArray[np.intp]
-"""Indices of simulations; a slice where they are all, which makes views."""
-_Rows = Sequence[tuple[Hypothesis, _Places]]
-_Groups = Sequence[tuple[_Driven, _Places]]
-
-
-def _where(mask: Sequence[bool]) -> _Places:
-    return slice(None) if all(mask) else np.flatnonzero(mask)
+_Rows = Sequence[tuple[Hypothesis, NDArray[np.bool_]]]
+"""Hypotheses, and which simulations have them."""
+_Groups = Sequence[tuple[_Driven, NDArray[np.bool_]]]
+"""Driven effects, and which simulations have them."""
 
 
 def _rows(each: Sequence[Hypothesis]) -> _Rows:
     """Hypotheses with torque terms, and their simulations."""
     known = {id(hypothesis): hypothesis for hypothesis in each if _has_torque(hypothesis)}
-    return [(h, _where([other is h for other in each])) for h in known.values()]
+    return [(h, np.array([other is h for other in each])) for h in known.values()]
 
 
 def _groups(each: Sequence[Hypothesis]) -> _Groups:
@@ -248,40 +211,26 @@ def _groups(each: Sequence[Hypothesis]) -> _Groups:
     keys = [tuple(id(effect) for effect, _ in _driven(hypothesis)) for hypothesis in each]
     found = []
     for key in dict.fromkeys(key for key in keys if key):
-        mask = [other == key for other in keys]
-        members = [_driven(h) for h, own in zip(each, mask, strict=True) if own]
-        stacked = [
-            (same[0][0], np.stack([values for _, values in same], axis=-1))
-            for same in zip(*members, strict=True)
-        ]
-        found.append((stacked, _where(mask)))
+        own = np.array([other == key for other in keys])
+        members = zip(*(_driven(each[k]) for k in np.flatnonzero(own).tolist()), strict=True)
+        stacked = [(m[0][0], np.stack([values for _, values in m], axis=-1)) for m in members]
+        found.append((stacked, own))
     return found
 
 
 def _terms(rows: _Rows, state: State) -> Array:
-    """Torque terms in some states, one after the other (states, sims, joints)."""
+    """Torque terms in a state (sims, joints)."""
     position, speed = state
     found = np.zeros(position.shape)
     for hypothesis, own in rows:
-        found[:, own] = _torque_terms(hypothesis, position[:, own], speed[:, own])
+        found[own] = _torque_terms(hypothesis, position[own], speed[own])
     return found
 
 
-def _ahead(now: State, rate: Array, time: Array | float) -> State:
+def _ahead(now: State, rate: Array, time: float) -> State:
     """Positions and speeds some time later, at constant acceleration."""
     position, speed = now
     return position + time * (speed + 0.5 * time * rate), speed + time * rate
-
-
-def _nodes_between(before: State, now: State, step: float) -> State:
-    """Positions and speeds at the nodes of a finished step, by cubic Hermite splines."""
-    (first, start), (last, end) = before, now
-    slope = (last - first) / step
-    bend, twist = 3 * slope - 2 * start - end, start + end - 2 * slope
-    return (
-        first + step * _NODES * (start + _NODES * (bend + _NODES * twist)),
-        start + _NODES * (2 * bend + 3 * _NODES * twist),
-    )
 
 
 def _states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[str, Array]:
@@ -290,93 +239,25 @@ def _states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[
     Positions follow cubics through the positions and speeds at both ends of a step, within which
     commands are constant, and speeds their slopes; activations are linear.
     """
-    count = len(states["qpos"])
-    steps = np.clip(at / step, 0.0, count - 1.0)
-    low = np.minimum(np.floor(steps + 1e-9).astype(int), max(count - 2, 0))
-    high = np.minimum(low + 1, count - 1)
-    s = np.clip(steps - low, 0.0, 1.0)[:, None]
-    found = {name: v[low] * (1 - s) + v[high] * s for name, v in states.items()}
-    place, speed = states["qpos"], states["qvel"]
-    if place.shape == speed.shape:
-        way = place[high] - place[low]
-        one, two = step * speed[low] - way, step * speed[high] - way
-        found["qpos"] += s * (1 - s) * ((1 - s) * one - s * two)
-        found["qvel"] = (way + one * (1 - s) * (1 - 3 * s) - two * s * (2 - 3 * s)) / step
-    return found
+    clock, act = step * np.arange(len(states["qpos"])), states["act"]
+    at = np.clip(at, 0.0, clock[-1])
+    path = CubicHermiteSpline(clock, states["qpos"], states["qvel"])
+    lines = np.array([np.interp(at, clock, values) for values in act.T])
+    return {"qpos": path(at), "qvel": path(at, 1), "act": lines.reshape(act.shape[1], len(at)).T}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Slot:
     """One simulation: a run under a hypothesis."""
 
-    key: object
-    machine: NominalModel
     hypothesis: Hypothesis
-    model: mujoco.MjModel
-    number: int
-    """Index of the run."""
+    """What is simulated."""
     trial: Trial
     """The run."""
+    model: mujoco.MjModel
+    """Model of the hypothesis."""
     parts: int
     """Number of substeps of each step of the run."""
-
-    def late(self, channels: Sequence[Channel]) -> dict[str, float]:
-        """Delayed sensors among the channels, each with its delay [s]."""
-        shown = {channel.column for channel in channels}
-        found: dict[str, float] = {}
-        for effect, own in self.hypothesis.pairs:
-            late = effect.sensor_delay(own)
-            if late is not None and late[1] > 0 and column_of(late[0]) in shown:
-                found[late[0]] = found.get(late[0], 0.0) + late[1]
-        return found
-
-    def reread(
-        self, shown: Array, states: Mapping[str, Array], late: Mapping[str, float], threads: int
-    ) -> None:
-        """Compute sensor values (T, sensors) anew, where commands change within a step or late.
-
-        The states are those before each substep.
-        """
-        commands, step = self.trial.controls, self.trial.step
-        clock: Array = np.arange(len(commands), dtype=float) * step
-        for effect, own in self.hypothesis.pairs:
-            commands = effect.command_at(clock, commands, own)
-        if self.parts > 1:
-            at_steps = {name: found[:: self.parts] for name, found in states.items()}
-            shown[:] = self._readings(at_steps, commands, threads)
-        for name, delay in late.items():
-            then: Array = clock - delay
-            held = np.clip(np.floor(then / step + 1e-9).astype(int), 0, len(commands) - 1)
-            before = _states_before(states, then, step / self.parts)
-            read = self._readings(before, commands[held], threads)
-            sensor = self.model.sensor(name)
-            columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
-            shown[:, columns] = read[:, columns]
-
-    def _readings(self, states: Mapping[str, Array], controls: Array, threads: int) -> Array:
-        """Sensor values in some states with instantaneous commands (T, sensors)."""
-        model = self.model
-        batch = Batch(model, min(_AT_A_TIME, len(controls)), threads)
-        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        sensed = batch.bind("sensordata")
-        joints = [model.joint(name) for name in self.machine.joints]
-        places = [int(joint.qposadr[0]) for joint in joints]
-        dofs = [int(joint.dofadr[0]) for joint in joints]
-        found = np.empty((len(controls), model.nsensordata))
-        for first in range(0, len(controls), _AT_A_TIME):
-            count = min(_AT_A_TIME, len(controls) - first)
-            part = slice(first, first + count)
-            for name, values in states.items():
-                getattr(batch, name)[:count] = values[part]
-            given = controls[part]
-            if has_terms(self.hypothesis):
-                at = states["qpos"][part][:, places], states["qvel"][part][:, dofs]
-                given = _fed(_driven(self.hypothesis), given, *at)
-                batch.qfrc_applied[:count, dofs] = _torque_terms(self.hypothesis, *at)
-            batch.ctrl[:count, : controls.shape[1]] = given
-            batch.forward()
-            found[part] = sensed[:count]
-        return found
 
 
 class Simulator:
@@ -392,42 +273,38 @@ class Simulator:
     ) -> None:
         self.machine, self.trials, self.channels = machine, list(trials), channels
         self.threads = threads
-        self._batches: dict[tuple[object, ...], Batch] = {}
 
     def predict(self, hypotheses: Sequence[Hypothesis]) -> list[list[Array]]:
         """Simulate every run under every hypothesis."""
         motions = {self._motion(hypothesis): hypothesis for hypothesis in hypotheses}
-        alike: dict[tuple[object, ...], list[_Slot]] = {}
-        for key, hypothesis in motions.items():
-            parts = _PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
-            models: dict[tuple[float, bool], mujoco.MjModel] = {}
-            for t, trial in enumerate(self.trials):
-                which = trial.step, trial.form == "free"
-                if which not in models:
-                    step = trial.step / parts
-                    models[which] = hypothesis.model(self.machine, step, released=which[1])
-                model = models[which]
-                # what is stepped from Python costs by steps, whatever the number of simulations
-                apart = -1 if has_terms(hypothesis) else trial.steps
-                group = (_layout(model), which, apart, parts)
-                slot = _Slot(
-                    key=key, machine=self.machine, hypothesis=hypothesis, model=model, number=t,
-                    trial=trial, parts=parts,
-                )  # fmt: skip
-                alike.setdefault(group, []).append(slot)
-        seen: dict[tuple[object, int], tuple[mujoco.MjModel, Array]] = {}
+        slots = {key: self._slots(hypothesis) for key, hypothesis in motions.items()}
+        alike: dict[object, list[_Slot]] = {}
+        for slot in (slot for own in slots.values() for slot in own):
+            alike.setdefault(self._layout(slot), []).append(slot)
+        found: dict[_Slot, Array] = {}
         with quiet():
             for together in alike.values():
-                for slots in _held_at_once(together, self.threads or os.cpu_count() or 1):
-                    for slot, whole in zip(slots, self._simulate(slots), strict=True):
-                        seen[slot.key, slot.number] = slot.model, whole
+                size = self._at_once(together)
+                for first in range(0, len(together), size):
+                    part = together[first : first + size]
+                    found |= zip(part, self._simulate(part), strict=True)
         return [
             [
-                self._columns(hypothesis, *seen[self._motion(hypothesis), t], trial)
-                for t, trial in enumerate(self.trials)
+                self._columns(hypothesis, slot.model, found[slot], slot.trial)
+                for slot in slots[self._motion(hypothesis)]
             ]
             for hypothesis in hypotheses
         ]
+
+    def _slots(self, hypothesis: Hypothesis) -> list[_Slot]:
+        """Simulations of every run under a hypothesis."""
+        parts = _PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
+
+        @cache
+        def model(step: float, released: bool) -> mujoco.MjModel:
+            return hypothesis.model(self.machine, step / parts, released=released)
+
+        return [_Slot(hypothesis, t, model(t.step, t.form == "free"), parts) for t in self.trials]
 
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:
@@ -442,70 +319,111 @@ class Simulator:
             ),
         )
 
+    def _layout(self, slot: _Slot) -> object:
+        """What simulations of one batch share; those stepped from Python cost by their steps."""
+        terms, trial = _has_terms(slot.hypothesis), slot.trial
+        joints = slot.model.jnt_bodyid.tobytes(), slot.model.body_parentid.tobytes()
+        sizes = tuple(getattr(slot.model, name, 0) for name in _SIZES)
+        steps = trial.step, terms or trial.steps, slot.parts
+        return sizes, joints, steps, trial.form, trial.resting
+
+    def _at_once(self, slots: Sequence[_Slot]) -> int:
+        """Number of simulations that fit into the memory of `_AT_ONCE`, one a thread at least."""
+        model, parts = slots[0].model, slots[0].parts
+        width = model.nsensordata + parts * (model.nu + model.nq + model.nv + model.na)
+        each = max(slot.trial.steps for slot in slots) * max(width, 1)
+        return int(max(self.threads or os.cpu_count() or 1, _AT_ONCE // each))
+
     def _simulate(self, slots: list[_Slot]) -> list[Array]:
         """Simulate the sensors at the samples (T, sensors), by slot."""
-        batch = self._batch(slots)
-        hypotheses = [slot.hypothesis for slot in slots]
-        moved: Batch | _Stepped = batch
-        if any(map(has_terms, hypotheses)):
-            moved = _Stepped(batch, self.machine, hypotheses)
+        batch = Batch(slots[0].model, len(slots), self.threads)
+        batch.set_models([slot.model for slot in slots])
+        terms = any(_has_terms(slot.hypothesis) for slot in slots)
+        moved = _Stepped(batch, self.machine.joints, slots) if terms else batch
         parts = slots[0].parts
         first = max((slot.trial for slot in slots), key=lambda trial: trial.steps).finer(parts)
         steps, settle = first.steps, round(SETTLE / first.step)
-        self._set_start(batch, slots)
         controls = np.zeros((len(slots), steps, slots[0].model.nu))
         clock: Array = np.arange(steps, dtype=float) * first.step
+        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        qpos, qvel, act = batch.qpos, batch.qvel, batch.act
         for k, slot in enumerate(slots):
-            values, hypothesis = slot.trial.finer(parts).controls, slot.hypothesis
+            places, dofs = _addresses(slot.model, self.machine.joints)
+            qpos[k] = slot.model.qpos0
+            qpos[k, places], qvel[k, dofs] = slot.trial.position, slot.trial.speed
+            values = slot.trial.finer(parts).controls
             count = len(values)
-            for effect, own in hypothesis.pairs:
+            for effect, own in slot.hypothesis.pairs:
                 values = effect.command(clock[:count], values, own)
             controls[k, :count, : values.shape[1]] = values
             controls[k, count:] = controls[k, count - 1]  # a shorter run ends there
-            batch.act[k] = steady_activations(slot.model, controls[k, 0])
+            act[k] = steady_activations(slot.model, controls[k, 0])
         diverged = np.zeros(len(slots), dtype=bool)
-        resting = np.array([slot.trial.resting for slot in slots])
-        if resting.any() and settle:  # the clock runs on, since delayed commands are stored by time
-            held = np.repeat(controls[resting, :1], settle, axis=1)
-            _advance(moved, held, np.flatnonzero(resting), diverged, ("qpos",))
+        if slots[0].trial.resting and settle:
+            # the clock runs on, since delayed commands are stored by time
+            _advance(moved, np.repeat(controls[:, :1], settle, axis=1), diverged, ("qpos",))
         # where a command changes within a step, or a sensor is delayed, sensors are recomputed
-        late = [slot.late(self.channels) for slot in slots]
+        late = [self._late(slot.hypothesis) for slot in slots]
         names = _STATES if parts > 1 or any(late) else ()
         before = {name: np.array(getattr(batch, name))[:, None] for name in names}
-        every = np.arange(len(slots))
-        records = _advance(moved, controls, every, diverged, ("sensordata", *names))
+        records = _advance(moved, controls, diverged, ("sensordata", *names))
         kept = records["sensordata"][:, ::parts]
         begun = {n: np.concatenate([before[n], records[n][:, :-1]], axis=1) for n in names}
         for k in np.flatnonzero(~diverged).tolist() if names else ():
             count = slots[k].trial.steps
             passed = {name: found[k, : count * parts] for name, found in begun.items()}
-            slots[k].reread(kept[k, :count], passed, late[k], self.threads)
+            self._reread(slots[k], kept[k, :count], passed, late[k])
         kept[diverged] = np.nan
         return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
 
-    def _batch(self, slots: list[_Slot]) -> Batch:
-        """Create a batch of as many slots, with these models."""
-        key = (*_layout(slots[0].model), has_terms(slots[0].hypothesis), len(slots))
-        if key not in self._batches:
-            if len(self._batches) > 6:
-                self._batches.clear()
-            self._batches[key] = Batch(slots[0].model, len(slots), self.threads)
-        batch = self._batches[key]
-        batch.set_models([slot.model for slot in slots])
-        return batch
+    def _late(self, hypothesis: Hypothesis) -> dict[str, float]:
+        """Delayed sensors among the channels, each with its delay [s]."""
+        shown = {channel.column for channel in self.channels}
+        found: dict[str, float] = {}
+        for effect, own in hypothesis.pairs:
+            late = effect.sensor_delay(own)
+            if late is not None and late[1] > 0 and column_of(late[0]) in shown:
+                found[late[0]] = found.get(late[0], 0.0) + late[1]
+        return found
 
-    def _set_start(self, batch: Batch, slots: list[_Slot]) -> None:
-        """Set every slot to the initial state of its run."""
+    def _reread(
+        self, slot: _Slot, shown: Array, states: Mapping[str, Array], late: Mapping[str, float]
+    ) -> None:
+        """Compute sensor values (T, sensors) anew, where commands change within a step or late.
+
+        The states are those before each substep.
+        """
+        commands, step = slot.trial.controls, slot.trial.step
+        clock: Array = np.arange(len(commands), dtype=float) * step
+        for effect, own in slot.hypothesis.pairs:
+            commands = effect.command_at(clock, commands, own)
+        if slot.parts > 1:
+            at_steps = {name: found[:: slot.parts] for name, found in states.items()}
+            shown[:] = self._readings(slot, at_steps, commands)
+        for name, delay in late.items():
+            then: Array = clock - delay
+            held = np.clip(np.floor(then / step + 1e-9).astype(int), 0, len(commands) - 1)
+            before = _states_before(states, then, step / slot.parts)
+            read = self._readings(slot, before, commands[held])
+            sensor = slot.model.sensor(name)
+            columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
+            shown[:, columns] = read[:, columns]
+
+    def _readings(self, slot: _Slot, states: Mapping[str, Array], controls: Array) -> Array:
+        """Sensor values in some states with instantaneous commands (T, sensors)."""
+        batch = Batch(slot.model, len(controls), self.threads)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        qpos, qvel = batch.qpos, batch.qvel
-        for k, slot in enumerate(slots):
-            at = [slot.model.joint(name) for name in self.machine.joints]
-            places = [int(j.qposadr[0]) for j in at]
-            dofs = [int(j.dofadr[0]) for j in at]
-            qpos[k] = slot.model.qpos0
-            qpos[k, places] = slot.trial.position
-            qvel[k] = 0.0
-            qvel[k, dofs] = slot.trial.speed
+        sensed = batch.bind("sensordata")
+        for name, values in states.items():
+            getattr(batch, name)[:] = values
+        if _has_terms(slot.hypothesis):
+            places, dofs = _addresses(slot.model, self.machine.joints)
+            at = states["qpos"][:, places], states["qvel"][:, dofs]
+            controls = _fed(_driven(slot.hypothesis), controls, *at)
+            batch.qfrc_applied[:, dofs] = _torque_terms(slot.hypothesis, *at)
+        batch.ctrl[:, : controls.shape[1]] = controls
+        batch.forward()
+        return np.array(sensed)
 
     def _columns(
         self, hypothesis: Hypothesis, model: mujoco.MjModel, whole: Array, trial: Trial
@@ -533,50 +451,22 @@ class Simulator:
         )
 
 
-def _held_at_once(slots: list[_Slot], threads: int) -> Iterator[list[_Slot]]:
-    """Parts of some slots that fit into the memory of `_AT_ONCE`, one for each thread at least."""
-    model, parts = slots[0].model, slots[0].parts
-    width = model.nsensordata + parts * (model.nu + model.nq + model.nv + model.na)
-    each = max(slot.trial.steps for slot in slots) * max(width, 1)
-    size = max(threads, _AT_ONCE // each)
-    for start in range(0, len(slots), size):
-        yield slots[start : start + size]
-
-
-def _layout(model: mujoco.MjModel) -> tuple[object, ...]:
-    """Key of the layout that two models must share in one batch."""
-    sizes = (
-        "nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "nsensor", "nsensordata", "neq",
-        "nhistory", "nM", "ngeom", "ntendon", "nJmom", "nC",
-    )  # fmt: skip
-    return (
-        *(int(getattr(model, name, 0)) for name in sizes),
-        tuple(model.jnt_bodyid),
-        tuple(model.body_parentid),
-        tuple(model.jnt_limited),
-        tuple(model.dof_frictionloss > 0),
-    )
+_SIZES = (
+    "nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "nsensor", "nsensordata", "neq", "nhistory",
+    "nM", "ngeom", "ntendon", "nJmom", "nC",
+)  # fmt: skip
+"""Sizes of models that are simulated in one batch."""
 
 
 def _advance(
-    batch: Batch | _Stepped,
-    controls: Array,
-    ids: NDArray[np.intp],
-    diverged: NDArray[np.bool_],
-    names: Sequence[str],
+    batch: Batch | _Stepped, controls: Array, diverged: NDArray[np.bool_], names: Sequence[str]
 ) -> dict[str, Array]:
     """Advance some slots; return what is recorded, and mark the slots that diverged."""
     try:
-        out: dict[str, Array] = batch.rollout(
-            controls.shape[1],
-            np.ascontiguousarray(controls),
-            control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
-            record=names,
-            ids=ids,
-        )
+        out: dict[str, Array] = batch.rollout(controls.shape[1], controls, record=names)
     except SimulationError as error:
         raise InvalidData(f"MuJoCo cannot simulate the model: {error}") from error
     first = out[names[0]]
-    bad = ~np.isfinite(first[:, -1]).all(axis=-1) | (np.abs(first).max(axis=(1, 2)) > 1e9)
-    diverged[ids[bad]] = True
+    diverged |= ~np.isfinite(first[:, -1]).all(axis=-1)
+    diverged |= np.abs(first).max(axis=(1, 2)) > 1e9
     return out

@@ -15,8 +15,8 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.elasticity import JointCompliance
 from loose_env.gap.model.effects.joints import CoulombFriction, ViscousFriction
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
+from loose_env.gap.model.hypothesis import NominalParameters
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.output.corrected_model import correction_code, step_for
 from loose_env.recording import ModelColumns
 from tests.gap.cases.effect_arms import PLANAR, SPATIAL, machine_of

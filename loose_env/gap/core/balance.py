@@ -17,11 +17,10 @@ import numpy as np
 from mujoco.batch import Batch
 from scipy.optimize import minimize
 
-from loose_env.gap.core.effects import CommandInterpolation
 from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passed, rates
 from loose_env.gap.core.readings import Readings
 from loose_env.gap.model.effect import DrivenEffect, Effect
-from loose_env.gap.model.effects.drives import DriveLimit
+from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.gap.model.effects.sensors import column_of
 from loose_env.gap.model.hypothesis import compiled
 from loose_env.gap.model.nominal_model import NominalModel

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from loose_env.arms import load_spec
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.hypothesis import Hypothesis, NominalParameters
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.gap.runs import Channel, Trial
 from loose_env.gap.simulator import Simulator, changes_within
 from loose_env.io import Checked, Count, Positive

@@ -7,8 +7,9 @@ on the joints, `Effect.read` changes the sensor values. ``docs/gap.md`` has exam
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import ClassVar
 
 import mujoco
@@ -57,6 +58,8 @@ class Parameter:
     """Prior standard deviation of a factor on a nominal value, in free units; None of others."""
     usual: float | None = None
     """Size of a change that would not surprise; None: ten times the scale."""
+    starts: tuple[float, ...] = ()
+    """Values from which fits start, each clearly visible."""
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -66,6 +69,25 @@ class Parameter:
                 f"logarithmic; got {self.low:g} to {self.high:g}, scale {self.scale:g}"
             )
 
+    @classmethod
+    def sized(
+        cls,
+        name: str,
+        unit: str,
+        size: float,
+        low: float,
+        high: float,
+        *,
+        scale: float = 0.1,
+        starts: Iterable[float] = (),
+        log: bool = False,
+    ) -> Parameter:
+        """Parameter whose bounds, scale and starts are given over a typical size."""
+        return cls(
+            name=name, unit=unit, low=low * size, high=high * size, scale=scale * size, log=log,
+            starts=tuple(start * size for start in starts),
+        )  # fmt: skip
+
     def free(self, value: float) -> float:
         """Convert a value to a free number."""
         return float(np.log(value / self.scale)) if self.log else value / self.scale
@@ -73,7 +95,7 @@ class Parameter:
     def value(self, free: float) -> float:
         """Convert a free number to a value, within the bounds."""
         raw = self.scale * np.exp(np.clip(free, -50, 50)) if self.log else self.scale * free
-        return float(np.clip(raw, self.low, self.high))
+        return self.clipped(float(raw))
 
     def clipped(self, value: float) -> float:
         """Clip a value to the bounds."""
@@ -190,31 +212,31 @@ class Effect:
         """
         if self.acts_on:
             return self.acts_on
-        machine = self.machine
-        known = {
-            "joint": machine.joints,
-            "link": machine.links,
-            "actuator": machine.actuators,
-            "sensor": machine.sensors,
-        }
-        likely = "actuator" if type(self).command is not Effect.command else "joint"
-        order = ("sensor" if not self.moves else likely, *known)
-        return next((part for part in order if self.where in known[part]), "arm")
+        likely = "actuator" if self.overrides("command") else "joint"
+        order = ("sensor" if not self.moves else likely, "joint", "link", "actuator", "sensor")
+        known = (part for part in order if self.where in getattr(self.machine, f"{part}s"))
+        return next(known, "arm")
 
     @property
     def drives(self) -> bool:
-        """True if it changes the actuators.
+        """True if it changes the actuators; a friction acts beside them.
 
         None of them is active in a free run, and of an inverse run only the torque is known.
         """
-        return self.part == "actuator" or type(self).command is not Effect.command
+        return self.part == "actuator" or self.overrides("command", "feedback")
 
     @property
     def moves(self) -> bool:
         """True if it changes the motion, not the readings alone."""
-        own = type(self)
-        acting = ((own.edit, Effect.edit), (own.command, Effect.command))
-        return any(a is not b for a, b in (*acting, (own.torque, Effect.torque)))
+        return self.overrides("edit", "command", "torque", "feedback", "dry_friction")
+
+    def overrides(self, *names: str) -> bool:
+        """Return whether the class has any of some methods of its own."""
+        own, bases = type(self), (Effect, DrivenEffect)
+        return any(
+            all(getattr(own, name, None) is not getattr(base, name, None) for base in bases)
+            for name in names
+        )
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
@@ -233,8 +255,8 @@ class Effect:
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starting values of fits, each clearly visible."""
-        raise NotImplementedError
+        """Starting values of fits: all combinations of those of the parameters."""
+        return tuple(product(*(p.starts for p in self.parameters)))
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
@@ -289,11 +311,11 @@ class Effect:
         """Compute joint torques beyond those of the model, in the joints' direction.
 
         A smooth function of the state, the same in forward and inverse dynamics. A simulation holds
-        its mean over each step, which limits how steep it may be: at a stiffness of 0.01 inertia /
-        step² the joint oscillates 0.04 % too fast, at 0.1 inertia / step² 0.4 %, and at 2 the
-        simulation is unstable; damping has an error of 0.04 % at 0.1 inertia / step, of 0.5 % at
-        0.3, and is unstable at 2. Friction that holds at rest is too steep: it is a joint's
-        `frictionloss`, set in `edit`.
+        it over each step, which limits how steep it may be: at a stiffness of 0.01 inertia / step²
+        the frequency is off by 0.04 %, at 0.1 inertia / step² by 0.4 %, and at 4 the simulation is
+        unstable; a damping of 0.1 inertia / step is off by 0.2 % under a Runge-Kutta method (5 %
+        under others), of 0.3 by 2 %, and is unstable at 2. Friction that holds at rest is too
+        steep: it is a joint's `frictionloss`, set in `edit`.
 
         Parameters
         ----------
@@ -323,7 +345,7 @@ class Effect:
         """Value of a parameter without the effect; NaN if it vanishes only in a limit."""
         if cls.is_additive:
             return 0.0
-        if cls.null_values is None or len(cls.null_values) != len(parameters):
+        if cls.null_values is None or len(cls.null_values) < len(parameters):
             return float("nan")
         return cls.null_values[list(parameters).index(parameter)]
 
@@ -344,9 +366,11 @@ class Effect:
             if self.has_stops and "gap" in reached:
                 return bool(reached["gap"])
             return bool(reached) and all(reached.values())
-        return bool(
-            np.all((low <= np.array(self.null_values)) & (np.array(self.null_values) <= high))
-        )
+        null = np.array(self.null_values)
+        included = (low <= null) & (null <= high)
+        # what shapes an effect of no size does not matter
+        sized = self.proportional is not None and not self.axes
+        return bool(included[self.proportional] if sized else included.all())
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
         """Convert a joint's torque to the measured drive torque in inverse runs (T,).
@@ -374,7 +398,7 @@ class Effect:
         return tuple(tuple(float(v) for v in none + row) for row in np.diag(sizes))
 
     def combined(self, shares: Array) -> tuple[float, ...]:
-        """Values that change what its `axes` do together, each times its share, within bounds.
+        """Values that change what its `axes` do together, each times its share.
 
         Parameters
         ----------
@@ -382,15 +406,22 @@ class Effect:
             Share of each of the axes.
         """
         none = np.array(self.null_values)
-        return self._clipped(none + shares @ (np.array(self.axes) - none))
+        return tuple((none + shares @ (np.array(self.axes) - none)).tolist())
 
     def shares_of(self, values: Array) -> Array:
         """Shares (K,) of the axes that `combined` turns into some values."""
         none = np.array(self.null_values)
         return np.asarray((values - none) / np.diag(np.array(self.axes) - none))
 
-    def _clipped(self, values: Array) -> tuple[float, ...]:
-        return tuple(p.clipped(float(v)) for p, v in zip(self.parameters, values, strict=True))
+
+class AdditiveEffect(Effect):
+    """An effect whose parameters are small steps along axes, from zero."""
+
+    is_additive: ClassVar[bool] = True
+
+    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
+        super().__init__(machine, where, variant)
+        self.null_values = (0.0,) * len(self.parameters)  # type: ignore[misc]
 
 
 class DrivenEffect(Effect):
@@ -401,16 +432,6 @@ class DrivenEffect(Effect):
     """
 
     in_model: ClassVar[bool] = False
-
-    @property
-    def drives(self) -> bool:
-        """True if it changes the drives; a friction acts beside them."""
-        return type(self).feedback is not DrivenEffect.feedback or super().drives
-
-    @property
-    def moves(self) -> bool:
-        """True: it changes the motion."""
-        return True
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Compute the commands that reach the actuators in some states.
@@ -461,12 +482,13 @@ class JointEffect(Effect):
     @property
     def carried(self) -> float:
         """Inertia that the joint moves without its own rotor [kg·m² or kg]."""
-        rotor = float(self.machine.model.dof_armature[self._dof])
+        rotor = float(self.machine.model.dof_armature[self.number])
         return max(self.machine.inertia(self.where) - rotor, 1e-9)
 
     @property
-    def _dof(self) -> int:
-        return int(self.machine.model.joint(self.where).dofadr[0])
+    def number(self) -> int:
+        """Index of the joint, and of its degree of freedom."""
+        return self.machine.joint_number(self.where)
 
     @property
     def turns(self) -> bool:
@@ -476,9 +498,9 @@ class JointEffect(Effect):
     @property
     def torque_unit(self) -> str:
         """Unit of the joint's driving force."""
-        return "N·m" if self.turns else "N"
+        return self.machine.units(self.where)[1]
 
     @property
     def angle_unit(self) -> str:
         """Unit of the joint's coordinate."""
-        return "rad" if self.turns else "m"
+        return self.machine.units(self.where)[0]

@@ -1,22 +1,81 @@
-"""Hypothesis: nominal model plus effects, with values; edits, exports and compiles a spec."""
+"""Hypothesis: nominal model, its uncertain parameters, and effects; edits and compiles a spec."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import Effect, Parameter
 from loose_env.gap.model.nominal_model import NominalModel, set_step
-from loose_env.gap.model.nominal_parameters import NominalParameters
 from loose_env.typing import Array
 
 _FORCE = "loose_env force of "
 _OFF = 30
 """Group of actuators that are switched off."""
+_BEYOND = 1.02
+"""Largest deviation of a parameter, as a share of the tolerance; above 1, so that a true value at
+the end of the tolerance is no bound. With more room, servo gains absorb a friction."""
+_SPREAD = 0.6
+"""Prior standard deviation, as a share of the tolerance (of a uniform distribution: 0.58)."""
+_JOINT = ("damping", "armature", "frictionloss")
+"""Attributes of joints."""
+
+
+class NominalParameters:
+    """Factors on masses, inertias, dampings, frictions, rotor inertias and actuator gains.
+
+    They are nuisance parameters: fitted with every hypothesis, within the tolerance, and never
+    reported as an effect.
+    """
+
+    def __init__(self, machine: NominalModel, *, tolerance: float) -> None:
+        self.machine, self.tolerance = machine, tolerance
+
+    @cached_property
+    def entries(self) -> tuple[tuple[str, str], ...]:
+        """Attribute and element of the nominal parameters of the model that are not zero."""
+        model, machine = self.machine.model, self.machine
+        links = [link for link in machine.links if model.body(link).mass[0] > 0]
+        found = [(name, link) for link in links for name in ("mass", "inertia")]
+        for k, joint in enumerate(machine.joints):
+            values = (getattr(model, f"dof_{name}")[model.jnt_dofadr[k]] for name in _JOINT)
+            found += [(f, joint) for f, value in zip(_JOINT, values, strict=True) if value > 0]
+        for k, actuator in enumerate(machine.actuators):
+            found.append(("gain", actuator))
+            if model.actuator_biasprm[k, 2] != 0:
+                found.append(("velocity_gain", actuator))
+        return tuple(found)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters: one scale factor each."""
+        wide = _BEYOND * self.tolerance
+        return tuple(
+            Parameter(
+                name=f"{name}.{of}", unit="", low=1 - wide, high=1 + wide, scale=self.tolerance,
+                spread=_SPREAD,
+            )
+            for name, of in self.entries
+        )  # fmt: skip
+
+    def edit(self, spec: mujoco.MjSpec, factors: Array) -> None:
+        """Scale the nominal parameters by factors (P,)."""
+        for (name, of), factor in zip(self.entries, factors, strict=True):
+            if name in ("gain", "velocity_gain"):
+                actuator = spec.actuator(of)
+                gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
+                if name == "gain":
+                    gain[0] *= factor
+                bias[slice(2) if name == "gain" else 2] *= factor
+                actuator.gainprm, actuator.biasprm = gain, bias
+            else:
+                own = spec.joint(of) if name in _JOINT else spec.body(of)
+                setattr(own, name, np.asarray(getattr(own, name)) * factor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +146,6 @@ class Hypothesis:
             model.opt.disableactuator |= 1 << _OFF
         # an arm is one island: searching for more costs a tenth of its time and changes nothing
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
-        if _unconstrained(model):
-            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         return model
 
 
@@ -103,16 +160,3 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
             "ignore", message="Inertia matrix is too close to singular", category=UserWarning
         )
         return spec.compile()
-
-
-def _unconstrained(model: mujoco.MjModel) -> bool:
-    """Return whether a model can never have a constraint; it is simulated faster then."""
-    contact = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    limit = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-    return not (
-        (contact and (model.geom_contype | model.geom_conaffinity).any())
-        or (limit and (model.jnt_limited.any() or model.tendon_limited.any()))
-        or model.dof_frictionloss.any()
-        or model.tendon_frictionloss.any()
-        or model.neq
-    )

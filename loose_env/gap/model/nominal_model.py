@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain, count
 from math import ceil
 from typing import Any
 
@@ -20,8 +21,6 @@ _AFFINE_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFF
 _AFFINE_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Ways to drive a joint itself, the same for hinges and slides."""
-_POSES = 5
-"""Poses in which it is looked up which joints an actuator acts on."""
 _LISTED = 6
 """Names that a sentence lists."""
 
@@ -110,31 +109,15 @@ class NominalModel:
         """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
         return np.asarray(self._gears[self.joint_number(joint)])
 
-    def drives_of(self, joint: str) -> Array:
-        """Mask of the actuators that act on a joint in any of some poses (actuators,)."""
-        return np.asarray(self._acting[self.joint_number(joint)])
-
     @cached_property
-    def _acting(self) -> Array:
-        rng, zero = np.random.default_rng(0), self.model.qpos0
-        poses = [zero, *(zero + rng.uniform(-1.0, 1.0, len(zero)) for _ in range(_POSES))]
-        return np.asarray(np.any([self._moments(pose) != 0 for pose in poses], axis=0))
-
-    def _moments(self, pose: Array) -> Array:
-        """Torque on each joint per force of each actuator in a pose (joints, actuators)."""
-        model: mujoco.MjModel = self.model
-        data = mujoco.MjData(model)
-        data.qpos[:] = pose
-        mujoco.mj_fwdPosition(model, data)
+    def _gears(self) -> Array:
+        """Torque on each joint per force of each actuator, at the zero (joints, actuators)."""
+        model, data = self.model, self.at_zero
         dense = np.zeros((len(data.moment_rownnz), model.nv))
         mujoco.mju_sparse2dense(
             dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
         )
         return np.asarray(dense[: len(self.actuators)].T)
-
-    @cached_property
-    def _gears(self) -> Array:
-        return self._moments(self.model.qpos0)
 
     @cached_property
     def at_zero(self) -> mujoco.MjData:
@@ -149,20 +132,14 @@ class NominalModel:
 
         "" if no site moves.
         """
-        model = self.model
-        bodies = [int(b) for b in model.site_bodyid]
-        sites = [(model.site(k).name, b) for k, b in enumerate(bodies) if model.body_weldid[b] > 0]
-        last = model.body(self.last_link).id
-        for chosen in (
-            [name for name, _ in sites if name == "tool"],
-            [name for name, body in sites if body == last],
-            # Bodies without a joint between them and the last link are part of it.
-            [name for name, body in sites if model.body_weldid[body] == last],
-            [name for name, _ in sites],
-        ):
-            if chosen:
-                return str(chosen[-1])
-        return ""
+        model, last = self.model, self.model.body(self.last_link).id
+        # Bodies without a joint between them and the last link are part of it.
+        ranked = [
+            (model.site(k).name == "tool", body == last, model.body_weldid[body] == last, k)
+            for k, body in enumerate(model.site_bodyid)
+            if model.body_weldid[body] > 0
+        ]
+        return str(model.site(max(ranked)[-1]).name) if ranked else ""
 
     @cached_property
     def last_link(self) -> str:
@@ -218,11 +195,20 @@ class NominalModel:
         """Return whether a joint is a hinge."""
         return bool(self.model.jnt_type[self.joint_number(joint)] == _MOVING[0])
 
+    def units(self, joint: str) -> tuple[str, str]:
+        """Units of a joint's coordinate and of its driving force."""
+        return ("rad", "N·m") if self.turns(joint) else ("m", "N")
+
 
 def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Mask of the actuators whose gain and bias are affine in length and speed (actuators,)."""
     affine = np.isin(model.actuator_gaintype, _AFFINE_GAINS)
     return np.asarray(affine & np.isin(model.actuator_biastype, _AFFINE_BIASES))
+
+
+def named(names: Sequence[str], mask: Iterable[bool]) -> tuple[str, ...]:
+    """Names of elements with a name, of those in a mask."""
+    return tuple(name for name, chosen in zip(names, mask, strict=True) if name and chosen)
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
@@ -257,18 +243,23 @@ def _explicit(given: mujoco.MjSpec) -> mujoco.MjSpec:
     model = spec.copy().compile()
     for body in spec.bodies[1:]:
         k = model.body(body.name).id
-        body.mass = float(model.body_mass[k])
-        body.ipos = model.body_ipos[k].copy()
-        body.iquat = model.body_iquat[k].copy()
-        body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        body.inertia = model.body_inertia[k].copy()
-        body.fullinertia = np.full(6, np.nan)
-        body.explicitinertial = body.mass > 0
+        mass, centre, moments = model.body_mass[k], model.body_ipos[k], model.body_inertia[k]
+        write_inertial(body, float(mass), centre, model.body_iquat[k], moments)
     # else an edited mass is inferred from shapes again, or scaled with all others to the total
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     spec.compiler.settotalmass = -1.0
     return spec
+
+
+def write_inertial(
+    body: mujoco.MjsBody, mass: float, centre: Array, quat: Array, moments: Array
+) -> None:
+    """Write mass [kg], centre [m], and principal axes and moments [kg·m²] of a body's inertia."""
+    body.mass, body.ipos, body.iquat, body.inertia = mass, centre, quat, moments
+    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    body.fullinertia = np.full(6, np.nan)
+    body.explicitinertial = mass > 0
 
 
 def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -302,12 +293,14 @@ def _name(elements: Iterable[Any], noun: str, every: Iterable[Any]) -> None:
         if element.name:
             continue
         joint = element.joints[0].name if noun == "body" and element.joints else ""
-        wanted = f"{joint}_link" if joint else f"{noun}_{number}"
-        name, again = wanted, 2
-        while name in taken:
-            name, again = f"{wanted}_{again}", again + 1
-        element.name = name
-        taken.add(name)
+        element.name = unused(f"{joint}_link" if joint else f"{noun}_{number}", taken)
+        taken.add(element.name)
+
+
+def unused(name: str, taken: Container[str]) -> str:
+    """The name, or where it is taken the first with a number behind it that is not."""
+    names = chain([name], (f"{name}_{number}" for number in count(2)))
+    return next(each for each in names if each not in taken)
 
 
 def normal_of(machine: NominalModel) -> Array | None:
@@ -339,30 +332,24 @@ def reach_of(machine: NominalModel) -> float:
 def link_ends(machine: NominalModel, link: str) -> tuple[Array, Array]:
     """Ends of a link in its body's frame: at its joint, and at the next or the tool.
 
-    The end is the farthest of the bodies and sites that it carries; without any, twice the distance
-    to its centre of mass.
+    The end is the farthest of the bodies with joints beyond it, or else of its sites; without any,
+    twice the distance to its centre of mass.
     """
     model = machine.model
     body = model.body(link).id
     start = np.array(model.jnt_pos[int(model.body_jntadr[body])])
-    ends = [model.body_pos[b] for b in range(body + 1, model.nbody) if _carries(model, body, b)]
+    carrying: set[int] = set()
+    for ancestor in np.unique(model.jnt_bodyid).tolist():
+        while ancestor not in carrying:
+            carrying.add(ancestor)
+            ancestor = int(model.body_parentid[ancestor])
+    ends = [model.body_pos[b] for b in sorted(carrying - {0}) if model.body_parentid[b] == body]
     if not ends:
         ends = [model.site_pos[s] for s in range(model.nsite) if model.site_bodyid[s] == body]
     if not ends:
         ends = [start + 2 * (model.body_ipos[body] - start)]
     far = max(ends, key=lambda end: float(np.linalg.norm(end - start)))
     return start, np.array(far)
-
-
-def _carries(model: mujoco.MjModel, body: int, other: int) -> bool:
-    """Return whether a body is a child of another and carries a joint somewhere."""
-    if int(model.body_parentid[other]) != body:
-        return False
-    tree = {other}
-    for b in range(other, model.nbody):
-        if int(model.body_parentid[b]) in tree:
-            tree.add(b)
-    return any(int(model.body_jntnum[b]) > 0 for b in tree)
 
 
 def frame_about(axis: Array) -> Array:

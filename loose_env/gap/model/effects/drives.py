@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil
 
 import mujoco
@@ -9,27 +10,46 @@ import numpy as np
 from scipy.signal import lfilter
 
 from loose_env.gap.model.effect import DrivenEffect, Effect, Parameter
-from loose_env.gap.model.nominal_model import NominalModel, history_for
+from loose_env.gap.model.nominal_model import NominalModel, history_for, named
 from loose_env.typing import Array
 
+_SHORTEST = 1e-9
+"""Shift of commands below which it is none [s]."""
 
-class DriveEffect(Effect):
-    """An effect of one drive."""
+
+class ShiftedCommand(Effect):
+    """An effect that shifts the commands of one drive, or of "all", in time."""
 
     acts_on = "actuator"
+    null_values = (0.0,)
+    is_time_shift = True
 
     @property
-    def _number(self) -> int:
-        return self.machine.actuators.index(self.where)
+    def _numbers(self) -> list[int]:
+        names = enumerate(self.machine.actuators)
+        return [k for k, name in names if self.where in (name, "all")]
 
-    def _with(self, controls: Array, own: Array) -> Array:
-        """Commands with others for this drive (T, actuators)."""
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Shift the commands: means over each step."""
+        return self._shifted(time, controls, values, 0)
+
+    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
+        """Shift the commands: instantaneous values at each step."""
+        return self._shifted(time, controls, values, 1)
+
+    def _shifted(self, time: Array, controls: Array, values: Array, which: int) -> Array:
         found = controls.copy()
-        found[:, self._number] = own
+        if values[0] >= _SHORTEST and len(time) > 1:
+            for k in self._numbers:
+                found[:, k] = self.passed(k, time, controls[:, k], float(values[0]))[which]
         return found
 
+    def passed(self, number: int, time: Array, held: Array, shift: float) -> tuple[Array, Array]:
+        """Mean over each step and value at each step (T,) of a drive's commands, each held."""
+        raise NotImplementedError
 
-class ActuatorGain(DriveEffect):
+
+class ActuatorGain(Effect):
     """Factor on the gain of an actuator.
 
     Variant "" scales its force, limits included, as another motor constant does. Variant "command"
@@ -38,6 +58,7 @@ class ActuatorGain(DriveEffect):
     """
 
     kind = "actuator_gain"
+    acts_on = "actuator"
     exact_law = True
     variants = ("", "command", "servo")
     null_values = (1.0,)
@@ -45,8 +66,7 @@ class ActuatorGain(DriveEffect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators whose force is linear in command, position and speed."""
-        affine = machine.affine_actuators
-        return tuple(n for k, n in enumerate(machine.actuators) if n and affine[k])
+        return named(machine.actuators, machine.affine_actuators)
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
@@ -58,17 +78,12 @@ class ActuatorGain(DriveEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Scale factor."""
+        """Scale factor: a tenth of a command is visible, forces have to vary more."""
         if self.variant == "servo":
-            return (Parameter(name="gain", unit="", low=1e-3, high=20.0, scale=1.0, log=True),)
-        return (Parameter(name="gain", unit="", low=0.02, high=20.0, scale=0.1),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a tenth of a command is visible; with feedback forces have to vary more."""
-        if self.variant == "servo":
-            return ((0.01,), (0.03,), (0.1,), (0.3,))
-        return ((0.9,), (1.1,)) if self.variant else ((0.8,), (1.25,))
+            starts: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
+            return (Parameter.sized("gain", "", 1, 1e-3, 20, scale=1, starts=starts, log=True),)
+        starts = (0.9, 1.1) if self.variant else (0.8, 1.25)
+        return (Parameter.sized("gain", "", 1.0, 0.02, 20, starts=starts),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Scale the actuator's parameters."""
@@ -88,17 +103,16 @@ class ActuatorGain(DriveEffect):
         machine = self.machine
         if self.variant == "command" or machine.actuated_joint.get(self.where) != joint:
             return torque
-        alone = np.count_nonzero(machine.drives_of(joint)) == 1
+        alone = np.count_nonzero(machine.gears(joint)) == 1
         return torque / float(values[0]) if alone else torque
 
 
-_SHORTEST = 1e-9  # a lag below this is zero [s]
 _STABLE = 0.5
 """Lag over the step from which on a Runge-Kutta method of fourth order is surely stable: its limit
 is 1 / 2.785."""
 
 
-class ActuatorLag(DriveEffect):
+class ActuatorLag(ShiftedCommand):
     """First-order lag: commands pass a low-pass with a time constant.
 
     Commands are held from step to step, and the filter's response is exact: its mean moves the arm,
@@ -108,43 +122,28 @@ class ActuatorLag(DriveEffect):
     """
 
     kind = "actuator_lag"
-    null_values = (0.0,)
-    is_time_shift = True
-    parameters = (Parameter(name="time_constant", unit="s", low=0.0, high=1.0, scale=0.01),)
     # from a fast drive to a very slow one: a servo's response is not linear
-    starts = ((0.001,), (0.003,), (0.008,), (0.02,), (0.06,), (0.15,))
+    parameters = (
+        Parameter.sized(
+            "time_constant", "s", 0.01, 0, 100, scale=1.0, starts=(0.1, 0.3, 0.8, 2.0, 6.0, 15.0)
+        ),
+    )
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return actuators without dynamics of their own."""
         plain = machine.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
-        return tuple(n for k, n in enumerate(machine.actuators) if n and plain[k])
+        return named(machine.actuators, plain)
 
-    def command(self, time: Array, controls: Array, values: Array) -> Array:
-        """Filter the actuator's commands: means over each step."""
-        state, held = self._filtered(time, controls, values)
-        if state is None:
-            return controls
-        lag, step = float(values[0]), time[1] - time[0]
-        mean = held + (state - held) * (lag / step) * (1.0 - np.exp(-step / lag))
-        return self._with(controls, mean)
-
-    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
-        """Filter the actuator's commands: instantaneous values at each step."""
-        state, _ = self._filtered(time, controls, values)
-        return controls if state is None else self._with(controls, state)
-
-    def _filtered(self, time: Array, controls: Array, values: Array) -> tuple[Array | None, Array]:
-        """State of the filter at each step (T,), None without a lag; held commands."""
-        model, number = self.machine.model, self._number
-        held = controls[:, number]
+    def passed(self, number: int, time: Array, held: Array, shift: float) -> tuple[Array, Array]:
+        """Filter the actuator's commands."""
+        model, step = self.machine.model, time[1] - time[0]
         if model.actuator_ctrllimited[number]:  # as MuJoCo clamps before filtering
             held = np.clip(held, *model.actuator_ctrlrange[number])
-        if values[0] < _SHORTEST or len(time) < 2:
-            return None, held
-        share = 1.0 - np.exp(-(time[1] - time[0]) / float(values[0]))
+        share = 1.0 - np.exp(-step / shift)
         after, _ = lfilter([share], [1.0, share - 1.0], held, zi=[(1.0 - share) * held[0]])
-        return np.concatenate([held[:1], after[:-1]]), held
+        state = np.concatenate([held[:1], after[:-1]])
+        return held + (state - held) * (shift / step) * share, state
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Export as MuJoCo's filter that suits the integrator."""
@@ -162,14 +161,14 @@ class ActuatorLag(DriveEffect):
         actuator.dynprm = [lag, *np.array(actuator.dynprm)[1:]]
 
 
-LONGEST_DELAY = 0.25
-"""Longest delay that is tried [s]."""
-DELAY_STARTS = ((0.001,), (0.003,), (0.008,), (0.02,), (0.05,), (0.12,))
-"""Delays from which fits start, from a fast bus to hobby servos: a servo is not linear."""
-_LINEAR = 1  # MuJoCo's interpolation order
+DELAY = Parameter(
+    name="delay", unit="s", low=0.0, high=0.25, scale=0.01,
+    starts=(0.001, 0.003, 0.008, 0.02, 0.05, 0.12),
+)  # fmt: skip
+"""Delay, from a fast bus to hobby servos: a servo is not linear."""
 
 
-class CommandDelay(Effect):
+class CommandDelay(ShiftedCommand):
     """Delay of the commands, at one actuator or ("all") at all of them.
 
     A command is held from its step to the next. Held commands delayed by a fraction of a step
@@ -178,37 +177,17 @@ class CommandDelay(Effect):
     """
 
     kind = "command_delay"
-    acts_on = "actuator"
-    null_values = (0.0,)
-    is_time_shift = True
-    parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST_DELAY, scale=0.01),)
-    starts = DELAY_STARTS
+    parameters = (DELAY,)
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return every actuator, and "all" if there are several."""
-        named = tuple(name for name in machine.actuators if name)
-        return (*named, "all") if len(machine.actuators) > 1 else named
+        return (*machine.actuators, "all") if len(machine.actuators) > 1 else machine.actuators
 
-    def command(self, time: Array, controls: Array, values: Array) -> Array:
+    def passed(self, number: int, time: Array, held: Array, shift: float) -> tuple[Array, Array]:
         """Shift the commands; before the first sample the first one holds."""
-        delay = float(values[0])
-        if delay <= 0:
-            return controls
-        late = controls.copy()
-        for number in self._numbers:
-            late[:, number] = np.interp(time - delay, time, controls[:, number])
-        return late
-
-    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
-        """Shift the commands, each held until the next."""
-        delay = float(values[0])
-        if delay <= 0 or len(time) < 2:
-            return controls
-        late = controls.copy()
-        back = np.floor(np.arange(len(time)) - delay / (time[1] - time[0]) + 1e-9)
-        late[:, self._numbers] = controls[np.maximum(back, 0).astype(int)][:, self._numbers]
-        return late
+        back = np.floor(np.arange(len(time)) - shift / (time[1] - time[0]) + 1e-9)
+        return np.interp(time - shift, time, held), held[np.maximum(back, 0).astype(int)]
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Export as a history and a delay of the actuators, on top of existing ones."""
@@ -217,16 +196,7 @@ class CommandDelay(Effect):
         for number in self._numbers:
             actuator = spec.actuators[number]
             delay = _as_line(actuator, spec.option) + float(values[0])
-            actuator.delay, actuator.interp = delay, _LINEAR
-            needed = history_for(delay, spec.option.timestep)
-            actuator.nsample = max(needed, int(actuator.nsample))
-
-    @property
-    def _numbers(self) -> list[int]:
-        actuators = self.machine.actuators
-        if self.where == "all":
-            return list(range(len(actuators)))
-        return [actuators.index(self.where)]
+            delay_by(actuator, delay, spec.option.timestep)
 
 
 def _as_line(actuator: mujoco.MjsActuator, option: mujoco.MjOption) -> float:
@@ -242,32 +212,70 @@ def _as_line(actuator: mujoco.MjsActuator, option: mujoco.MjOption) -> float:
     return sum(share * held_delay(own - at * step, step) for at, share in stages) + 0.5 * step
 
 
+def delay_by(late: mujoco.MjsActuator | mujoco.MjsSensor, delay: float, step: float) -> None:
+    """Delay an actuator or a sensor [s], with linear interpolation in its history."""
+    late.delay, late.interp = delay, 1
+    late.nsample = max(history_for(delay, step), int(late.nsample))
+
+
 def held_delay(delay: float, step: float) -> float:
     """Delay of a history that holds its samples [s]: whole steps, rounded up."""
     return max(ceil(delay / step - 1e-9), 0) * step
+
+
+class CommandInterpolation(Effect):
+    """Commands that reach the drives along straight lines, where a model holds each one.
+
+    Many controllers interpolate between the set points that a log shows.
+    """
+
+    kind = "command_interpolation"
+    acts_on = "arm"
+    proportional = 0
+    in_model = False
+    null_values = (0.0,)
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return all drives together."""
+        return ("all",) if machine.actuators else ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Share of the way from a held command to the straight line."""
+        return (Parameter(name="share", unit="", low=0.0, high=1.0, starts=(1.0,)),)
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Draw lines between the steps of the commands."""
+        steps = np.flatnonzero(np.any(np.diff(controls, axis=0) != 0, axis=1)) + 1
+        at = np.concatenate([[0], steps, [len(time) - 1]])
+        lines = np.array([np.interp(time, time[at], column[at]) for column in controls.T]).T
+        return np.asarray(controls + values[0] * (lines - controls))
 
 
 _LOWEST = 0.02
 """Lowest limit that is tried, over the typical torque."""
 _HIGHEST = 20.0
 """Highest one of a drive whose model has none."""
-_STARTS = (0.4, 0.8, 1.5, 2.5)
-"""Limits from which fits start."""
 _LEAST_GIVEN = 0.05
 """Lowest limit that is sought in data, over the largest torque given."""
 _GRID, _SPEED_GRID = 150, 16
 """Limits, 2 % apart, and no-load speeds that are tried on data."""
-_SPEEDS = (1.5, 4.0)
-"""No-load speeds from which fits start, over the typical speed."""
 
 
-class JointDriveEffect(DriveEffect):
+class JointDriveEffect(Effect):
     """An effect of the drive of one joint, its force linear in command, position and speed."""
+
+    acts_on = "actuator"
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return drives of a joint without states of their own."""
         return tuple(n for n in ActuatorGain.locations(machine) if n in machine.actuated_joint)
+
+    @property
+    def _number(self) -> int:
+        return self.machine.actuators.index(self.where)
 
     @property
     def joint(self) -> str:
@@ -290,20 +298,12 @@ class DriveLimit(JointDriveEffect):
         high = _HIGHEST * usual
         if model.actuator_forcelimited[self._number]:
             high = float(np.max(np.abs(model.actuator_forcerange[self._number])))
-        unit, low = (
-            "N·m" if self.machine.turns(self.joint) else "N",
-            min(_LOWEST * usual, 0.5 * high),
-        )
-        name = self.limit[0][0]
-        return (Parameter(name=name, unit=unit, low=low, high=high, scale=usual, log=True),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts around the typical torque, below the limit of the model, and typical speed."""
-        limit, *more = self.parameters
-        torques = (limit.clipped(min(s * limit.scale, 0.8 * limit.high)) for s in _STARTS)
-        speeds = [[share * p.scale] for p in more for share in _SPEEDS] or [[]]
-        return tuple((t, *speed) for t in dict.fromkeys(torques) for speed in speeds)
+        limit = Parameter(
+            name=self.limit[0][0], unit=self.machine.units(self.joint)[1],
+            low=min(_LOWEST * usual, 0.5 * high), high=high, scale=usual, log=True,
+        )  # fmt: skip
+        starts = (limit.clipped(min(s * usual, 0.8 * high)) for s in (0.4, 0.8, 1.5, 2.5))
+        return (replace(limit, starts=tuple(dict.fromkeys(starts))),)
 
     def propose_limit(
         self, speed: Array, asked: Array, needed: Array
@@ -359,9 +359,9 @@ class VoltageLimit(DriveLimit):
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest force at standstill; speed of the actuator at which none is left."""
         usual = self.machine.speed(self.joint) * abs(self.gear)
-        unit = "rad/s" if self.machine.turns(self.joint) else "m/s"
-        speed = Parameter(
-            name="no_load_speed", unit=unit, low=0.2 * usual, high=50 * usual, scale=usual, log=True
+        unit = f"{self.machine.units(self.joint)[0]}/s"
+        speed = Parameter.sized(
+            "no_load_speed", unit, usual, 0.2, 50, scale=1.0, starts=(1.5, 4.0), log=True
         )
         return (*super().parameters, speed)
 
@@ -419,14 +419,9 @@ class DeadZone(DrivenEffect, JointDriveEffect):
         machine, joint = self.machine, self.joint
         gain = abs(float(machine.model.actuator_gainprm[self._number, 0])) or 1.0
         usual = machine.load(joint) / (abs(self.gear) * gain)
-        unit = "" if not self._servo else "rad" if machine.turns(joint) else "m"
-        return (Parameter(name="width", unit=unit, low=0.0, high=5 * usual, scale=0.1 * usual),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: errors of a thirtieth, a fifth and half of the typical torque."""
-        scale = self.parameters[0].scale
-        return ((0.3 * scale,), (2 * scale,), (5 * scale,))
+        unit = machine.units(joint)[0] if self._servo else ""
+        # errors of a thirtieth, a fifth and half of the typical torque
+        return (Parameter.sized("width", unit, usual, 0, 5, starts=(0.03, 0.2, 0.5)),)
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Move the command towards the position by the dead zone, at most onto it."""

@@ -7,6 +7,7 @@ its seat. A base on rubber feet, or not bolted down, rocks.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from math import pi, sqrt
 
@@ -53,53 +54,64 @@ _MOST_JOINTS = 6
 """Joints of a body."""
 
 
-class SpringEffect(Effect):
-    """An effect with a joint on a spring and a damper; the limit of a stiff spring is rigid."""
+class AddedJoint(Effect):
+    """An effect that adds a joint to the model."""
 
-    limit = (("stiffness", "high"),)
     adds_motion = True
     needs_fine_steps = True
 
     @property
-    def inertia(self) -> tuple[float, float]:
-        """Inertia on the spring [kg·m²] or mass [kg], and its inverse weight with all free."""
-        raise NotImplementedError
-
-    @property
     def unit(self) -> str:
-        """Unit of the stiffness."""
+        """Unit of a stiffness at the joint."""
         return "N·m/rad"
 
     @property
+    def _name(self) -> str:
+        """Kind and variant."""
+        return f"{self.kind}_{self.variant}" if self.variant else self.kind
+
+    def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
+        """Add the joint with a stiffness, a damping and what shapes it; return it."""
+        raise NotImplementedError
+
+    @cached_property
+    def inertia(self) -> tuple[float, float]:
+        """Inertia on the joint [kg·m²] or mass [kg], and its inverse weight with all free."""
+        spec = self.machine.fresh()
+        return joint_inertia(spec, self._insert(spec, 0.0, 0.0).name)
+
+
+class SpringEffect(AddedJoint):
+    """An effect with a joint on a spring and a damper; the limit of a stiff spring is rigid."""
+
+    limit = (("stiffness", "high"),)
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness, up to the largest stable one, and damping ratio with all else locked."""
+        """Stiffness, up to the largest stable one, and damping ratio with all else locked.
+
+        Fits start at springs with modes from slow to fast, at most half the largest stiffness.
+        """
         carried, weight = self.inertia
         low = carried * (2 * pi * _SLOWEST_HZ) ** 2
         high = max((FASTEST / self.machine.time_step) ** 2 / weight, 10 * low)
+        stiffness = Parameter(
+            name="stiffness", unit=self.unit, low=low, high=high, scale=sqrt(low * high), log=True
+        )
+        wanted = (carried * (2 * pi * hz) ** 2 for hz in _START_HZ)
+        starts = dict.fromkeys(stiffness.clipped(min(k, 0.5 * high)) for k in wanted)
         return (
-            Parameter(
-                name="stiffness", unit=self.unit, low=low, high=high, scale=sqrt(low * high),
-                log=True,
-            ),
-            Parameter(
-                name="damping_ratio", unit="", low=1e-3, high=2.0, scale=_LIKELY_DAMPING, log=True
-            ),
-        )  # fmt: skip
+            replace(stiffness, starts=tuple(starts)),
+            _ratio(1e-3, 2.0, _LIKELY_DAMPING, _START_DAMPING),
+        )
 
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Springs with modes from slow to fast, at most half the largest stiffness."""
-        stiffness = self.parameters[0]
-        wanted = (self.inertia[0] * (2 * pi * hz) ** 2 for hz in _START_HZ)
-        kept = dict.fromkeys(stiffness.clipped(min(k, 0.5 * stiffness.high)) for k in wanted)
-        return tuple((k, _START_DAMPING) for k in kept)
-
-    def damping(self, stiffness: float, ratio: float) -> float:
-        """Damping of a ratio [N·m·s/rad, N·s/m]."""
-        return 2 * ratio * sqrt(stiffness * self.inertia[0])
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add the joint with its spring and damper."""
+        stiffness, ratio, *shape = (float(v) for v in values)
+        self._insert(spec, stiffness, 2 * ratio * sqrt(stiffness * self.inertia[0]), *shape)
 
 
-class SplitJoint(JointEffect):
+class SplitJoint(JointEffect, AddedJoint):
     """A joint with a compliant drive: an extra joint on the same axis behind it.
 
     The joint itself is the motor side: its sensors, servo, friction and rotor stay with it. A joint
@@ -107,53 +119,37 @@ class SplitJoint(JointEffect):
     for a stable simulation.
     """
 
-    adds_motion = True
-    needs_fine_steps = True
-
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return joints that are the last of their body."""
         last = dict(zip(machine.model.jnt_bodyid.tolist(), machine.joints, strict=True))
         return tuple(joint for joint in machine.joints if joint in last.values())
 
-    def _split(
-        self, spec: mujoco.MjSpec, *, stiffness: float = 0.0, damping: float = 0.0
-    ) -> mujoco.MjsJoint:
+    def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
         """Add the link side; return its joint."""
-        machine, number = self.machine, self.machine.joint_number(self.where)
+        machine, number = self.machine, self.number
         keep_motor_side(machine, spec, self.where, self.carried)
         return add_extra_joint(
             spec.body(machine.body_of(self.where)), added_name(spec, self.where, self.kind),
             turns=self.turns, axis=machine.model.jnt_axis[number],
-            pos=machine.model.jnt_pos[number], stiffness=stiffness, damping=damping,
+            pos=machine.model.jnt_pos[number], stiffness=spring[0], damping=spring[1],
         )  # fmt: skip
 
     @cached_property
-    def weight(self) -> float:
-        """Inverse of the inertia on the link side [1/(kg·m²) or 1/kg], all others free."""
-        spec = self.machine.fresh()
-        return joint_inertia(spec, self._split(spec).name)[1]
-
-
-class JointCompliance(SplitJoint, SpringEffect):
-    """Joint compliance: spring and damper, the damping ratio with the motor locked."""
-
-    kind = "joint_compliance"
-
-    @property
     def inertia(self) -> tuple[float, float]:
-        """Inertia behind the joint, and its inverse weight."""
-        return self.carried, self.weight
+        """Inertia behind the joint [kg·m² or kg], and its inverse weight with all others free."""
+        return self.carried, super().inertia[1]
 
     @property
     def unit(self) -> str:
         """Torque per angle, or force per way."""
         return f"{self.torque_unit}/{self.angle_unit}"
 
-    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Add the spring behind the joint."""
-        stiffness, ratio = float(values[0]), float(values[1])
-        self._split(spec, stiffness=stiffness, damping=self.damping(stiffness, ratio))
+
+class JointCompliance(SplitJoint, SpringEffect):
+    """Joint compliance: spring and damper, the damping ratio with the motor locked."""
+
+    kind = "joint_compliance"
 
 
 _DRAG_RATE = 2.0
@@ -193,42 +189,33 @@ class Backlash(SplitJoint):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Clearance, stiffness of the stops, damping ratio on them, friction beyond the play."""
-        load, length = self.load, 1.0
+        length, starts = 1.0, _RUBBING_STARTS if self.variant else _STARTS
         if not self.turns:
             # a lone slide has no reach, but it travels
             length = max(reach_of(self.machine), _TRAVEL_S * self.speed)
-        play = (
-            Parameter(
-                name="gap", unit=self.angle_unit, low=1e-5 * length, high=0.5 * length,
-                scale=0.01 * length, log=True,
-            ),
-            *_stops(self.weight, self.machine.time_step, f"{self.torque_unit}/{self.angle_unit}"),
-        )  # fmt: skip
+        gap = Parameter.sized(
+            "gap", self.angle_unit, 0.01 * length, 1e-3, 50, scale=1, starts=starts, log=True
+        )
+        play = (gap, *_stops(self.inertia[1], self.machine.time_step, self.unit))
         if not self.variant:
             return play
-        friction = Parameter(
-            name="friction", unit=self.torque_unit, low=1e-3 * load, high=20 * load,
-            scale=0.3 * load, log=True,
-        )  # fmt: skip
+        unit, some = self.torque_unit, (0.3, 1.0)
+        friction = Parameter.sized(
+            "friction", unit, self.load, 1e-3, 20, scale=0.3, starts=some, log=True
+        )
         return (*play, friction)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: clearances of 0.01° to 2°; a wrong one fits no better than none."""
-        gap, stiffness, ratio, *_ = (p.scale for p in self.parameters)
+        starts = super().starts
         if self.variant:
-            return tuple(
-                (share * gap, stiffness, ratio, size * self.load)
-                for share in _RUBBING_STARTS
-                for size in (0.3, 1.0)
-            )
-        return tuple(
-            (share * gap, softer * stiffness, ratio) for softer in _SOFTER for share in _STARTS
-        )
+            return starts
+        return tuple((gap, soft * k, ratio) for soft in _SOFTER for gap, k, ratio in starts)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the clearance behind the joint."""
-        joint = self._split(spec, damping=_DRAG_RATE * self.carried)
+        joint = self._insert(spec, 0.0, _DRAG_RATE * self.carried)
         gap, stiffness, ratio, *friction = (float(v) for v in values)
         if friction:
             tendon = spec.add_tendon(
@@ -239,7 +226,8 @@ class Backlash(SplitJoint):
             make_it_stick(tendon, spec.option.timestep)
         # a small load is raised to that of slight shaking
         load = max(self.load, _LEAST_LOAD * float(np.max(self.machine.load_scales)))
-        set_stops(joint, 0.5 * gap, stiffness=stiffness, ratio=ratio, weight=self.weight, load=load)
+        weight = self.inertia[1]
+        set_stops(joint, 0.5 * gap, stiffness=stiffness, ratio=ratio, weight=weight, load=load)
 
 
 def _stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]:
@@ -249,11 +237,14 @@ def _stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]
     """
     high = (_FASTEST / step) ** 2 / weight
     return (
-        Parameter(
-            name="stiffness", unit=unit, low=1e-3 * high, high=high, scale=0.25 * high, log=True
-        ),
-        Parameter(name="damping_ratio", unit="", low=0.02, high=1.0, scale=_DAMPING, log=True),
+        Parameter.sized("stiffness", unit, high, 1e-3, 1, scale=0.25, starts=(0.25,), log=True),
+        _ratio(0.02, 1.0, _DAMPING, _DAMPING),
     )
+
+
+def _ratio(low: float, high: float, scale: float, start: float) -> Parameter:
+    """Damping ratio of a mode."""
+    return Parameter.sized("damping_ratio", "", 1, low, high, scale=scale, starts=[start], log=True)
 
 
 _SAME = 0.999
@@ -302,31 +293,20 @@ class BaseCompliance(SpringEffect):
                 kept.append(axis)
         return tuple(kept)
 
-    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+    def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
         """Insert the hinge before the first joint."""
-        stiffness, ratio = float(values[0]), float(values[1])
-        self._rock(spec, stiffness, self.damping(stiffness, ratio))
-
-    def _rock(self, spec: mujoco.MjSpec, stiffness: float, damping: float) -> str:
-        """Insert the hinge; return its name."""
         model, data = self.machine.model, self.machine.at_zero
         first = int(model.jnt_bodyid[0])
         turn = data.xmat[first].reshape(3, 3)
-        name = added_name(spec, "base", f"{self.kind}_{self.variant}")
         body = spec.body(model.body(first).name)
-        add_extra_joint(
-            body, name, turns=True, axis=turn.T @ _axis(self.machine, self.variant),
-            pos=turn.T @ (_foot(self.machine) - data.xpos[first]), stiffness=stiffness,
-            damping=damping,
+        hinge = add_extra_joint(
+            body, added_name(spec, "base", self._name), turns=True,
+            axis=turn.T @ _axis(self.machine, self.variant),
+            pos=turn.T @ (_foot(self.machine) - data.xpos[first]), stiffness=spring[0],
+            damping=spring[1],
         )  # fmt: skip
-        insert_first(spec, body, name)
-        return name
-
-    @cached_property
-    def inertia(self) -> tuple[float, float]:
-        """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
-        spec = self.machine.fresh()
-        return joint_inertia(spec, self._rock(spec, 0.0, 0.0))
+        insert_first(spec, body, hinge.name)
+        return hinge
 
 
 def _foot(machine: NominalModel) -> Array:
@@ -348,7 +328,7 @@ _GAPS = (1e-4, 6e-4)
 """Gaps of a seat from which fits start, as shares of the reach."""
 
 
-class StructuralLooseness(LinkEffect):
+class StructuralLooseness(LinkEffect, AddedJoint):
     """Structural looseness: a slide behind the link's joint, with stops and friction.
 
     Its direction is fixed in the link. In a machine that moves in a plane it lies in that plane, at
@@ -358,8 +338,6 @@ class StructuralLooseness(LinkEffect):
 
     kind = "structural_looseness"
     limit = (("friction", "high"),)
-    adds_motion = True
-    needs_fine_steps = True
     has_stops = True
 
     @classmethod
@@ -378,18 +356,13 @@ class StructuralLooseness(LinkEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Direction, clearance, friction, stiffness of the stops, damping ratio on them."""
         names = ("angle",) if self._plane is not None else ("azimuth", "elevation")
-        length, force = reach_of(self.machine), 1.0 / self._mean_weight
+        length, force, turn = reach_of(self.machine), 1.0 / self._mean_weight, 2 * pi
         return (
-            *(Parameter(name=n, unit="rad", low=-2 * pi, high=2 * pi, scale=0.5) for n in names),
-            Parameter(
-                name="gap", unit="m", low=1e-5 * length, high=0.05 * length, scale=1e-3 * length,
-                log=True,
-            ),
-            Parameter(
-                name="friction", unit="N", low=1e-3 * force, high=100 * force, scale=force, log=True
-            ),
+            *(Parameter(name=n, unit="rad", low=-turn, high=turn, scale=0.5) for n in names),
+            Parameter.sized("gap", "m", length, 1e-5, 0.05, scale=1e-3, log=True),
+            Parameter.sized("friction", "N", force, 1e-3, 100, scale=1.0, log=True),
             *_stops(self._mean_weight, self.machine.time_step, "N/m"),
-        )  # fmt: skip
+        )
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -505,23 +478,14 @@ class LinkFlexibility(LinkEffect, SpringEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness, damping ratio with the near part locked, and location of the hinge."""
-        place = Parameter(name="position", unit="", low=_NEAREST, high=1 - _NEAREST, scale=_SCATTER)
+        low, high = _NEAREST, 1 - _NEAREST
+        place = Parameter.sized("position", "", 1, low, high, scale=_SCATTER, starts=[_MIDDLE])
         return (*super().parameters, place)
 
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: modes from slow to fast."""
-        return tuple((*spring, _MIDDLE) for spring in super().starts)
-
-    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Cut the link and insert the spring."""
-        stiffness, ratio, place = (float(v) for v in values)
-        self._cut(spec, stiffness, self.damping(stiffness, ratio), place)
-
-    def _cut(self, spec: mujoco.MjSpec, stiffness: float, damping: float, share: float) -> str:
-        """Cut the link; return the name of the far part and of its hinge."""
-        kind = f"{self.kind}_{self.variant}" if self.variant else self.kind
-        name = added_name(spec, self.where, kind)
+    def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
+        """Cut the link at a share of its length; return the hinge, named as the far part is."""
+        stiffness, damping, share = spring if len(spring) > 2 else (*spring, _MIDDLE)
+        name = added_name(spec, self.where, self._name)
         whole = inertial_of(self.machine, spec, self.where)
         start, end = self._start, self._start + self._length * self._along
         near, far = parts(whole, start, end, share)
@@ -529,20 +493,13 @@ class LinkFlexibility(LinkEffect, SpringEffect):
         new = old.add_body(name=name, pos=here)
         move_beyond(self.machine, spec, old, new, self._along)
         set_inertial(self.machine, spec, self.where, near)
-        place = far.centre - here
-        set_inertial(self.machine, spec, name, Inertial(far.mass, place, far.tensor))
-        add_extra_joint(
+        set_inertial(self.machine, spec, name, replace(far, centre=far.centre - here))
+        hinge = add_extra_joint(
             new, name, turns=True, axis=self._axis, pos=np.zeros(3), stiffness=stiffness,
             damping=damping,
         )  # fmt: skip
         keep_from_touching(spec, old, new)
-        return name
-
-    @cached_property
-    def inertia(self) -> tuple[float, float]:
-        """Inertia on the hinge [kg·m²], and its inverse weight with all joints free."""
-        spec = self.machine.fresh()
-        return joint_inertia(spec, self._cut(spec, 0.0, 0.0, _MIDDLE))
+        return hinge
 
 
 def parts(
@@ -560,13 +517,9 @@ def parts(
     lever = apart * length * along
     reduced = mass * (1 - mass) * whole.mass
     left = whole.tensor - steiner(reduced, lever)
-    while not _solid(left):
-        lever = 0.9 * lever
-        if np.linalg.norm(lever) < 1e-6 * length:
-            lever = np.zeros(3)
+    while lever.any() and not _solid(left):
+        lever = 0.9 * lever * (np.linalg.norm(0.9 * lever) >= 1e-6 * length)
         left = whole.tensor - steiner(reduced, lever)
-        if not lever.any():
-            break
     near = _piece(left, along, mass, spread)
     if not (_solid(near) and _solid(left - near)):
         near = mass * left

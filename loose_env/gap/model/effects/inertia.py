@@ -5,14 +5,15 @@ A tilted base changes the direction of gravity. A balancer or the drives carry t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
+from typing import ClassVar
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.effect import Effect, Parameter
+from loose_env.gap.model.effect import AdditiveEffect, Effect, Parameter
 from loose_env.gap.model.effects.mjcf import (
     Inertial,
     added_name,
@@ -26,8 +27,7 @@ from loose_env.typing import Array
 
 def links_with_mass(machine: NominalModel) -> tuple[str, ...]:
     """Names of the links that have mass of their own."""
-    mass = machine.model.body_mass
-    return tuple(name for name in machine.links if mass[machine.model.body(name).id] > 0)
+    return tuple(name for name in machine.links if machine.model.body(name).mass[0] > 0)
 
 
 class LinkEffect(Effect):
@@ -60,13 +60,7 @@ class LinkMass(LinkEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Added mass."""
-        own = self.own_mass
-        return (Parameter(name="mass", unit="kg", low=-0.9 * own, high=20 * own, scale=0.1 * own),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a quarter less and more."""
-        return ((-0.25 * self.own_mass,), (0.25 * self.own_mass,))
+        return (Parameter.sized("mass", "kg", self.own_mass, -0.9, 20, starts=(-0.25, 0.25)),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Scale the link's mass and inertia."""
@@ -76,7 +70,7 @@ class LinkMass(LinkEffect):
         set_inertial(self.machine, spec, self.where, scaled)
 
 
-class LinkCom(LinkEffect):
+class LinkCom(AdditiveEffect, LinkEffect):
     """Shift of the centre of mass along the body's axes; mass and inertia stay.
 
     Of a machine that moves in a plane only the shift in the plane counts; an axis of the body that
@@ -84,24 +78,24 @@ class LinkCom(LinkEffect):
     """
 
     kind = "link_com"
-    is_additive = True
 
-    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
-        super().__init__(machine, where, variant)
-        normal = normal_of(machine)
+    @cached_property
+    def _axes(self) -> tuple[int, ...]:
+        """Axes of the body that count."""
+        normal = normal_of(self.machine)
         across = np.zeros(3) if normal is None else self.in_link(normal)
-        self._axes = tuple(k for k in range(3) if abs(across[k]) < 1 - 1e-6)
-        self.null_values = (0.0,) * len(self._axes)  # type: ignore[misc]
-        start, end = link_ends(machine, where)
-        self._length = max(float(np.linalg.norm(end - start)), 0.05 * reach_of(machine))
+        return tuple(k for k in range(3) if abs(across[k]) < 1 - 1e-6)
+
+    @cached_property
+    def _length(self) -> float:
+        """Length of the link, or a twentieth of the machine's [m]."""
+        start, end = link_ends(self.machine, self.where)
+        return max(float(np.linalg.norm(end - start)), 0.05 * reach_of(self.machine))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Shift along the body's axes."""
-        far, scale = 1.5 * self._length, 0.1 * self._length
-        return tuple(
-            Parameter(name="xyz"[k], unit="m", low=-far, high=far, scale=scale) for k in self._axes
-        )
+        return tuple(Parameter.sized("xyz"[k], "m", self._length, -1.5, 1.5) for k in self._axes)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -120,6 +114,8 @@ _FAR_OFF = 0.3
 """Furthest centre of a payload from the tool, over the reach of the arm."""
 _RADIUS = 0.01
 """Radius of gyration of the payload, in lengths of the machine."""
+_LIGHT = 0.05
+"""Light payload from which fits start, over the mass that the machine moves at a joint."""
 
 
 class Payload(Effect):
@@ -131,17 +127,14 @@ class Payload(Effect):
     kind = "payload"
     acts_on = "arm"
     variants = ("", "centre")
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0, 0.0, 0.0)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        self.null_values = (0.0,) * len(self.parameters)  # type: ignore[misc]
         if self.variant:
             self.proportional = 0  # type: ignore[misc]
-
-    @classmethod
-    def null_value(cls, parameters: Sequence[str], parameter: str) -> float:
-        """Without it mass and centre are zero."""
-        return 0.0
+        else:
+            self.null_values = (0.0,)  # type: ignore[misc]
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -151,23 +144,18 @@ class Payload(Effect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Mass of the payload, and its centre from the tool in the frame of the tool's body."""
-        moved, far = self._moved, _FAR_OFF * reach_of(self.machine)
-        mass = Parameter(name="mass", unit="kg", low=0.0, high=20 * moved, scale=0.05 * moved)
-        if not self.variant:
-            return (mass,)
-        return (
-            mass,
-            *(Parameter(name=n, unit="m", low=-far, high=far, scale=0.1 * far) for n in "xyz"),
-        )
+        far, starts = _FAR_OFF * reach_of(self.machine), (_LIGHT, 0.3)
+        mass = Parameter.sized("mass", "kg", self._moved, 0, 20, scale=0.05, starts=starts)
+        axes = "xyz" if self.variant else ""
+        return (mass, *(Parameter.sized(name, "m", far, -1, 1) for name in axes))
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a tenth and a half of the mass the machine moves before its last third."""
-        light, heavy = 0.05 * self._moved, 0.3 * self._moved
+        """Starts: a light and a heavy one at the tool, or a light one beside it on every side."""
         if not self.variant:
-            return ((light,), (heavy,))
-        axes = [tuple(side * self._off * row) for row in np.eye(3) for side in (-1.0, 1.0)]
-        return tuple((light, *(float(v) for v in axis)) for axis in axes)
+            return super().starts
+        sides = (side for row in self._off * np.eye(3) for side in (-row, row))
+        return tuple((_LIGHT * self._moved, *side.tolist()) for side in sides)
 
     @property
     def axes(self) -> tuple[tuple[float, ...], ...]:
@@ -175,7 +163,7 @@ class Payload(Effect):
         if not self.variant:
             return ()
         beside = np.vstack([np.zeros(3), self._off * np.eye(3)])
-        return tuple((0.1 * self._moved, *(float(v) for v in row)) for row in beside)
+        return tuple((0.1 * self._moved, *row) for row in beside.tolist())
 
     def combined(self, shares: Array) -> tuple[float, ...]:
         """Mass and centre of the weighted axes; nothing where the mass would be negative."""
@@ -184,7 +172,7 @@ class Payload(Effect):
         mass = float(masses.sum())
         if mass <= 0.0:
             return (0.0,) * len(self.parameters)
-        return self._clipped(np.append(mass, masses @ axes[:, 1:] / mass))
+        return (mass, *(masses @ axes[:, 1:] / mass).tolist())
 
     def shares_of(self, values: Array) -> Array:
         """Shares of the axes: moments by those beside the tool, the rest of the mass at it."""
@@ -209,7 +197,7 @@ class Payload(Effect):
         mass = float(values[0])
         if mass <= 0:
             return
-        centre = [float(v) for v in values[1:]] if self.variant else [0.0, 0.0, 0.0]
+        centre = np.array(values[1:]) if self.variant else np.zeros(3)
         if self.machine.tool:
             site = spec.site(self.machine.tool)
             (place, _), carrier = site_pose(self.machine, site), site.parent
@@ -217,9 +205,8 @@ class Payload(Effect):
             name, place = _outermost(self.machine)
             carrier = spec.body(name)
         body = carrier.add_body(name=added_name(spec, "tool", self.kind), pos=place)
-        body.mass, body.ipos = mass, centre
-        body.inertia = [mass * (_RADIUS * reach_of(self.machine)) ** 2] * 3
-        body.explicitinertial = True
+        tensor = mass * (_RADIUS * reach_of(self.machine)) ** 2 * np.eye(3)
+        set_inertial(self.machine, spec, body.name, Inertial(mass, centre, tensor))
 
 
 def payload_notes(machine: NominalModel) -> list[str]:
@@ -251,7 +238,7 @@ def _outermost(machine: NominalModel) -> tuple[str, Array]:
     return machine.last_link, link_ends(machine, machine.last_link)[1]
 
 
-class BaseTilt(Effect):
+class BaseTilt(AdditiveEffect):
     """Base tilt: gravity rotated about horizontal axes, in the base frame.
 
     Two axes; one where the arm moves in a plane that contains gravity, since a small tilt out of
@@ -260,7 +247,6 @@ class BaseTilt(Effect):
 
     kind = "base_tilt"
     acts_on = "arm"
-    is_additive = True
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -269,40 +255,30 @@ class BaseTilt(Effect):
         weightless = off or not np.any(machine.model.opt.gravity)
         return () if weightless else ("base",)
 
-    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
-        super().__init__(machine, where, variant)
-        down = machine.model.opt.gravity / np.linalg.norm(machine.model.opt.gravity)
-        normal = normal_of(machine)
+    @cached_property
+    def _axes(self) -> Array:
+        """Axes of tilt (K, 3)."""
+        down = self.machine.model.opt.gravity / np.linalg.norm(self.machine.model.opt.gravity)
+        normal = normal_of(self.machine)
         if normal is not None and abs(normal @ down) < 1e-6:
-            self._axes = normal[None]
-        else:
-            # The two world axes farthest from gravity, made perpendicular to it and each other.
-            first, second = (np.eye(3)[k] for k in np.sort(np.argsort(np.abs(down))[:2]))
-            first = first - down * (first @ down)
-            first /= np.linalg.norm(first)
-            across = np.cross(down, first)
-            self._axes = np.array([first, np.copysign(1.0, across @ second) * across])
-        self.null_values = (0.0,) * len(self._axes)  # type: ignore[misc]
+            return normal[None]
+        # The two world axes farthest from gravity, made perpendicular to it and each other.
+        first, second = (np.eye(3)[k] for k in np.sort(np.argsort(np.abs(down))[:2]))
+        first = first - down * (first @ down)
+        first /= np.linalg.norm(first)
+        across = np.cross(down, first)
+        return np.array([first, np.copysign(1.0, across @ second) * across])
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Angle about each axis."""
-        return tuple(
-            Parameter(
-                name=f"tilt_{'xyz'[int(np.argmax(np.abs(axis)))]}",
-                unit="rad", low=-0.8, high=0.8, scale=0.02,
-            )
-            for axis in self._axes
-        )  # fmt: skip
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: two degrees about every axis."""
-        return ((0.04,) * len(self._axes),)
+        """Angle about each axis; fits start at two degrees about every one."""
+        names = ("xyz"[int(np.argmax(np.abs(axis)))] for axis in self._axes)
+        tilt = Parameter(name="", unit="rad", low=-0.8, high=0.8, scale=0.02, starts=(0.04,))
+        return tuple(replace(tilt, name=f"tilt_{name}") for name in names)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Rotate gravity."""
-        turn = Rotation.from_rotvec(np.asarray(values, dtype=float) @ self._axes)
+        turn = Rotation.from_rotvec(values @ self._axes)
         # Gravity in the base frame rotates opposite to the base.
         spec.option.gravity = turn.inv().apply(np.array(spec.option.gravity))
 
@@ -319,8 +295,8 @@ class GravityCompensation(LinkEffect):
 
     kind = "gravity_compensation"
     null_values = (0.0,)
-    parameters = (Parameter(name="share", unit="", low=-1.5, high=1.5, scale=0.1),)
-    starts = ((-0.25,), (0.25,), (1.0,))  # a quarter, missing or too much, and all of it
+    # a quarter, missing or too much, and all of it
+    parameters = (Parameter.sized("share", "", 1.0, -1.5, 1.5, starts=(-0.25, 0.25, 1.0)),)
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ cogging or gear teeth. Springs across a joint are cables, hoses, balancers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 from math import atan2, hypot, pi
 from typing import ClassVar
 
@@ -20,12 +20,13 @@ from scipy.signal import lombscargle
 from loose_env.gap.model.effect import DrivenEffect, JointEffect, Parameter
 from loose_env.gap.model.effects.mjcf import (
     add_constant,
+    add_friction,
     add_passive,
     added_name,
     angle_unit,
     make_it_stick,
 )
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, named
 from loose_env.typing import Array
 
 
@@ -37,15 +38,10 @@ class _Resistance(JointEffect):
     """Name of the parameter."""
     power: ClassVar[int]
     """Power of the speed."""
-    most: ClassVar[float]
+    most: ClassVar[float] = 50.0
     """Largest value added, over the one that gives the typical torque at the typical speed."""
-    shares: ClassVar[tuple[float, ...]]
+    shares: ClassVar[tuple[float, ...]] = (0.05, 0.3)
     """Values from which fits start, over that one."""
-
-    @property
-    def usual(self) -> float:
-        """Value that gives the typical torque at the typical speed."""
-        return self.load / self.speed**self.power
 
     @property
     def nominal(self) -> float:
@@ -55,27 +51,22 @@ class _Resistance(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Added value; negative down to a total of zero."""
-        angle, nominal, usual = self.angle_unit, self.nominal, self.usual
+        angle, usual = self.angle_unit, self.load / self.speed**self.power
         unit = self.torque_unit + ("", f"·s/{angle}", f"·s²/{angle}²")[self.power]
-        low, high = 0.0 - nominal, nominal + self.most * usual
-        return (Parameter(name=self.name, unit=unit, low=low, high=high, scale=0.1 * usual),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a weak and a strong one."""
-        return tuple((share * self.usual,) for share in self.shares)
+        added = Parameter.sized(self.name, unit, usual, 0, self.most, starts=self.shares)
+        return (replace(added, low=0.0 - self.nominal, high=self.nominal + added.high),)
 
 
 class ViscousFriction(_Resistance):
     """Viscous damping added to that of the model; negative down to a total of zero."""
 
     kind = "viscous_friction"
-    name, power, most, shares = "damping", 1, 50.0, (0.05, 0.3)
+    name, power = "damping", 1
 
     @property
     def nominal(self) -> float:
         """Damping of the model."""
-        return float(self.machine.model.dof_damping[self._dof])
+        return float(self.machine.model.dof_damping[self.number])
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
@@ -116,22 +107,19 @@ class CoulombFriction(_Resistance):
     @property
     def nominal(self) -> float:
         """Friction of the model."""
-        return float(self.machine.model.dof_frictionloss[self._dof])
+        return float(self.machine.model.dof_frictionloss[self.number])
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's friction loss."""
-        if values[0] == 0:
-            return
-        joint = spec.joint(self.where)
-        joint.frictionloss = max(joint.frictionloss + float(values[0]), 0.0)
-        make_it_stick(joint, spec.option.timestep)
+        if values[0] != 0:
+            add_friction(spec, self.where, float(values[0]))
 
 
 class QuadraticDrag(_Resistance):
     """Quadratic drag -c v |v|: second coefficient of MuJoCo's damping polynomial."""
 
     kind = "quadratic_drag"
-    name, power, most, shares = "drag", 2, 50.0, (0.05, 0.3)
+    name, power = "drag", 2
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's damping polynomial."""
@@ -152,19 +140,9 @@ class RotorInertia(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Added inertia; ten times what the joint moves is usual: the gear's ratio squared."""
         moved, unit = self.machine.inertia(self.where), "kg·m²" if self.turns else "kg"
-        low = -float(self.machine.model.dof_armature[self._dof])
-        return (
-            Parameter(
-                name="inertia", unit=unit, low=low, high=100 * moved, scale=0.1 * moved,
-                usual=10 * moved,
-            ),
-        )  # fmt: skip
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a fifth of the inertia that the joint moves, and the same again."""
-        moved = self.machine.inertia(self.where)
-        return ((0.2 * moved,), (1.0 * moved,))
+        added = Parameter.sized("inertia", unit, moved, 0, 100, starts=(0.2, 1.0))
+        low = -float(self.machine.model.dof_armature[self.number])
+        return (replace(added, low=low, usual=10 * moved),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's armature."""
@@ -188,27 +166,20 @@ class AsymmetricFriction(JointEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Friction in the positive and in the negative direction."""
         unit, load = self.torque_unit, self.load
-        return tuple(
-            Parameter(name=name, unit=unit, low=0.0, high=20 * load, scale=0.1 * load)
-            for name in ("forward", "backward")
-        )
+        return tuple(Parameter.sized(n, unit, load, 0, 20) for n in ("forward", "backward"))
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: a weak and a strong one, each larger in either direction."""
-        weak, strong = 0.03 * self.load, 0.2 * self.load
-        return tuple(
-            sides for size in (weak, strong) for sides in ((size, 0.3 * size), (0.3 * size, size))
-        )
+        sizes = (0.03 * self.load, 0.2 * self.load)
+        return tuple(s for size in sizes for s in ((size, 0.3 * size), (0.3 * size, size)))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add friction loss and a constant torque."""
         forward, backward = float(values[0]), float(values[1])
         if forward + backward <= 0:
             return
-        joint = spec.joint(self.where)
-        joint.frictionloss += 0.5 * (forward + backward)
-        make_it_stick(joint, spec.option.timestep)
+        add_friction(spec, self.where, 0.5 * (forward + backward))
         name = added_name(spec, self.where, self.kind)
         add_constant(spec, self.where, name, 0.5 * (backward - forward))
 
@@ -222,14 +193,12 @@ _PIECES = (_SLOPES[1], _KNOTS[1]), (_SLOPES[0] - _SLOPES[1], _KNOTS[0])
 """Slope and end of two ramps from zero whose sum is the decrease."""
 
 
-_START_SPEED = 0.3
-"""Stribeck speed from which fits start, over the typical speed."""
-
-
-def _stribeck_speed(speed: float, unit: str) -> Parameter:
-    """Speed over which a friction falls from its height at rest, at a typical speed."""
-    low, high = 1e-3 * speed, 2.0 * speed
-    return Parameter(name="speed", unit=unit, low=low, high=high, scale=0.1 * speed, log=True)
+def _peak(speed: float, unit: str, ratio: float) -> tuple[Parameter, Parameter]:
+    """Height of a friction at rest over that in motion, and the speed over which it falls."""
+    return (
+        Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5, starts=(ratio,)),
+        Parameter.sized("speed", f"{unit}/s", speed, 1e-3, 2.0, starts=(0.3,), log=True),
+    )
 
 
 class StribeckFriction(JointEffect):
@@ -250,28 +219,14 @@ class StribeckFriction(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Coulomb torque, ratio of static torque to it, Stribeck speed."""
-        load = self.load
-        return (
-            Parameter(
-                name="torque", unit=self.torque_unit, low=1e-4 * load, high=20 * load,
-                scale=0.1 * load, log=True,
-            ),
-            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
-            _stribeck_speed(self.speed, f"{self.angle_unit}/s"),
-        )  # fmt: skip
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: a weak and a strong one, each half as strong again at rest."""
-        speed = _START_SPEED * self.speed
-        return (0.04 * self.load, 1.6, speed), (0.2 * self.load, 1.6, speed)
+        unit, starts = self.torque_unit, (0.04, 0.2)
+        torque = Parameter.sized("torque", unit, self.load, 1e-4, 20, starts=starts, log=True)
+        return (torque, *_peak(self.speed, self.angle_unit, 1.6))
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add friction loss, and actuators without input for the decrease in motion."""
         torque, ratio, speed = (float(v) for v in values)
-        joint = spec.joint(self.where)
-        joint.frictionloss += ratio * torque
-        make_it_stick(joint, spec.option.timestep)
+        add_friction(spec, self.where, ratio * torque)
         fall = max(ratio - 1, 1e-6) * torque
         for number, (slope, end) in enumerate(_PIECES):
             name = added_name(spec, self.where, f"{self.kind}_{number}")
@@ -305,39 +260,29 @@ class LoadFriction(DrivenEffect, JointEffect):
     kind = "load_friction"
     needs_fine_steps = True
     variants = ("", "stribeck", "external")
+    null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         if self.variant == "stribeck":
-            self.limit = (("share", "low"),)  # type: ignore[misc]
-        else:
-            self.null_values = (0.0, 0.0) if self.variant else (0.0,)  # type: ignore[misc]
-
-    @classmethod
-    def null_value(cls, parameters: Sequence[str], parameter: str) -> float:
-        """Without it the shares are zero; with a peak it vanishes in a limit."""
-        return float("nan") if "speed" in parameters else 0.0
+            self.null_values, self.limit = None, (("share", "low"),)  # type: ignore[misc]
+        elif not self.variant:
+            self.null_values = (0.0,)  # type: ignore[misc]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Friction over drive torque, and over the load or with a peak's height and speed."""
-        if self.variant != "stribeck":
-            names = ("share", "load_share") if self.variant else ("share",)
-            return tuple(Parameter(name=n, unit="", low=0.0, high=0.95, scale=0.1) for n in names)
-        return (
-            Parameter(name="share", unit="", low=_LEAST, high=0.95, scale=0.1, log=True),
-            Parameter(name="static_ratio", unit="", low=1.0, high=5.0, scale=0.5),
-            _stribeck_speed(self.speed, f"{self.angle_unit}/s"),
-        )
+        peaked = self.variant == "stribeck"
+        low, starts = _LEAST if peaked else 0.0, (0.08, 0.4)
+        share = Parameter.sized("share", "", 1.0, low, 0.95, starts=starts, log=peaked)
+        if peaked:
+            return (share, *_peak(self.speed, self.angle_unit, 1.5))
+        return (share, replace(share, name="load_share"))[: 2 if self.variant else 1]
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: of a good gear and of a hobby servo's."""
-        if not self.variant:
-            return ((0.08,), (0.4,))
-        if self.variant == "external":
-            return ((0.08, 0.08), (0.3, 0.2))
-        return ((0.08, 1.5, _START_SPEED * self.speed), (0.4, 1.5, _START_SPEED * self.speed))
+        return ((0.08, 0.08), (0.3, 0.2)) if self.variant == "external" else super().starts
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Give the joint a trace of dry friction, whose size follows the load step by step."""
@@ -349,9 +294,9 @@ class LoadFriction(DrivenEffect, JointEffect):
 
     def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
         """Shares of the torques of drive and load."""
-        joint, share = self.machine.joint_number(self.where), np.asarray(values[0])
+        joint, share = self.number, values[0]
         if self.variant == "stribeck":
-            share, ratio, slow = values
+            _, ratio, slow = values
             share = share * (1 + (ratio - 1) * np.exp(-((speed[..., joint] / slow) ** 2)))
         found = np.zeros_like(drive)
         found[..., joint] = share * np.abs(drive[..., joint])
@@ -361,15 +306,14 @@ class LoadFriction(DrivenEffect, JointEffect):
 
     def friction_code(self, values: Array) -> str:
         """Python line: the shares of the torques at that speed."""
-        joint = self.machine.joint_number(self.where)
-        share, *more = (float(v) for v in values)
-        own, beside = repr(share), ""
+        joint, (share, *more) = self.number, map(float, values)
+        own = f"{share!r} * abs(drive[{joint}])"
         if self.variant == "stribeck":
-            ratio, slow = more
-            own += f" * (1 + {ratio - 1!r} * np.exp(-((speed[{joint}] / {slow!r}) ** 2)))"
+            fallen = f"np.exp(-((speed[{joint}] / {more[1]!r}) ** 2))"
+            own = f"{share!r} * (1 + {more[0] - 1!r} * {fallen}) * abs(drive[{joint}])"
         elif self.variant == "external":
-            beside = f" + {more[0]!r} * abs(load[{joint}])"
-        return f"friction[{joint}] += {own} * abs(drive[{joint}]){beside}"
+            own += f" + {more[0]!r} * abs(load[{joint}])"
+        return f"friction[{joint}] += {own}"
 
 
 _MOST_PERIODS = 400.0
@@ -378,8 +322,6 @@ _TRIED = 4000
 """Numbers of periods in the search, at most."""
 _PROPOSED = 3
 """Peaks that become starts."""
-_SAMPLES = 4000
-"""Samples that the search looks at."""
 
 
 class TorqueRipple(JointEffect):
@@ -396,23 +338,14 @@ class TorqueRipple(JointEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude, periods per turn or per metre, phase."""
-        load, one = self.load, 1.0 / self._rate
-        unit = "1/turn" if self.turns else "1/m"
+        """Amplitude, periods per turn or per metre, phase; only `propose` covers all periods."""
+        one, unit = 1.0 / self._rate, "1/turn" if self.turns else "1/m"
+        few = (2.0, 6.0) if self.turns else (20.0, 60.0)
+        periods = Parameter.sized("periods", unit, one, 0.5, 2 * self._most, scale=1.0)
         return (
-            Parameter(
-                name="amplitude", unit=self.torque_unit, low=0.0, high=10 * load, scale=0.1 * load
-            ),
-            Parameter(name="periods", unit=unit, low=0.5 * one, high=2 * self._most, scale=one),
-            Parameter(name="phase", unit="rad", low=-2 * pi, high=2 * pi, scale=0.5),
-        )
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts with a few numbers of periods; only `propose` can cover all of them."""
-        lone = 1.0 if self.turns else 1 / 0.1
-        return tuple(
-            (0.1 * self.load, n * lone, phase) for n in (2.0, 6.0) for phase in (0.0, pi / 2)
+            Parameter.sized("amplitude", self.torque_unit, self.load, 0, 10, starts=(0.1,)),
+            replace(periods, high=2 * self._most, starts=few),
+            Parameter.sized("phase", "rad", 1.0, -2 * pi, 2 * pi, scale=0.5, starts=(0.0, pi / 2)),
         )
 
     @property
@@ -430,10 +363,6 @@ class TorqueRipple(JointEffect):
         amplitude, periods, phase = (float(v) for v in values)
         add_passive(spec, self.where, name, cogging=(amplitude, self._rate * periods, phase))
 
-    def interval_includes_null(self, low: Array, high: Array) -> bool:
-        """Return whether the amplitude's interval includes zero."""
-        return bool(low[0] <= 0 <= high[0])
-
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
@@ -443,11 +372,9 @@ class TorqueRipple(JointEffect):
         the resolution of the range of motion. The strongest peaks that are not neighbours become
         starts.
         """
-        good = np.isfinite(angle) & np.isfinite(torque)
-        every = max(1, int(good.sum()) // _SAMPLES)
-        q, force = angle[good][::every], -torque[good][::every]
-        width = float(np.ptp(q)) if len(q) else 0.0
-        if len(q) < 10 or width <= 0:
+        q, force = angle, -torque
+        width = float(np.ptp(q)) if len(q) >= 10 else 0.0
+        if width <= 0:
             return ()
         spacing = 0.25 * 2 * pi / width
         lowest = max(0.5, pi / width)
@@ -478,39 +405,27 @@ class JointSpring(JointEffect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return joints without a nonlinear spring."""
-        bent = np.any(machine.model.jnt_stiffnesspoly != 0, axis=1)
-        return tuple(name for name, b in zip(machine.joints, bent, strict=True) if not b)
+        return named(machine.joints, np.all(machine.model.jnt_stiffnesspoly == 0, axis=1))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness and equilibrium coordinate of the spring."""
+        """Stiffness and equilibrium coordinate of the spring, in the joint's range or beside it."""
         low, high = self._range
-        width = high - low
-        most = 50 * self.load / min(width, pi)
+        width, unit = high - low, f"{self.torque_unit}/{self.angle_unit}"
+        usual = self.load / min(width, pi)
+        rests = (0.5 * (low + high), low - 0.2 * width, high + 0.2 * width)
         return (
-            Parameter(
-                name="stiffness", unit=f"{self.torque_unit}/{self.angle_unit}", low=0.0, high=most,
-                scale=0.2 * self.load / min(width, pi),
-            ),
+            Parameter.sized("stiffness", unit, usual, 0, 50, scale=0.2, starts=(0.5,)),
             Parameter(
                 name="reference", unit=self.angle_unit, low=low - 2 * width, high=high + 2 * width,
-                scale=0.2 * width,
+                scale=0.2 * width, starts=rests,
             ),
         )  # fmt: skip
 
     @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: half the typical torque over the range, equilibrium in and beside it."""
-        low, high = self._range
-        width = high - low
-        stiffness = 0.5 * self.load / min(width, pi)
-        rests = (0.5 * (low + high), low - 0.2 * width, high + 0.2 * width)
-        return tuple((stiffness, rest) for rest in rests)
-
-    @property
     def _range(self) -> tuple[float, float]:
         """Range of the joint [rad or m], or half a turn about its zero."""
-        number = self.machine.joint_number(self.where)
+        number = self.number
         if self.machine.model.jnt_limited[number]:
             low, high = self.machine.model.jnt_range[number]
             return float(low), float(high)
@@ -530,19 +445,91 @@ class JointSpring(JointEffect):
         stiffness[0] = both
         joint.stiffness, joint.springref = stiffness, rests / unit
 
-    def interval_includes_null(self, low: Array, high: Array) -> bool:
-        """Return whether the stiffness interval includes zero."""
-        return bool(low[0] <= 0 <= high[0])
-
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
         """Propose a start by regression of torque on angle; its zero is the equilibrium."""
-        good = np.isfinite(angle) & np.isfinite(torque)
-        if good.sum() < 3 or not np.ptp(angle[good]):
+        if len(angle) < 3 or not np.ptp(angle):
             return ()
-        rate, at_zero = np.polyfit(angle[good], torque[good], 1)
+        rate, at_zero = np.polyfit(angle, torque, 1)
         if rate <= 0:
             return ()
         stiffness, reference = self.parameters
         return ((stiffness.clipped(rate), reference.clipped(-at_zero / rate)),)
+
+
+class TorqueOffset(JointEffect):
+    """Constant torque at a joint: the zero of a torque sensor, or a preload."""
+
+    kind = "torque_offset"
+    exact_law = True
+    null_values = (0.0,)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Torque in the joint's direction that the model lacks."""
+        starts = (-0.1, 0.1)
+        return (Parameter.sized("torque", self.torque_unit, self.load, -20, 20, starts=starts),)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add an actuator without input that gives the torque."""
+        if values[0] != 0:
+            name = added_name(spec, self.where, self.kind)
+            add_constant(spec, self.where, name, -float(values[0]))
+
+
+class FrictionBehindSlack(JointEffect):
+    """Dry friction of an element that is coupled with slack and an elastic way.
+
+    The force is zero within the slack, grows over the elastic way, and slides at its bound: a
+    friction damper with play in its joints.
+    """
+
+    kind = "friction_behind_slack"
+    proportional = 0
+    needs_data_starts = True
+    has_memory = True
+    in_model = False
+    null_values = (0.0, 1.0, 1.0)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Friction, slack, and elastic way; the way is of the order of that in a second."""
+        way = Parameter.sized(
+            "slack", self.angle_unit, self.speed, 1e-5, 10, scale=1.0, starts=(0.3,), log=True
+        )
+        return (
+            Parameter.sized("torque", self.torque_unit, self.load, 0, 20, starts=(0.2,)),
+            way,
+            replace(way, name="elastic", starts=(0.1 * self.speed,)),
+        )
+
+    def propose(
+        self, angle: Array, speed: Array, acceleration: Array, torque: Array
+    ) -> tuple[tuple[float, ...], ...]:
+        """Start at slacks from a hundredth to a third of the way, on stiff and soft elements."""
+        way = float(np.ptp(angle))
+        return tuple(
+            (0.2 * self.load, slack * way, stretch * slack * way)
+            for slack in np.geomspace(0.01, 0.33, 8)
+            for stretch in (0.15, 0.5, 1.2)
+        )
+
+    def torque(self, position: Array, speed: Array, values: Array) -> Array:
+        """Force along a path (T, joints)."""
+        joint = self.number
+        found = np.zeros_like(position)
+        found[:, joint] = -values[0] * behind_slack(position[:, joint], values[1], values[2])
+        return found
+
+
+def behind_slack(position: Array, slack: float, elastic: float) -> Array:
+    """Share of the friction that acts along a path (T,)."""
+    anchor, found = float(position[0]), np.empty_like(position)
+    for k, x in enumerate(position):
+        stretch = abs(x - anchor) - slack / 2
+        if stretch > elastic:
+            anchor = x - np.sign(x - anchor) * (slack / 2 + elastic)
+            stretch = elastic
+        found[k] = np.sign(x - anchor) * max(stretch, 0.0) / elastic
+    return found

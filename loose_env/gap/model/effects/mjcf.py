@@ -6,7 +6,7 @@ joints with their stops, and the split of a body, whose children, sites and geom
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 from typing import Any
@@ -15,7 +15,12 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.nominal_model import NominalModel, mass_matrix
+from loose_env.gap.model.nominal_model import (
+    NominalModel,
+    mass_matrix,
+    unused,
+    write_inertial,
+)
 from loose_env.typing import Array
 
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
@@ -57,10 +62,7 @@ def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
     """
     several = (spec.bodies, spec.joints, spec.sites, spec.actuators)
     taken = {element.name for elements in several for element in elements}
-    name, again = f"{where}_{kind}", 2
-    while name in taken:
-        name, again = f"{where}_{kind}_{again}", again + 1
-    return name
+    return unused(f"{where}_{kind}", taken)
 
 
 def add_constant(spec: mujoco.MjSpec, joint: str, name: str, torque: float) -> None:
@@ -99,6 +101,13 @@ def add_passive(
         drive.forcelimited, drive.forcerange = mujoco.mjtLimited.mjLIMITED_TRUE, [-limit, limit]
 
 
+def add_friction(spec: mujoco.MjSpec, joint: str, friction: float) -> None:
+    """Add dry friction to a joint, down to a total of zero, that holds it at rest."""
+    own = spec.joint(joint)
+    own.frictionloss = max(own.frictionloss + friction, 0.0)
+    make_it_stick(own, spec.option.timestep)
+
+
 def make_it_stick(joint: mujoco.MjsJoint | mujoco.MjsTendon, step: float) -> None:
     """Set a joint's or tendon's friction to the largest stiffness stable at a step [s]."""
     joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]
@@ -132,12 +141,8 @@ def set_inertial(machine: NominalModel, spec: mujoco.MjSpec, body: str, inertial
         axes[:, 0] *= -1
     # Of a flat body the largest moment is the sum of the others; rounding must not exceed it.
     moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-15))
-    own = spec.body(body)
-    own.mass, own.ipos, own.inertia = inertial.mass, inertial.centre, moments
-    own.iquat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
-    own.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    own.fullinertia = np.full(6, np.nan)
-    own.explicitinertial = True
+    quat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    write_inertial(spec.body(body), inertial.mass, inertial.centre, quat, moments)
 
 
 def steiner(mass: float, lever: Array) -> Array:
@@ -236,8 +241,8 @@ def joint_inertia(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
 def site_pose(machine: NominalModel, site: mujoco.MjsSite) -> tuple[Array, Array]:
     """Position and quaternion of a site in its body, with frames and angles resolved."""
     model, place, turned = machine.model, np.array(site.pos), np.array(site.quat)
-    if any(model.site(k).name == site.name for k in range(model.nsite)):
-        number = model.site(site.name).id
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site.name)
+    if number >= 0:
         turned = model.site_quat[number]
         if site.frame is not None or not np.isfinite(place).all():
             place = model.site_pos[number]
@@ -375,22 +380,16 @@ def _move(spec: mujoco.MjSpec, old: Any, new: Any, placed: dict[str, Array]) -> 
     new.name = name
 
 
-def _elements(body: mujoco.MjsBody) -> Iterator[Any]:
-    """List all named elements in a body and in its subtree."""
-    yield body
-    for several in (body.joints, body.geoms, body.sites, body.cameras, body.lights):
-        yield from several
-    for child in body.bodies:
-        yield from _elements(child)
+def _elements(body: mujoco.MjsBody) -> list[Any]:
+    """List all elements in a body and in its subtree."""
+    kinds = ("body", "joint", "geom", "site", "camera", "light")
+    return [body, *(element for kind in kinds for element in body.find_all(kind))]
 
 
 def _pose(machine: NominalModel, body: mujoco.MjsBody) -> tuple[Array, Array | None]:
     """Pose of a body in its parent; its quaternion too if a frame lies in between."""
-    if body.frame is None:
-        return np.array(body.pos), None
     model = machine.model
-    if body.name not in {model.body(b).name for b in range(model.nbody)}:
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body.name)
+    if body.frame is None or number < 0:
         return np.array(body.pos), None
-    number = model.body(body.name).id
-    place = np.array(model.body_pos[number])
-    return place, np.array(model.body_quat[number])
+    return np.array(model.body_pos[number]), np.array(model.body_quat[number])

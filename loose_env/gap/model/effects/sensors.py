@@ -6,33 +6,35 @@ error of the measured angle once a turn. A torque constant scales a drive's meas
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter, Readings
-from loose_env.gap.model.effects.drives import DELAY_STARTS, LONGEST_DELAY, held_delay
+from loose_env.gap.model.effect import (
+    AdditiveEffect,
+    DrivenEffect,
+    Effect,
+    JointEffect,
+    Parameter,
+    Readings,
+)
+from loose_env.gap.model.effects.drives import DELAY, delay_by, held_delay
 from loose_env.gap.model.effects.mjcf import added_name, angle_unit, site_pose
-from loose_env.gap.model.nominal_model import NominalModel, history_for
+from loose_env.gap.model.nominal_model import NominalModel, named
 from loose_env.typing import Array
 
 _S = mujoco.mjtSensor
-_SMOOTH = tuple(
-    int(kind)
-    for kind in (
-        _S.mjSENS_JOINTPOS, _S.mjSENS_JOINTVEL, _S.mjSENS_FRAMEPOS, _S.mjSENS_FRAMELINVEL,
-        _S.mjSENS_FRAMEANGVEL, _S.mjSENS_VELOCIMETER, _S.mjSENS_GYRO,
-    )
+_SMOOTH = (
+    _S.mjSENS_JOINTPOS, _S.mjSENS_JOINTVEL, _S.mjSENS_FRAMEPOS, _S.mjSENS_FRAMELINVEL,
+    _S.mjSENS_FRAMEANGVEL, _S.mjSENS_VELOCIMETER, _S.mjSENS_GYRO,
 )  # fmt: skip
 """Positions and speeds."""
-_TURNING = tuple(
-    int(kind)
-    for kind in (
-        _S.mjSENS_ACCELEROMETER, _S.mjSENS_GYRO, _S.mjSENS_VELOCIMETER, _S.mjSENS_FORCE,
-        _S.mjSENS_TORQUE, _S.mjSENS_MAGNETOMETER,
-    )
+_TURNING = (
+    _S.mjSENS_ACCELEROMETER, _S.mjSENS_GYRO, _S.mjSENS_VELOCIMETER, _S.mjSENS_FORCE,
+    _S.mjSENS_TORQUE, _S.mjSENS_MAGNETOMETER,
 )  # fmt: skip
 """Vectors in the frame of their site."""
 
@@ -53,19 +55,20 @@ def _reading_scale(machine: NominalModel, sensor: str) -> tuple[float, str]:
     model = machine.model
     number = model.sensor(sensor).id
     load, speed = float(machine.load_scales.max()), float(machine.speed_scales.max())
-    turns = True
+    angle, torque = "rad", "N·m"
     if model.sensor_objtype[number] == mujoco.mjtObj.mjOBJ_JOINT:
         joint = machine.joints[int(model.sensor_objid[number])]
-        load, speed, turns = machine.load(joint), machine.speed(joint), machine.turns(joint)
+        load, speed = machine.load(joint), machine.speed(joint)
+        angle, torque = machine.units(joint)
     scales = {
-        _S.mjSENS_JOINTPOS: (0.01, "rad" if turns else "m"),
-        _S.mjSENS_JOINTVEL: (0.05 * speed, "rad/s" if turns else "m/s"),
+        _S.mjSENS_JOINTPOS: (0.01, angle),
+        _S.mjSENS_JOINTVEL: (0.05 * speed, f"{angle}/s"),
         _S.mjSENS_ACCELEROMETER: (0.2, "m/s²"),
         _S.mjSENS_GYRO: (0.05 * speed, "rad/s"),
         _S.mjSENS_VELOCIMETER: (0.05 * speed, "m/s"),
         _S.mjSENS_FORCE: (0.05 * load, "N"),
         _S.mjSENS_TORQUE: (0.05 * load, "N·m"),
-        _S.mjSENS_JOINTACTFRC: (0.05 * load, "N·m" if turns else "N"),
+        _S.mjSENS_JOINTACTFRC: (0.05 * load, torque),
         _S.mjSENS_ACTUATORFRC: (0.05 * load, ""),
         _S.mjSENS_FRAMELINACC: (0.2, "m/s²"),
         _S.mjSENS_FRAMEPOS: (0.005, "m"),
@@ -85,11 +88,7 @@ class SensorEffect(Effect):
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return sensors with so many axes."""
         dims = machine.model.sensor_dim
-        return tuple(
-            name
-            for k, name in enumerate(machine.sensors)
-            if name and (not cls.dims or int(dims[k]) in cls.dims)
-        )
+        return named(machine.sensors, np.isin(dims, cls.dims or dims))
 
     @property
     def dim(self) -> int:
@@ -111,30 +110,18 @@ class SensorEffect(Effect):
 _AXES = {1: ("bias",), 3: ("bias_x", "bias_y", "bias_z")}
 
 
-class SensorBias(SensorEffect):
+class SensorBias(AdditiveEffect, SensorEffect):
     """Constant bias of a sensor, one for each axis."""
 
     kind = "sensor_bias"
-    is_additive = True
     dims = tuple(_AXES)
-
-    def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
-        super().__init__(machine, where, variant)
-        self.null_values = (0.0,) * self.dim  # type: ignore[misc]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Bias of each axis."""
-        scale, unit = _reading_scale(self.machine, self.where)
-        return tuple(
-            Parameter(name=name, unit=unit, low=-500 * scale, high=500 * scale, scale=scale)
-            for name in _AXES[self.dim]
-        )
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: visible on every axis."""
-        return (tuple(p.scale for p in self.parameters),)
+        size, unit = _reading_scale(self.machine, self.where)
+        bias = Parameter.sized("", unit, size, -500, 500, scale=1.0, starts=(1.0,))
+        return tuple(replace(bias, name=name) for name in _AXES[self.dim])
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Add the bias."""
@@ -150,8 +137,7 @@ class SensorGain(SensorEffect):
 
     kind = "sensor_gain"
     null_values = (1.0,)
-    parameters = (Parameter(name="gain", unit="", low=0.1, high=10.0, scale=0.05),)
-    starts = ((0.9,), (1.1,))
+    parameters = (Parameter.sized("gain", "", 1.0, 0.1, 10, scale=0.05, starts=(0.9, 1.1)),)
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Scale the reading."""
@@ -160,10 +146,6 @@ class SensorGain(SensorEffect):
     def code(self, values: Array) -> str:
         """Python line: the reading times the gain."""
         return f"data.sensor({self.where!r}).data *= {float(values[0])!r}"
-
-
-_STEPS = (0.2, 1.0)
-"""Steps of a sensor from which fits start, over a change that matters."""
 
 
 class SensorQuantisation(SensorEffect):
@@ -176,14 +158,9 @@ class SensorQuantisation(SensorEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Step of the reading."""
-        scale, unit = _reading_scale(self.machine, self.where)
-        low, high = 1e-4 * scale, 1e3 * scale
-        return (Parameter(name="step", unit=unit, low=low, high=high, scale=scale, log=True),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: visible steps."""
-        return tuple((share * self.parameters[0].scale,) for share in _STEPS)
+        size, unit = _reading_scale(self.machine, self.where)
+        starts = (0.2, 1.0)
+        return (Parameter.sized("step", unit, size, 1e-4, 1e3, scale=1, starts=starts, log=True),)
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Round the reading."""
@@ -210,8 +187,7 @@ class SensorDelay(SensorEffect):
     in_model = True
     null_values = (0.0,)
     is_time_shift = True
-    parameters = (Parameter(name="delay", unit="s", low=0.0, high=LONGEST_DELAY, scale=0.01),)
-    starts = DELAY_STARTS
+    parameters = (DELAY,)
 
     @property
     def _jumps(self) -> bool:
@@ -235,8 +211,7 @@ class SensorDelay(SensorEffect):
             return
         sensor, step = spec.sensor(self.where), float(spec.option.timestep)
         own = float(sensor.delay) if sensor.interp else held_delay(float(sensor.delay), step)
-        sensor.delay, sensor.interp = own + float(values[0]), 1
-        sensor.nsample = max(history_for(sensor.delay, step), int(sensor.nsample))
+        delay_by(sensor, own + float(values[0]), step)
 
 
 def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Array:
@@ -249,30 +224,27 @@ def delayed(time: Array, values: Array, delay: float, *, axis: int = -1) -> Arra
     return np.moveaxis(moved[..., low] * (1 - share) + moved[..., high] * share, -1, axis)
 
 
-class SensorMisalignment(SensorEffect):
+class SensorMisalignment(AdditiveEffect, SensorEffect):
     """Misalignment of a vector sensor: a rotation vector in the site's own frame."""
 
     kind = "sensor_misalignment"
     in_model = True
-    null_values = (0.0, 0.0, 0.0)
-    is_additive = True
+    # three degrees about every axis, as small rotations add up
     parameters = tuple(
-        Parameter(name=f"turn_{axis}", unit="rad", low=-1.6, high=1.6, scale=0.05) for axis in "xyz"
+        Parameter.sized(f"turn_{axis}", "rad", 1.0, -1.6, 1.6, scale=0.05, starts=(0.05,))
+        for axis in "xyz"
     )
-    starts = ((0.05, 0.05, 0.05),)  # three degrees about every axis, as small rotations add up
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return sensors of three axes that are fixed to a site."""
         model = machine.model
         at_site = (model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE) & (model.sensor_refid < 0)
-        chosen = at_site & np.isin(model.sensor_type, _TURNING)
-        return tuple(name for k, name in enumerate(machine.sensors) if name and chosen[k])
+        return named(machine.sensors, at_site & np.isin(model.sensor_type, _TURNING))
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Rotate the vector to the misaligned frame."""
-        turn = Rotation.from_rotvec(np.asarray(values, dtype=float)).as_matrix()
-        return np.asarray(reading @ turn)
+        return np.asarray(reading @ Rotation.from_rotvec(values).as_matrix())
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Move the sensor to a rotated site of its own."""
@@ -280,11 +252,8 @@ class SensorMisalignment(SensorEffect):
         site = spec.site(sensor.objname)
         place, turned = site_pose(self.machine, site)
         askew = added_name(spec, self.where, self.kind)
-        x, y, z, w = (
-            Rotation.from_quat(turned, scalar_first=True)
-            * Rotation.from_rotvec(np.asarray(values, dtype=float))
-        ).as_quat()
-        site.parent.add_site(name=askew, pos=place, quat=[w, x, y, z])
+        turn = Rotation.from_quat(turned, scalar_first=True) * Rotation.from_rotvec(values)
+        site.parent.add_site(name=askew, pos=place, quat=turn.as_quat(scalar_first=True))
         sensor.objname = askew
 
 
@@ -295,8 +264,7 @@ class TorqueConstant(JointEffect):
     exact_law = True
     in_model = False
     null_values = (1.0,)
-    parameters = (Parameter(name="factor", unit="", low=0.02, high=50.0, scale=0.1),)
-    starts = ((0.8,), (1.25,))
+    parameters = (Parameter.sized("factor", "", 1.0, 0.02, 50, starts=(0.8, 1.25)),)
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
         """Scale the joint's torque."""
@@ -312,7 +280,7 @@ class TorqueConstant(JointEffect):
     def code(self, values: Array) -> str:
         """Python line: the measured torque of the joint."""
         return (
-            f"measured_torque_{self.machine.joint_number(self.where)} = "
+            f"measured_torque_{self.number} = "
             f"{float(values[0])!r} * data.joint({self.where!r}).qfrc_actuator"
         )
 
@@ -331,15 +299,13 @@ class EncoderOffset(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Offset: reading minus truth."""
-        if self.turns:
-            return (Parameter(name="offset", unit="rad", low=-1.0, high=1.0, scale=0.02),)
-        return (Parameter(name="offset", unit="m", low=-0.3, high=0.3, scale=0.005),)
-
-    @property
-    def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: visible, of either sign."""
-        scale = self.parameters[0].scale
-        return ((-scale,), (scale,))
+        most, step = (1.0, 0.02) if self.turns else (0.3, 0.005)
+        return (
+            Parameter(
+                name="offset", unit=self.angle_unit, low=-most, high=most, scale=step,
+                starts=(-step, step),
+            ),
+        )  # fmt: skip
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Shift the joint's reference, range and spring."""
@@ -347,24 +313,22 @@ class EncoderOffset(JointEffect):
         offset = float(values[0]) / angle_unit(joint)
         joint.ref += offset
         joint.springref += offset
-        if self.machine.model.jnt_limited[self.machine.joint_number(self.where)]:
+        if self.machine.model.jnt_limited[self.number]:
             joint.range = np.array(joint.range) + offset
 
 
-class GearEccentricity(DrivenEffect, JointEffect):
+class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
     """Once-per-turn error of the measured angle: a gear or a code wheel that turns off its centre.
 
     The encoder shows q + sine · sin q + cosine · cos q, and the servo closes its loop on that.
     """
 
     kind = "gear_eccentricity"
-    is_additive = True
-    null_values = (0.0, 0.0)
+    # a third of a degree in either phase, which add up
     parameters = tuple(
-        Parameter(name=name, unit="rad", low=-0.5, high=0.5, scale=0.005)
+        Parameter.sized(name, "rad", 1.0, -0.5, 0.5, scale=0.005, starts=(0.005,))
         for name in ("sine", "cosine")
     )
-    starts = ((0.005, 0.005),)  # a third of a degree in either phase, which add up
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -374,9 +338,8 @@ class GearEccentricity(DrivenEffect, JointEffect):
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        self._joint = machine.joint_number(where)
-        self._encoders = _names(machine, self._joint, _POSITION)
-        self._rates = _names(machine, self._joint, _SPEED)
+        self._encoders = _names(machine, self.number, _POSITION)
+        self._rates = _names(machine, self.number, _SPEED)
         model = machine.model
         self._servos: list[tuple[int, float, float, float]] = [
             (k, float(model.actuator_gear[k, 0]), *self._gains(k))
@@ -393,16 +356,16 @@ class GearEccentricity(DrivenEffect, JointEffect):
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Shift the commands of the joint's servos as the shown position and speed do."""
-        error, slope = _eccentric(position[..., self._joint], values)
+        error, slope = _eccentric(position[..., self.number], values)
         found = command.copy()
         for number, gear, per_angle, per_speed in self._servos:
-            shift = per_angle * error + per_speed * slope * speed[..., self._joint]
+            shift = per_angle * error + per_speed * slope * speed[..., self.number]
             found[..., number] += gear * shift
         return found
 
     def feedback_code(self, values: Array) -> str:
         """Python lines: the commands shifted by the error of what the servo sees."""
-        joint = self._joint
+        joint = self.number
         error, slope = _eccentric_code(f"position[{joint}]", values)
         return "\n".join(
             f"command[{number}] += {gear!r} * ({p!r} * ({error}) + {d!r} * ({slope}) * "
@@ -428,13 +391,10 @@ class GearEccentricity(DrivenEffect, JointEffect):
     def code(self, values: Array) -> str:
         """Python lines: the readings with the error."""
         error, slope = _eccentric_code("angle", values)
-        lines = [
-            "import numpy as np",
-            f"angle = float(data.sensor({self._encoders[0]!r}).data[0])",
-            *(f"data.sensor({name!r}).data *= 1 + {slope}" for name in self._rates),
-            *(f"data.sensor({name!r}).data += {error}" for name in self._encoders),
-        ]
-        return "\n".join(lines)
+        shown = f"import numpy as np\nangle = float(data.sensor({self._encoders[0]!r}).data[0])"
+        rates = (f"data.sensor({name!r}).data *= 1 + {slope}" for name in self._rates)
+        angles = (f"data.sensor({name!r}).data += {error}" for name in self._encoders)
+        return "\n".join([shown, *rates, *angles])
 
 
 _POSITION, _SPEED = int(_S.mjSENS_JOINTPOS), int(_S.mjSENS_JOINTVEL)
