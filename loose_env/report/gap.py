@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from datetime import date
-from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -142,13 +141,16 @@ def _channel_rows(result: GapResult) -> list[list[str]]:
     if quiet:
         most = max(c.before for c in quiet), max(c.after for c in quiet)
         rows.append([f"{len(quiet)} other readings", "not needed", "", *_sides(*most)])
-    return [*rows, ["all together", "", "", *_sides(result.gap.before, result.gap.after)]]
+    if len(rows) != 1:
+        rows.append(["all together", "", "", *_sides(result.gap.before, result.gap.after)])
+    return rows
 
 
 def _sides(before: float, after: float) -> list[str]:
     """Share of a residual's power that is explained, and the residual before and after."""
     share = f"{100 * max(0.0, 1 - (after / before) ** 2):.0f} %" if before > _AT_NOISE else ""
-    return [share, *(f"{v:.3g}" if isfinite(v) else "-" for v in (before, after))]
+    ends = (f"{v:.0f}" if abs(v) >= 1e3 else f"{v:.3g}" for v in (before, after))
+    return [share, *(end.replace("nan", "-") for end in ends)]
 
 
 def _reading(channel: str) -> str:
