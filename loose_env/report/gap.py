@@ -70,6 +70,10 @@ def gap_headline(result: GapResult) -> str:
     """
     left = [each.channel for each in result.channels if each.verdict == "unexplained"]
     if result.verdict == "no_gap":
+        open_ones = [each.channel for each in result.channels if each.verdict == "cannot tell"]
+        if open_ones:
+            told = f"the recording does not tell about {_channel_words(open_ones)}"
+            return f"No model error found; {told}."
         return "No model error: the model explains the measurement."
     if result.verdict == "unexplained":
         if left:

@@ -150,6 +150,9 @@ def test_the_headline_says_what_is_missing_and_what_is_not_explained() -> None:
     )
     assert gap_headline(result("unexplained", channels=OPEN)) == "Nothing tried explains shoulder."
     assert "cannot tell" in gap_headline(result("unexplained", channels=OPEN[1:]))
+    assert gap_headline(result("no_gap", channels=OPEN[1:])) == (
+        "No model error found; the recording does not tell about wrist."
+    )
     gap = Gap(before=4.0, after=1.1, by_quantity={"joint torque [N·m]": (2.0, 0.5)})
     torque = "Missing along the measured motion: joint torque 2 N·m before, 0.5 N·m after."
     assert summary_words(result("no_gap", gap=gap)) == [torque]
