@@ -38,14 +38,12 @@ from loose_env.report.words import (
     Located,
     effect_words,
     kind_words,
-    percent,
     rivals_words,
     together,
 )
 from loose_env.version import __version__
 
 _HEADLINE = 60  # letters of the effects in the headline
-_ROWS = 6  # of the sets of effects compared
 _RESPONSES = 4  # frequency responses drawn
 _SAMPLES = 500  # of an overlay
 _CORRELATED = 0.5  # correlation of two parameters from which it is listed
@@ -218,12 +216,6 @@ def check_text(found: Identifiability) -> str:
     """
     if not any(joint.used > 0 for joint in found.joints):
         return "No joint moves enough to be compared."
-    rows = [["joint", "travel", "speed", "acceleration", "unit", "compared"]]
-    rows += [
-        [j.joint, f"{j.travel:.3g}", f"{j.speed:.3g}", f"{j.acceleration:.3g}", j.unit,
-         f"{100 * j.used:.0f} %"]
-        for j in found.joints
-    ]  # fmt: skip
     kinds: dict[str, list[VisibleEffect]] = {}
     for effect in found.effects:
         kinds.setdefault(effect.kind, []).append(effect)
@@ -232,8 +224,17 @@ def check_text(found: Identifiability) -> str:
         unseen = [e.where for e in own if not e.visible]
         sizes = _sizes([e for e in own if e.visible])
         seen.append([kind, sizes, "any" if len(unseen) == len(own) else ", ".join(unseen)])
-    parts = [aligned(rows), aligned(seen), ["to record next:", *_wanted(found)]]
+    parts = [aligned(_excitation(found)), aligned(seen), ["to record next:", *_wanted(found)]]
     return "\n\n".join("\n".join(part) for part in parts if len(part) > 1)
+
+
+def _excitation(found: Identifiability) -> list[list[str]]:
+    """How much each joint moves, headings first."""
+    rows = [["joint", "travel", "speed", "acceleration", "unit", "compared"]]
+    for each in found.joints:
+        moved = [f"{x:.3g}" for x in (each.travel, each.speed, each.acceleration)]
+        rows.append([each.joint, *moved, each.unit, f"{100 * each.used:.0f} %"])
+    return rows
 
 
 def _sizes(effects: Sequence[VisibleEffect]) -> str:
@@ -330,7 +331,6 @@ def render_gap_page(solution: GapSolution) -> str:
             _overlay_section(solution),
             _residual_section(solution),
             _response_section(solution),
-            _ranking_section(result),
             _identifiability_section(result.identifiability),
         ],
         kicker=[solution.answer.recording.folder.name, "model error"],
@@ -515,55 +515,17 @@ def _response_section(solution: GapSolution) -> Section:
     return Section(heading="Frequency response", intro=[intro], cards=cards, strip=True)
 
 
-def _ranking_section(result: GapResult) -> Section:
-    """Sets of effects that were compared, by their difference from the best."""
-    best = set(result.ranking[0].effects) if result.ranking else set()
-
-    def words(effects: Sequence[EffectLocation]) -> str:
-        own = set(effects)
-        sides = [("without", sorted(best - own, key=str)), ("with", sorted(own - best, key=str))]
-        parts = [f"{word} {together(side)}" for word, side in sides if side]
-        return ", ".join(parts) or together(effects) or "no effect"
-
-    shown = result.ranking[:_ROWS]
-    simulated = any(each.simulated is not None for each in shown)
-    rows = []
-    for each in shown:
-        row = {
-            "Set of effects": begun(words(each.effects)),
-            "Behind": f"{each.behind:.1f}",
-            "Probability": percent(each.probability),
-        }
-        if simulated:
-            row["In simulation"] = "-" if each.simulated is None else f"{each.simulated:.1f}"
-        rows.append(row)
-    note = (
-        "Behind: minus twice the log posterior probability above the best set's; 10 is very strong "
-        "evidence. In simulation: the same by exact fits of the leading sets, which decide."
-    )
-    note = note if simulated else note.partition(" In simulation")[0]
-    return Section(heading="Sets of effects compared", tables=[Table(rows=rows, note=note)])
-
-
 def _identifiability_section(found: Identifiability) -> Section:
-    """What these motions could show, and what to record for the rest."""
-    joints = [
-        {
-            "Joint": each.joint,
-            "Travel": f"{each.travel:.3g} {each.unit}",
-            "Speed": f"{each.speed:.3g} {each.unit}/s",
-            "Acceleration": f"{each.acceleration:.3g} {each.unit}/s²",
-            "Compared": f"{100 * each.used:.0f} %",
-        }
-        for each in found.joints
-    ]
+    """Excitation, and what to record for what these motions could not show."""
+    heads, *rows = _excitation(found)
     note = (
         "Speed and acceleration: 95th percentile. Compared: share of the time neither at rest nor "
         "knocked. Below: what these motions alone could not show at a usual size, or not tell "
         "apart; the smallest visible size of every effect stands in result.json."
     )
+    excitation = [dict(zip(map(begun, heads), row, strict=True)) for row in rows]
     return Section(
         heading="What to record next",
-        tables=[Table(title="Excitation", rows=joints, note=note)],
+        tables=[Table(title="Excitation", rows=excitation, note=note)],
         points=_wanted(found),
     )
