@@ -38,6 +38,7 @@ from loose_env.report.words import (
     Located,
     effect_words,
     kind_words,
+    percent,
     rivals_words,
     together,
 )
@@ -167,11 +168,13 @@ def _kinds(effects: Sequence[EffectLocation]) -> str:
 
 def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     """Rows of an effect's parameters; the first names the effect."""
-    likely = "" if effect.probability is None else f"{100 * effect.probability:.0f} %"
+    likely = "" if effect.probability is None else percent(effect.probability)
     name, rows = effect_words(effect.kind, effect.where), []
     others = ", ".join(rivals_words(effect))
     for parameter, value in effect.parameters.items():
         ends = effect.interval_95.get(parameter)
+        if value == 0 and ends == (0.0, 0.0):  # a direction that the motion does not excite
+            continue
         between = "" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}"
         words, unit = parameter.replace("_", " "), effect.units.get(parameter, "")
         rows.append([name, likely, words, f"{value:.3g}", between, unit, others])
