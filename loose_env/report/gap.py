@@ -47,10 +47,12 @@ from loose_env.version import __version__
 _HEADLINE = 60  # letters of the effects in the headline
 _RESPONSES = 4  # frequency responses drawn
 _SAMPLES = 500  # of an overlay
+_ADVICE = 10  # motions to record that a page lists
 _CORRELATED = 0.5  # correlation of two parameters from which it is listed
 _AT_NOISE = 1.5  # noise standard deviations of a residual that leave nothing to explain
 _EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interval", "unit"]
 _CHANNELS = ["joint or reading", "verdict", "effects", "explained", "before", "after"]
+_DOUBTFUL = "Not named: improbable, or not confirmed by held-out data"
 _PULLED = "Beyond its tolerance"
 _UNIT = "before, after: residual on held-out data, in noise standard deviations (noise alone: 1)"
 
@@ -360,11 +362,13 @@ def gap_steps(result: GapResult) -> list[str]:
             "Apply the lines below to the simulation: MJCF has no means for "
             f"{together(apart) or 'them'}, so model.xml does not carry it."
         )
+    alike: dict[str, list[str]] = {}
     for effect in result.effects:
         for other in effect.ambiguous_with[:RIVALS]:
             advice = how_to_separate(effect.kind, effect.where, other.kind, other.where)
             names = [effect_words(each.kind, each.where) for each in (effect, other)]
-            steps.append(f"To separate {' from '.join(names)}: {_uncapped(advice)}")
+            alike.setdefault(_uncapped(advice), []).append(" from ".join(names))
+    steps += [f"To separate {named_list(names)}: {advice}" for advice, names in alike.items()]
     for each in result.channels:
         if each.verdict in ("cannot tell", "unexplained") and each.advice:
             steps.append(f"{_reading(each.channel)}, {each.verdict}: {each.advice}")
@@ -421,7 +425,7 @@ def _effects_section(solution: GapSolution) -> Section:
         Table(title=title, rows=[cells(effect) for effect in effects], note=note * (not title))
         for title, effects in (
             ("", result.effects),
-            ("Not sure enough to be named", result.doubtful),
+            (_DOUBTFUL, result.doubtful),
         )
     ]
     tables.append(Table(title="Correlated parameters", rows=correlated))
@@ -524,11 +528,11 @@ def _identifiability_section(found: Identifiability) -> Section:
     note = (
         "Speed and acceleration: 95th percentile. Compared: share of the time neither at rest nor "
         "knocked. Below: what these motions alone could not show at a usual size, or not tell "
-        "apart; the smallest visible size of every effect stands in result.json."
+        "apart; 'loose gap --check' prints the smallest visible size of every effect."
     )
     excitation = [dict(zip(map(begun, heads), row, strict=True)) for row in rows]
     return Section(
         heading="What to record next",
         tables=[Table(title="Excitation", rows=excitation, note=note)],
-        points=_wanted(found),
+        points=_wanted(found)[:_ADVICE],
     )
