@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from datetime import date
-from math import isfinite, log1p
 from pathlib import Path
+
+import numpy as np
 
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
-    ChannelVerdict,
     EffectLocation,
     GapResult,
     GapSolution,
@@ -21,13 +21,7 @@ from loose_env.gap import (
     pulled_words,
 )
 from loose_env.io import begun, write_text
-from loose_env.report.gap_figures import (
-    channel_bars,
-    correlation_figure,
-    matrix_figure,
-    overlay_figure,
-    response_figure,
-)
+from loose_env.report.gap_figures import correlation_figure, overlay_figure, response_figure
 from loose_env.report.page import (
     Brief,
     FigureCard,
@@ -44,18 +38,23 @@ from loose_env.report.words import (
     Located,
     effect_words,
     kind_words,
+    percent,
     rivals_words,
     together,
 )
 from loose_env.version import __version__
 
 _HEADLINE = 60  # letters of the effects in the headline
-_ROWS, _BARS = 12, 24  # rows of a table, channels drawn
 _RESPONSES = 4  # frequency responses drawn
 _SAMPLES = 500  # of an overlay
-_DOUBTFUL = "Not sure enough to be named"
+_ADVICE = 10  # motions to record that a page lists
+_CORRELATED = 0.5  # correlation of two parameters from which it is listed
+_AT_NOISE = 1.5  # noise standard deviations of a residual that leave nothing to explain
 _EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interval", "unit"]
-_CHANNELS = ["joint or reading", "verdict", "effects", "before", "after"]
+_CHANNELS = ["joint or reading", "verdict", "effects", "explained", "before", "after"]
+_DOUBTFUL = "Not named: improbable, or not confirmed by held-out data"
+_PULLED = "Beyond its tolerance"
+_UNIT = "before, after: residual on held-out data, in noise standard deviations (noise alone: 1)"
 
 
 # Headline, text
@@ -72,6 +71,10 @@ def gap_headline(result: GapResult) -> str:
     """
     left = [each.channel for each in result.channels if each.verdict == "unexplained"]
     if result.verdict == "no_gap":
+        open_ones = [each.channel for each in result.channels if each.verdict == "cannot tell"]
+        if open_ones:
+            told = f"the recording does not tell about {_channel_words(open_ones)}"
+            return f"No model error found; {told}."
         return "No model error: the model explains the measurement."
     if result.verdict == "unexplained":
         if left:
@@ -83,7 +86,7 @@ def gap_headline(result: GapResult) -> str:
 
 def _channel_words(names: Sequence[str]) -> str:
     """Names of joints and readings, or their number where they are many."""
-    shown = [name.removeprefix("sensor.") for name in names]
+    shown = list(map(_reading, names))
     return named_list(shown) if len(shown) < 4 else f"{len(shown)} joints and readings"
 
 
@@ -95,47 +98,69 @@ def _short(effects: Sequence[Located]) -> str:
 
 
 def summary_words(result: GapResult) -> list[str]:
-    """Effects with their locations, and the residual before and after, below the headline."""
-    found = [f"{begun(together(result.effects))}."] if result.effects else []
-    after = "" if result.verdict == "no_gap" else f", {result.gap.after:.2f} after correction"
-    found.append(
-        f"Force that is missing on held-out data: {result.gap.before:.2f} noise standard "
-        f"deviations{after} (sensor noise alone: 1)."
-    )
-    return found
+    """Effects that the headline only counts, and the residual in physical units."""
+    counted = _short(result.effects) == f"{len(result.effects)} effects"
+    found = [f"{begun(together(result.effects))}."] if counted and result.effects else []
+    return [*found, *(f"{begun(words)}." for words in _quantities(result))]
+
+
+def _quantities(result: GapResult) -> list[str]:
+    """Errors on held-out data in physical units: of the force balance, and of simulations."""
+    found: dict[str, list[str]] = {}
+    for key, (before, after) in result.gap.by_quantity.items():
+        name, unit = key.rstrip("]").split(" [")
+        balance = name in ("joint torque", "joint force")
+        where = (
+            "missing along the measured motion" if balance else "error of one-second simulations"
+        )
+        words = f"{name} {before:.3g} {unit} before, {after:.3g} {unit} after"
+        found.setdefault(where, []).append(words)
+    return [f"{where}: {'; '.join(words)}" for where, words in found.items()]
 
 
 def _brief(result: GapResult, *, warnings: bool) -> Brief:
     effects = [row for effect in result.effects for row in _effect_rows(effect)]
-    gap = result.gap
-    sizes = [
-        ("nominal model", gap.before),
-        ("corrected model", gap.after),
-        ("sensor noise alone", gap.noise_floor),
-    ]
-    top = log1p(max(2.0, *(value for _, value in sizes)))
-    residual = [[name, log1p(value) / top, f"{value:.2f}"] for name, value in sizes]
-    heads = ["residual on held-out data", "logarithmic", "noise standard deviations"]
-    quantities = [
-        f"{name}: {before:.3g} {unit} before, {after:.3g} {unit} after"
-        for key, (before, after) in gap.by_quantity.items()
-        for name, unit in [key.rstrip("]").split(" [")]
-    ]
-    channels = [
-        [c.channel, c.verdict, _kinds(c.effects), f"{c.before:.2f}", f"{c.after:.2f}"]
-        for c in result.channels
-    ]
     return Brief(
         headline=gap_headline(result),
         parts=[
             ("", "  ", [[*_EFFECTS, "confusable with"], *effects] if effects else []),
-            ("", "  ", [heads, *residual]),
-            ("", "  ", [_CHANNELS, *channels] if channels else []),
-            ("In physical units", "  ", quantities),
-            ("Pulled out of their tolerances", "pulled: ", pulled_words(result)[:RIVALS]),
+            ("", "  ", [_CHANNELS, *_channel_rows(result)]),
+            ("Residual", "  ", [_UNIT, *_quantities(result)]),
+            (_PULLED, f"{_PULLED.lower()}: ", pulled_words(result)[:RIVALS]),
             *(graded_parts(result.graded_warnings) if warnings else []),
         ],
     )
+
+
+def _channel_rows(result: GapResult) -> list[list[str]]:
+    """One row for each joint and reading, readings without an error in one, and all together."""
+    quiet = [
+        c for c in result.channels if c.verdict == "not needed" and c.channel.startswith("sensor.")
+    ]
+    quiet = quiet if len(quiet) > 1 else []
+    rows = [
+        [_reading(c.channel), c.verdict, _kinds(c.effects), *_sides(c.before, c.after)]
+        for c in result.channels
+        if c not in quiet
+    ]
+    if quiet:
+        most = max(c.before for c in quiet), max(c.after for c in quiet)
+        rows.append([f"{len(quiet)} other readings", "not needed", "", *_sides(*most)])
+    if len(rows) != 1:
+        rows.append(["all together", "", "", *_sides(result.gap.before, result.gap.after)])
+    return rows
+
+
+def _sides(before: float, after: float) -> list[str]:
+    """Share of a residual's power that is explained, and the residual before and after."""
+    share = f"{100 * max(0.0, 1 - (after / before) ** 2):.0f} %" if before > _AT_NOISE else ""
+    ends = (f"{v:.0f}" if abs(v) >= 1e3 else f"{v:.3g}" for v in (before, after))
+    return [share, *(end.replace("nan", "-") for end in ends)]
+
+
+def _reading(channel: str) -> str:
+    """A channel as one says it."""
+    return channel.removeprefix("sensor.")
 
 
 def _kinds(effects: Sequence[EffectLocation]) -> str:
@@ -145,14 +170,16 @@ def _kinds(effects: Sequence[EffectLocation]) -> str:
 
 def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     """Rows of an effect's parameters; the first names the effect."""
-    likely = "" if effect.probability is None else f"{100 * effect.probability:.0f} %"
+    likely = "" if effect.probability is None else percent(effect.probability)
     name, rows = effect_words(effect.kind, effect.where), []
     others = ", ".join(rivals_words(effect))
     for parameter, value in effect.parameters.items():
         ends = effect.interval_95.get(parameter)
-        between = "" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"
+        if value == 0 and ends == (0.0, 0.0):  # a direction that the motion does not excite
+            continue
+        between = "" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}"
         words, unit = parameter.replace("_", " "), effect.units.get(parameter, "")
-        rows.append([name, likely, words, f"{value:.4g}", between, unit, others])
+        rows.append([name, likely, words, f"{value:.3g}", between, unit, others])
         name = likely = others = ""
     return rows
 
@@ -172,16 +199,15 @@ def gap_text(result: GapResult, *, warnings: bool = True) -> str:
     >>> from loose_env.gap import Gap
     >>> print(gap_text(GapResult(verdict="no_gap", gap=Gap(before=1.04, after=1.04))))
     No model error: the model explains the measurement.
-      residual on held-out data  noise standard deviations
-      nominal model              1.04
-      corrected model            1.04
-      sensor noise alone         1.00
+      joint or reading  verdict  effects  explained  before  after
+      all together                                   1.04    1.04
+      before, after: residual on held-out data, in noise standard deviations (noise alone: 1)
     """
     return _brief(result, warnings=warnings).text()
 
 
 def gap_html(result: GapResult) -> str:
-    """Result of `loose gap` as a fragment of HTML, with the residuals drawn as bars."""
+    """Result of `loose gap` as a fragment of HTML."""
     return _brief(result, warnings=True).html()
 
 
@@ -195,33 +221,61 @@ def check_text(found: Identifiability) -> str:
     """
     if not any(joint.used > 0 for joint in found.joints):
         return "No joint moves enough to be compared."
+    kinds: dict[str, list[VisibleEffect]] = {}
+    for effect in found.effects:
+        kinds.setdefault(effect.kind, []).append(effect)
+    seen = [["effect", "visible from", "not visible at"]]
+    for kind, own in kinds.items():
+        unseen = [e.where for e in own if not e.visible]
+        sizes = _sizes([e for e in own if e.visible])
+        seen.append([kind, sizes, "any" if len(unseen) == len(own) else ", ".join(unseen)])
+    parts = [aligned(_excitation(found)), aligned(seen), ["to record next:", *_wanted(found)]]
+    return "\n\n".join("\n".join(part) for part in parts if len(part) > 1)
+
+
+def _excitation(found: Identifiability) -> list[list[str]]:
+    """How much each joint moves, headings first."""
     rows = [["joint", "travel", "speed", "acceleration", "unit", "compared"]]
-    rows += [
-        [j.joint, f"{j.travel:.3g}", f"{j.speed:.3g}", f"{j.acceleration:.3g}", j.unit,
-         f"{100 * j.used:.0f} %"]
-        for j in found.joints
-    ]  # fmt: skip
-    seen = [["would show", "from", "not told from"]]
-    seen += [[_name(e), _size(e), _rival_words(e)] for e in found.effects if e.visible]
-    unseen = [["would not show", "below", "better"]]
-    unseen += [[_name(e), _size(e), how_to_see(e.kind)] for e in found.effects if not e.visible]
-    parts = [aligned(part) for part in (rows, seen, unseen) if len(part) > 1]
-    return "\n\n".join("\n".join(part) for part in parts)
+    for each in found.joints:
+        moved = [f"{x:.3g}" for x in (each.travel, each.speed, each.acceleration)]
+        rows.append([each.joint, *moved, each.unit, f"{100 * each.used:.0f} %"])
+    return rows
 
 
-def _name(effect: VisibleEffect) -> str:
-    return f"{effect.kind} at {effect.where}"
+def _sizes(effects: Sequence[VisibleEffect]) -> str:
+    """Smallest visible sizes of one kind over its locations, by the unit of its first parameter."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for each in effects:
+        first = next(iter(each.smallest), "")
+        for name, value in each.smallest.items():
+            if each.units.get(name) == each.units.get(first):
+                found.setdefault(each.units.get(name, ""), {}).setdefault(name, []).append(value)
+    words = []
+    for unit, names in found.items():
+        values = [value for own in names.values() for value in own]
+        ends = dict.fromkeys(f"{end:.3g}" for end in (min(values), max(values)))
+        words.append(f"{', '.join(names)} {' to '.join(ends)} {unit}".rstrip())
+    return "; ".join(words)
 
 
-def _size(effect: VisibleEffect) -> str:
-    """Smallest visible parameters with their units."""
-    sizes = effect.smallest.items()
-    return ", ".join(f"{k} {v:.3g} {effect.units.get(k, '')}".rstrip() for k, v in sizes)
+def _wanted(found: Identifiability) -> list[str]:
+    """Motions that would show what these do not, or tell apart what these confuse."""
+    unseen: dict[str, list[VisibleEffect]] = {}
+    alike: dict[str, dict[frozenset[str], str]] = {}
+    for each in found.effects:
+        other = each.confusable_with
+        if not each.visible:
+            unseen.setdefault(how_to_see(each.kind), []).append(each)
+        elif other is not None:
+            advice = how_to_separate(each.kind, each.where, other.kind, other.where)
+            words = [kind_words(each.kind), kind_words(other.kind)]
+            alike.setdefault(_uncapped(advice), {})[frozenset(words)] = " from ".join(words)
+    lines = [f"To see {together(effects)}: {advice}." for advice, effects in unseen.items()]
+    return [*lines, *(f"To tell {named_list([*v.values()])}: {k}" for k, v in alike.items())]
 
 
-def _rival_words(effect: VisibleEffect) -> str:
-    other = effect.confusable_with
-    return "" if other is None else f"{other.kind} at {other.where}"
+def _uncapped(sentence: str) -> str:
+    return sentence[:1].lower() + sentence[1:]
 
 
 # Page
@@ -268,21 +322,20 @@ def render_gap_page(solution: GapSolution) -> str:
         If jinja2 or matplotlib is not installed.
     """
     result = solution.result
-    settings = ", ".join(f"{k} {v}" for k, v in result.settings.items() if not isinstance(v, dict))
-    tolerances = ", ".join(f"{k} {v:g}" for k, v in result.settings.get("tolerances", {}).items())
+    given = {k: v for k, v in result.settings.items() if v not in ((), [], None)}
+    tolerances = ", ".join(f"{k} {v:g}" for k, v in given.pop("tolerances", {}).items())
+    settings = ", ".join(f"{k} {v}" for k, v in given.items())
     held = ", ".join(result.held_out_runs) or "every run, or every other stretch, once in turn"
     return render_page(
         gap_headline(result),
         [
-            _effects_section(result),
+            _effects_section(solution),
             _channels_section(result),
             Section(heading="What to do next", points=gap_steps(result), code=result.code),
             warnings_section(result.graded_warnings),
             _overlay_section(solution),
             _residual_section(solution),
             _response_section(solution),
-            _correlation_section(solution),
-            _ranking_section(result),
             _identifiability_section(result.identifiability),
         ],
         kicker=[solution.answer.recording.folder.name, "model error"],
@@ -304,18 +357,21 @@ def gap_steps(result: GapResult) -> list[str]:
             "valid in it."
         )
     if result.code:
+        apart = [each for each in result.effects if not each.in_model]
         steps.append(
-            "Apply the lines below to the simulation: MJCF has no means for them, so model.xml "
-            "does not carry them."
+            "Apply the lines below to the simulation: MJCF has no means for "
+            f"{together(apart) or 'them'}, so model.xml does not carry it."
         )
+    alike: dict[str, list[str]] = {}
     for effect in result.effects:
         for other in effect.ambiguous_with[:RIVALS]:
             advice = how_to_separate(effect.kind, effect.where, other.kind, other.where)
             names = [effect_words(each.kind, each.where) for each in (effect, other)]
-            steps.append(f"To separate {' from '.join(names)}: {advice[0].lower()}{advice[1:]}")
+            alike.setdefault(_uncapped(advice), []).append(" from ".join(names))
+    steps += [f"To separate {named_list(names)}: {advice}" for advice, names in alike.items()]
     for each in result.channels:
         if each.verdict in ("cannot tell", "unexplained") and each.advice:
-            steps.append(f"{each.channel}, {each.verdict}: {each.advice}")
+            steps.append(f"{_reading(each.channel)}, {each.verdict}: {each.advice}")
     if any(each.verdict == "unexplained" for each in result.channels):
         steps.append(
             "If you know the effect, add it: it is one small class in one file, and is fitted like "
@@ -323,7 +379,7 @@ def gap_steps(result: GapResult) -> list[str]:
         )
     if result.pulled:
         steps.append(
-            f"Check these figures of the model, which the data contradict: "
+            "Check these parameters of the model, which the data pull beyond their tolerances: "
             f"{'; '.join(pulled_words(result)[:RIVALS])}"
         )
     if result.verdict == "no_gap":
@@ -334,20 +390,19 @@ def gap_steps(result: GapResult) -> list[str]:
     return [step if step.endswith(".") else f"{step}." for step in steps]
 
 
-def _effects_section(result: GapResult) -> Section:
-    """Named and doubtful effects with their parameters."""
+def _effects_section(solution: GapSolution) -> Section:
+    """Named and doubtful effects with their parameters and strong correlations."""
+    result = solution.result
 
     def cells(effect: NamedEffect) -> dict[str, str]:
-        likely = "-" if effect.probability is None else f"{100 * effect.probability:.0f} %"
-        values = []
-        for name, value in effect.parameters.items():
-            ends, unit = effect.interval_95.get(name), effect.units.get(name, "")
-            between = "" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"
-            values.append(f"{name.replace('_', ' ')} {value:.4g}{between} {unit}".rstrip())
+        values = [
+            f"{name} {value} {f'({ends}) ' * bool(ends)}{unit}".rstrip()
+            for _, _, name, value, ends, unit, _ in _effect_rows(effect)
+        ]
         return {
             "Missing effect": begun(effect_words(effect.kind, effect.where)),
             "Parameters": "; ".join(values),
-            "Probability": likely,
+            "Probability": _effect_rows(effect)[0][1] or "-",
             "Confusable with": ", ".join(rivals_words(effect)) or "-",
         }
 
@@ -356,205 +411,128 @@ def _effects_section(result: GapResult) -> Section:
         "recording disagree. Probability: that the machine has the effect, or one that is "
         "confusable with it, among the sets of effects that were compared."
     )
+    names, values = solution.parameters
+    pairs = [(values[i, k], names[i], names[k]) for i in range(len(names)) for k in range(i)]
+    strong = sorted((p for p in pairs if abs(p[0]) >= _CORRELATED), key=lambda p: -abs(p[0]))
+    if pairs and not strong:
+        most = max(abs(p[0]) for p in pairs)
+        note += f" No two of them are correlated by more than {most:.2f}."
+    correlated = [
+        {"Parameter": _at(one), "And": _at(other), "Correlation": f"{value:.2f}"}
+        for value, one, other in strong
+    ]
     tables = [
         Table(title=title, rows=[cells(effect) for effect in effects], note=note * (not title))
-        for title, effects in (("", result.effects), (_DOUBTFUL, result.doubtful))
+        for title, effects in (
+            ("", result.effects),
+            (_DOUBTFUL, result.doubtful),
+        )
     ]
-    return Section(heading="What the model lacks", tables=[t for t in tables if t.rows])
+    tables.append(Table(title="Correlated parameters", rows=correlated))
+    return Section(heading="What the model lacks", tables=tables)
+
+
+def _at(parameter: str) -> str:
+    """A coefficient of an effect, "kind location axis", as one says it."""
+    kind, where = parameter.split(" ", 1)
+    return effect_words(kind, where)
 
 
 def _channels_section(result: GapResult) -> Section:
     """One line for each joint and reading."""
-
-    def words(each: ChannelVerdict) -> dict[str, str]:
-        sides = [f"{v:.2f}" if isfinite(v) else "-" for v in (each.before, each.after)]
-        return {
-            "Joint or reading": each.channel.removeprefix("sensor."),
-            "Verdict": each.verdict,
-            "Effects": _kinds(each.effects) or "-",
-            "Before": sides[0],
-            "After": sides[1],
-            "Advice": begun(each.advice) or "-",
-        }
-
-    note = (
-        "Before, after: residual of the nominal model within its tolerances, and of the corrected "
-        "one, on held-out data in noise standard deviations. Not needed: no further effect is. "
-        "Cannot tell: one of these effects, and the motion that would tell which. Unexplained: "
-        "much is left by everything that was tried."
-    )
-    tables = [Table(rows=[words(each) for each in result.channels], note=note)]
-    pulled = [
-        {"Tolerance": each.name, "Standard deviations": f"{each.deviations:+.1f}"}
-        for each in result.pulled[:_ROWS]
+    in_time = {
+        _reading(t.channel): "-" if t.white else f"{t.correlation_time:.2g} s"
+        for t in result.residual_tests
+    }
+    rows = [
+        {begun(head): cell or "-" for head, cell in zip(_CHANNELS, row, strict=True)}
+        | {"Correlated over": in_time.get(row[0], "-")}
+        for row in _channel_rows(result)
     ]
-    tables.append(Table(title="Pulled out of their tolerances", rows=pulled))
-    return Section(heading="Joint by joint", tables=[table for table in tables if table.rows])
+    note = (
+        f"{begun(_UNIT)}, by the nominal model within its tolerances, and by the corrected one. "
+        "Explained: share of the residual's power. Correlated over: correlation time of what is "
+        "left, none where it is white. Not needed: no further effect is. Cannot "
+        "tell: one of these effects. Unexplained: much is left by everything that was tried."
+    )
+    return Section(heading="Joint by joint", tables=[Table(rows=rows, note=note)])
 
 
 def _overlay_section(solution: GapSolution) -> Section:
     """Measured against model where most is left, joint by joint."""
+    fine = [c.channel for c in solution.result.channels if c.verdict == "not needed"]
     cards = []
     for each in solution.overlays:
+        if each.channel in fine:
+            continue
         thin = slice(None, None, max(1, len(each.time) // _SAMPLES))
         lines = (each.time, each.measured, each.nominal, each.corrected)
-        figure = overlay_figure(*(x[thin] for x in lines), channel=each.channel, unit=each.unit)
+        figure = overlay_figure(*(x[thin] for x in lines), unit=each.unit)
+        off = [float(np.std(each.measured - x)) for x in (each.nominal, each.corrected)]
+        unit = "" if each.unit == "as recorded" else f" {each.unit}"
         cards.append(
             FigureCard(
-                title=f"{each.channel.removeprefix('sensor.')} in {each.run}",
+                title=f"{_reading(each.channel)} in {each.run}",
                 image=figure,
-                caption=f"{each.channel}: given, and by both models; below, the difference.",
+                caption=f"Difference: {off[0]:.3g}{unit} by the nominal model, {off[1]:.3g}{unit} "
+                "by the corrected one (standard deviation).",
             )
         )
     intro = (
         "The stretch in which the nominal model misses most, predicted from other data. Of a "
-        "joint, given is the force of its drive, as measured, or as the model's drive makes it of "
-        "commands and motion; a model shows the force that the measured motion takes in it. Of a "
-        "reading, given is what was read, and a model shows what the motion foretells."
+        "joint: the force of its drive, measured, or computed from commands and motion where no "
+        "torque was read, and the force that each model needs for the measured motion."
     )
     return Section(heading="Measured against model", intro=[intro], cards=cards)
 
 
 def _residual_section(solution: GapSolution) -> Section:
-    """Residuals by channel, and their correlation in time and with the motion."""
-    result = solution.result
-    pairs = sorted(result.gap.by_channel.items(), key=lambda item: -item[1][0])[:_BARS]
+    """Correlation of the residuals in time and with the motion."""
+    white = [test.channel for test in solution.result.residual_tests if test.white]
     cards = [
         FigureCard(
-            title="Channel by channel",
-            image=channel_bars(dict(pairs)),
-            caption="Root mean square on held-out data over the noise: 1 is noise alone.",
-        )
-    ]
-    cards += [
-        FigureCard(
-            title=f"Correlation of the residual of {each.channel.removeprefix('sensor.')}",
+            title=_reading(each.channel),
             image=correlation_figure(each),
-            caption=f"With itself, and with the speed of {each.joint}, both whitened by the noise. "
-            "Within the grey band (95 %) there is nothing left to model.",
+            caption=f"Residual with itself, and with the speed of {each.joint}.",
         )
-        for each in solution.correlations
+        for k, each in enumerate(solution.correlations)
+        if k == 0 or each.channel not in white
     ]
-    rows = [
-        {
-            "Joint or reading": test.channel.removeprefix("sensor."),
-            "RMS / noise": f"{test.rms:.2f}",
-            "Largest autocorrelation": f"{test.largest_autocorrelation:.2f}",
-            "White below": f"{test.whiteness_95:.2f}",
-            "Correlation time": "white" if test.white else f"{test.correlation_time:.2g} s",
-        }
-        for test in sorted(result.residual_tests, key=lambda t: -t.rms)
-    ]
-    quantities = [
-        {"Error": key, "Nominal": f"{before:.3g}", "Corrected": f"{after:.3g}"}
-        for key, (before, after) in result.gap.by_quantity.items()
-    ]
-    note = (
-        "Torque and force: what is missing along the measured motion. Readings: simulations of one "
-        "second from the measured state, between those that were fitted to or in the runs that "
-        "were kept out, by the nominal model and by model.xml."
+    intro = (
+        "Of what the corrected model leaves on held-out data, whitened by the noise. Within the "
+        "grey band (95 %) there is nothing left to model."
     )
-    return Section(
-        heading="Residual before and after",
-        tables=[
-            Table(title="In physical units", rows=quantities, note=note),
-            Table(title="Residual of the corrected model", rows=rows),
-        ],
-        cards=cards,
-    )
+    return Section(heading="Correlation of the residual", intro=[intro], cards=cards, strip=True)
 
 
 def _response_section(solution: GapSolution) -> Section:
     """Frequency responses of servoed joints."""
     cards = [
         FigureCard(
-            title=f"{each.joint} over its command",
+            title=each.joint,
             image=response_figure(each.frequency, each.gains),
-            caption="Cross spectrum over the power of the command, averaged over overlapping "
-            "segments, where the command has at least a hundredth of its largest power.",
+            caption=f"Position of {each.joint} over its command.",
         )
         for each in solution.responses[:_RESPONSES]
     ]
-    return Section(heading="Frequency response", cards=cards)
-
-
-def _correlation_section(solution: GapSolution) -> Section:
-    """Correlations of the coefficients of the effects."""
-    names, values = solution.parameters
-    if len(names) < 2:
-        return Section()
-    card = FigureCard(
-        title="Correlation of the parameters",
-        image=matrix_figure(names, values),
-        caption="Posterior correlation of the effects' sizes beside all tolerances: near 1 or −1, "
-        "only their sum or difference is known.",
+    intro = (
+        "Cross spectrum over the power of the command, averaged over overlapping segments, where "
+        "the command has at least a hundredth of its largest power."
     )
-    return Section(heading="Parameters beside each other", cards=[card])
-
-
-def _ranking_section(result: GapResult) -> Section:
-    """Sets of effects that were compared, by their difference from the best."""
-    best = set(result.ranking[0].effects) if result.ranking else set()
-
-    def words(effects: Sequence[EffectLocation]) -> str:
-        own = set(effects)
-        sides = [("without", sorted(best - own, key=str)), ("with", sorted(own - best, key=str))]
-        parts = [f"{word} {together(side, plain=False)}" for word, side in sides if side]
-        return ", ".join(parts) or f"{len(own)} effects, the best" * bool(own) or "no effect"
-
-    rows = [
-        {
-            "Set of effects": begun(words(each.effects)),
-            "Behind": f"{each.behind:.1f}",
-            "Probability": f"{100 * each.probability:.1f} %",
-            "In simulation": "-" if each.simulated is None else f"{each.simulated:.1f}",
-        }
-        for each in result.ranking[:_ROWS]
-    ]
-    note = (
-        "Behind: minus twice the log posterior probability above the best set's; 10 is very strong "
-        "evidence. In simulation: the same by exact fits of the leading sets, which decide."
-    )
-    return Section(heading="Sets of effects compared", tables=[Table(rows=rows, note=note)])
+    return Section(heading="Frequency response", intro=[intro], cards=cards, strip=True)
 
 
 def _identifiability_section(found: Identifiability) -> Section:
-    """What these motions could show, and what to record for the rest."""
-    joints = [
-        {
-            "Joint": each.joint,
-            "Travel": f"{each.travel:.3g} {each.unit}",
-            "Speed": f"{each.speed:.3g} {each.unit}/s",
-            "Acceleration": f"{each.acceleration:.3g} {each.unit}/s²",
-            "Compared": f"{100 * each.used:.0f} %",
-        }
-        for each in found.joints
-    ]
-    unseen = [
-        {"Effect": _name(e), "Visible from": _size(e), "Record": begun(how_to_see(e.kind))}
-        for e in found.effects
-        if not e.visible
-    ]
-    alike = [
-        {
-            "Effect": _name(e),
-            "Not told from": f"{e.confusable_with.kind} at {e.confusable_with.where}",
-            "Record": how_to_separate(
-                e.kind, e.where, e.confusable_with.kind, e.confusable_with.where
-            ),
-        }
-        for e in found.effects
-        if e.confusable_with is not None
-    ]
-    tables = [Table(title="Excitation", rows=joints)]
-    for title, rows in (("Not visible at a usual size", unseen), ("Confusable", alike)):
-        rest = f"{_ROWS} of {len(rows)}; all stand in result.json." if len(rows) > _ROWS else ""
-        tables.append(Table(title=title, rows=rows[:_ROWS], note=rest))
-    intro = (
-        "Asked of the motion alone, before any effect was selected: the size from which each "
-        "effect pays for its prior probability, beside all tolerances. Speed and acceleration: "
-        "95th percentile. Compared: share of the time neither at rest nor knocked."
+    """Excitation, and what to record for what these motions could not show."""
+    heads, *rows = _excitation(found)
+    note = (
+        "Speed and acceleration: 95th percentile. Compared: share of the time neither at rest nor "
+        "knocked. Below: what these motions alone could not show at a usual size, or not tell "
+        "apart; 'loose gap --check' prints the smallest visible size of every effect."
     )
+    excitation = [dict(zip(map(begun, heads), row, strict=True)) for row in rows]
     return Section(
-        heading="What to record next", intro=[intro], tables=[t for t in tables if t.rows]
+        heading="What to record next",
+        tables=[Table(title="Excitation", rows=excitation, note=note)],
+        points=_wanted(found)[:_ADVICE],
     )

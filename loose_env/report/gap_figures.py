@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.gap import Correlation
-from loose_env.report.figures import DASHED, labels, legend, panels, plain, plain_log_ticks
+from loose_env.report.figures import DASHED, labels, legend, panels, plain_log_ticks
 from loose_env.typing import Array, ComplexArray
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 BEFORE, AFTER = TRUTH, MEASURED
@@ -21,36 +20,12 @@ BEFORE, AFTER = TRUTH, MEASURED
 _NAMES = 26  # letters of a channel's name
 
 
-def channel_bars(pairs: Mapping[str, tuple[float, float]]) -> Figure:
-    """Residual of each channel before and after, in noise standard deviations."""
-    figure, (axes,) = panels(1, 0.29 * len(pairs) + 0.6, grid="x")
-    before, after = np.array(list(pairs.values())).T
-    y = -np.arange(len(pairs))
-    axes.hlines(y, before, after, color=FAINT, linewidth=4, zorder=2)
-    axes.plot(before, y, "o", color=BEFORE, markersize=7, zorder=4, label="before")
-    axes.plot(after, y, "o", color=AFTER, markersize=7, zorder=5, label="after")
-    _floor(axes, "x")
-    axes.set_xscale("log")
-    axes.set_xlim(0.85 * min(before.min(), after.min(), 1.0), 1.3 * max(before.max(), 2.0))
-    axes.set_ylim(0.45 - len(pairs), 0.55)
-    plain_log_ticks(axes, "x")
-    axes.set_yticks(y, [plain(name, _NAMES) for name in pairs])
-    right = axes.secondary_yaxis("right")
-    right.set_yticks(y, [f"{a:.3g} → {b:.3g}" for a, b in pairs.values()])
-    for each in (axes, right):
-        each.tick_params(axis="y", labelcolor=INK, length=0)
-    right.spines["right"].set_visible(False)
-    labels(axes, x="residual over the noise floor")
-    legend(figure, axes)
-    return figure
-
-
 def overlay_figure(
-    time: Array, measured: Array, nominal: Array, corrected: Array, *, channel: str, unit: str
+    time: Array, measured: Array, nominal: Array, corrected: Array, *, unit: str
 ) -> Figure:
-    """Measured, nominal and corrected force (N,) over time, and the residual of each model."""
+    """Measured, nominal and corrected values (N,) over time, and the residual of each model."""
     figure, (top, low) = panels(2, 1.8)
-    top.plot(time, measured, ".", color=MUTED, markersize=3.2, label="given")
+    top.plot(time, measured, ".", color=MUTED, markersize=3.2, label="measured")
     for values, label, colour, line in (
         (nominal, "nominal model", BEFORE, DASHED),
         (corrected, "corrected model", AFTER, "-"),
@@ -62,8 +37,8 @@ def overlay_figure(
         axes.set_xlim(time[0], time[-1])
     low.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
     top.tick_params(labelbottom=False)
-    labels(top, above=f"{channel} [{unit}]")
-    labels(low, x="time [s]", above=f"given less model [{unit}]")
+    labels(top, above=f"[{unit}]")
+    labels(low, x="time [s]", above=f"measured less model [{unit}]")
     low.title.set_position((0.12, 1.0))
     legend(figure, top)
     return figure
@@ -104,24 +79,3 @@ def response_figure(frequency: Array, gains: Mapping[str, ComplexArray]) -> Figu
     labels(low, x="frequency [Hz]", above="phase [°]")
     legend(figure, top)
     return figure
-
-
-def matrix_figure(names: Sequence[str], values: Array) -> Figure:
-    """Correlation matrix (K, K), each value in its cell."""
-    figure, (axes,) = panels(1, min(0.34 * len(names) + 0.8, 7.0), grid=None)
-    axes.imshow(np.abs(values), cmap="Blues", vmin=0, vmax=1.6, aspect="auto")
-    if len(names) <= 12:
-        for i, row in enumerate(values):
-            for k, value in enumerate(row):
-                axes.text(k, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color=INK)
-    shown = [f"{plain(name, _NAMES)}  {k}" for k, name in enumerate(names, start=1)]
-    axes.set_yticks(range(len(names)), shown)
-    axes.set_xticks(range(len(names)), [str(k + 1) for k in range(len(names))])
-    axes.tick_params(axis="y", labelcolor=INK)
-    return figure
-
-
-def _floor(axes: Axes, which: Literal["x", "y"]) -> None:
-    """Draw the noise floor."""
-    line = axes.axvline if which == "x" else axes.axhline
-    line(1.0, color=INK, linewidth=1.2, linestyle=DASHED, zorder=2, label="noise")

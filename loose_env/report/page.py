@@ -70,6 +70,13 @@ class Table:
         """Headings of the columns."""
         return list(self.rows[0])
 
+    @property
+    def worded(self) -> list[bool]:
+        """True for the columns of words, which are set to the left."""
+        columns = zip(*(row.values() for row in self.rows), strict=True)
+        said = [[cell for cell in own if cell.strip("-–")] for own in columns]
+        return [2 * sum(cell[:1].isalpha() for cell in own) > len(own) for own in said]
+
     def text(self) -> str:
         """The table for a terminal: title, parts of at most 120 columns, note.
 

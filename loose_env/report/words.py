@@ -8,7 +8,7 @@ import numpy as np
 
 from loose_env.arms import Arm
 from loose_env.errors import InvalidData
-from loose_env.gap import EffectLocation, NamedEffect
+from loose_env.gap import EffectLocation, NamedEffect, VisibleEffect
 from loose_env.instrument import HEALTHY
 from loose_env.report.page import named_list
 
@@ -60,7 +60,7 @@ _PLACES = {
 """Locations that are no names of the model; a joint or a link may be called so, too."""
 RIVALS = 5  # confusable effects that are listed by name
 
-Located = NamedEffect | EffectLocation
+Located = NamedEffect | EffectLocation | VisibleEffect
 
 
 def joint_words(arm: Arm, joint: str) -> str:
@@ -166,13 +166,12 @@ def effect_words(kind: str, where: str) -> str:
     return f"{kind_words(kind)}{_PLACES.get((kind, where), f' ({where})')}"
 
 
-def together(effects: Iterable[Located], *, plain: bool = True) -> str:
+def together(effects: Iterable[Located]) -> str:
     """Effects in words, those of one kind together."""
     places: dict[str, list[str]] = {}
     for effect in effects:
         places.setdefault(effect.kind, []).append(effect.where)
-    joined = {kind: ", ".join(where) for kind, where in places.items()}
-    return named_list([effect_words(k, w) if plain else f"{k} at {w}" for k, w in joined.items()])
+    return named_list([effect_words(k, ", ".join(w)) for k, w in places.items()])
 
 
 def rivals_words(effect: NamedEffect) -> list[str]:

@@ -110,8 +110,8 @@ def plan_page(in_turn: int) -> Callable[[Path], Path]:
 
 
 REPORTS: dict[str, tuple[Callable[[Path], Path], int]] = {
-    "gap": (gap_page(), 6),
-    "gap: long names": (gap_page("_of_the_left_arm_beside_the_conveyor"), 6),
+    "gap": (gap_page(), 3),
+    "gap: long names": (gap_page("_of_the_left_arm_beside_the_conveyor"), 3),
     "trend": (trend_page, 2),
     "comparison": (comparison_page, 6),
     "thesis": (thesis_page, 1),

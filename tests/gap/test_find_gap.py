@@ -157,6 +157,11 @@ def test_what_cannot_be_compared_is_said(recording: Recording, tmp_path: Path) -
     runs = broken(recording, sensors=noisy, controls={})
     with pytest.raises(InvalidData, match="no joint moves"):
         find_gap(write_recording(tmp_path / "still", model_xml=MODEL, runs=runs))
+    speed = {"rate": 1e-3 * np.sin(1e3 * np.arange(len(runs[0].time)) ** 2)}
+    runs = broken(recording, sensors=noisy | speed, controls={})
+    read = MODEL.replace("</sensor>", '<jointvel name="rate" joint="elbow"/></sensor>')
+    with pytest.raises(InvalidData, match="no joint moves"):
+        find_gap(write_recording(tmp_path / "rate", model_xml=read, runs=runs))
     short = [part(run, 60) for run in recording.runs]  # 0.3 s
     with pytest.raises(InvalidData, match=r"the longest run lasts 0\.29 s"):
         find_gap(replace(recording, runs=tuple(short)))

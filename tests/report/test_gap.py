@@ -27,7 +27,6 @@ from loose_env.gap import (
     Identifiability,
     JointExcitation,
     NamedEffect,
-    RankedSet,
     TolerancePull,
     Tolerances,
     VisibleEffect,
@@ -44,13 +43,7 @@ from loose_env.report import (
 )
 from loose_env.report import gap as gap_report
 from loose_env.report.gap import gap_steps, summary_words
-from loose_env.report.gap_figures import (
-    channel_bars,
-    correlation_figure,
-    matrix_figure,
-    overlay_figure,
-    response_figure,
-)
+from loose_env.report.gap_figures import correlation_figure, overlay_figure, response_figure
 from tests.gap.cases.gap_case import record, solution_for
 from tests.report.page_checks import checked, words
 
@@ -98,10 +91,6 @@ def page(solution: GapSolution) -> str:
         channels=(*solution.result.channels, *OPEN),
         pulled=(TolerancePull(name="mass of upper", deviations=-2.4),),
         doubtful=(NamedEffect(kind="actuator_gain", where="motor2", parameters={"gain": 1.02}),),
-        ranking=(
-            solution.result.ranking[0],
-            RankedSet(effects=(FRICTION, LAG), behind=12.5, probability=1e-3, simulated=3.0),
-        ),
     )  # fmt: skip
     assert GapResult.from_json(result.to_json()).preflight == FINDINGS
     assert "critical: In a.csv, sensor.error: runs backwards" in gap_text(result)
@@ -115,9 +104,8 @@ def test_the_page_is_whole_and_what_is_missing_comes_first(page: str) -> None:
         "What to do next",
         "Warnings",
         "Measured against model",
-        "Residual before and after",
+        "Correlation of the residual",
         "Frequency response",
-        "Sets of effects compared",
         "What to record next",
     ]
     assert "arm &lt;3&gt;" in page and "arm <3>" not in page
@@ -126,30 +114,18 @@ def test_the_page_is_whole_and_what_is_missing_comes_first(page: str) -> None:
 
 
 def test_everything_that_a_result_holds_stands_on_the_page(page: str) -> None:
-    order = ["Another gain (motor2)", "cannot tell", "mass of upper", "-2.4"]
-    order += ["Simulate with model.xml", "most is left in run-02.csv"]
+    order = ["joint position ", "Another gain (motor2)", "75 %", "cannot tell", "all together"]
+    order += ["Simulate with model.xml", "most is left in run-02.csv", "mass of upper: 2.4"]
     order += ["Invalidates the result", "sensor.error", "Limits the result", "The step is coarse."]
-    order += [
-        "Notes",
-        "Given",
-        "joint position [rad]",
-        "over its command",
-        "With actuator_lag at motor2",
-        "12.5",
-        "Excitation",
-    ]
-    order += ["quadratic_drag at elbow", "Move at the highest speed", "actuator_lag at motor2"]
-    order += [
-        "command_delay at motor2",
-        "Command a sweep",
-        "Held out",
-        "Tolerances: ",
-        f"mass {Tolerances().mass:g}",
-    ]
+    order += ["Notes", "measured", "Difference: ", "over its command"]
+    order += ["Excitation"]
+    order += ["drag that grows with the square of the speed (elbow): move at the highest speed"]
+    order += ["To tell a lag from late commands: command a sweep", "Held out", "Tolerances: "]
+    order += [f"mass {Tolerances().mass:g}"]
     text = words(page).replace("−", "-")
     places, at = [], 0
     for each in order:
-        at = text.find(each if each != "Given" else "given", at)
+        at = text.find(each, at)
         assert at >= 0, each
         places.append(at)
     assert re.search(r"\d{4}-\d\d-\d\d, loose-env \S+, [\d.]+ s\.", text)
@@ -168,11 +144,15 @@ def test_the_headline_says_what_is_missing_and_what_is_not_explained() -> None:
     )
     assert gap_headline(result("unexplained", channels=OPEN)) == "Nothing tried explains shoulder."
     assert "cannot tell" in gap_headline(result("unexplained", channels=OPEN[1:]))
-    assert summary_words(result("no_gap")) == [
-        "Force that is missing on held-out data: 4.00 noise standard deviations "
-        "(sensor noise alone: 1)."
-    ]
-    assert ">5.00</td>" in gap_html(result("no_gap", gap=Gap(before=5.0, after=5.0)))
+    assert gap_headline(result("no_gap", channels=OPEN[1:])) == (
+        "No model error found; the recording does not tell about wrist."
+    )
+    gap = Gap(before=4.0, after=1.1, by_quantity={"joint torque [N·m]": (2.0, 0.5)})
+    torque = "Missing along the measured motion: joint torque 2 N·m before, 0.5 N·m after."
+    assert summary_words(result("no_gap", gap=gap)) == [torque]
+    assert summary_words(result("named", effects=effects, gap=gap)) == [torque]
+    assert len(summary_words(result("named", effects=many, gap=gap))) == 2
+    assert ">5</td>" in gap_html(result("no_gap", gap=Gap(before=5.0, after=5.0)))
 
 
 def test_every_open_question_gets_a_motion_that_answers_it() -> None:
@@ -196,28 +176,34 @@ def test_every_open_question_gets_a_motion_that_answers_it() -> None:
 def test_the_check_lists_what_is_seen_and_what_is_not() -> None:
     text = check_text(SHOWN)
     assert "elbow  1.2" in text and "80 %" in text
-    seen, unseen = text.split("would not show")
-    assert "actuator_lag at motor2" in seen and "command_delay at motor2" in seen
-    assert "quadratic_drag at elbow" in unseen and "move at the highest speed" in unseen
+    seen, wanted = text.split("to record next:")
+    assert re.search(r"quadratic_drag +any\n", seen)
+    assert re.search(r"actuator_lag +time_constant 0.01 s\n", seen)
+    assert "(elbow): move at the highest speed" in wanted
+    assert "To tell a lag from late commands: command a sweep" in wanted
+
+
+def test_the_check_says_sizes_of_one_kind_by_their_units() -> None:
+    effects = [
+        VisibleEffect(kind="sensor_bias", where=f"s{k}", smallest={"bias": size, "ratio": 9.0},
+                      units={"bias": unit}, visible=k < 3)
+        for k, (size, unit) in enumerate([(0.1, "rad"), (0.3, "rad"), (2.0, "rad/s"), (7.0, "m")])
+    ]  # fmt: skip
+    text = check_text(replace(SHOWN, effects=tuple(effects)))
+    assert re.search(r"sensor_bias +bias 0.1 to 0.3 rad; bias 2 rad/s +s3\n", text)
 
 
 def test_names_with_dollar_signs_are_drawn_as_they_are() -> None:
     names, values = ["q$1$", r"$\no{such$", "two $ and $"], np.linspace(-1, 1, 50)
     gains = {name: values.astype(complex) + 2j for name in ("measured", "nominal", "corrected")}
     assert to_svg(response_figure(np.linspace(1, 20, 50), gains))
-    figures = [channel_bars({f"sensor.{name}": (3.0, 1.0) for name in names})]
-    figures += [matrix_figure(names, np.eye(3))]
-    for figure in figures:
-        drawn = re.sub("<!--.*?-->", "", to_svg(figure).decode(), flags=re.DOTALL)
-        assert all(name in html.unescape(drawn) for name in names)
     for name in names:
+        given = Correlation(
+            channel=name, joint=name, interval=0.01, own=values, other=values, band=0.1
+        )
         for figure in (
-            correlation_figure(
-                Correlation(
-                    channel=name, joint=name, interval=0.01, own=values, other=values, band=0.1
-                )
-            ),
-            overlay_figure(values, values, values, values, channel=name, unit="N·m"),
+            correlation_figure(given),
+            overlay_figure(values, values, values, values, unit=name),
         ):
             drawn = re.sub("<!--.*?-->", "", to_svg(figure).decode(), flags=re.DOTALL)
             assert name in html.unescape(drawn)

@@ -154,7 +154,7 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
     places = len({term.name for term in terms})
     say(f"evidence: {places} effects in {len(terms)} shapes, {len(tolerances)} tolerances")
     evidence = whiten(balance, terms, tolerances, law=settings.tolerances.law)
-    if not evidence.channels:
+    if all(channel.joint >= len(machine.joints) for channel in evidence.channels):
         raise InvalidData(
             "no joint moves by more than its noise, so that no force can be missing along the "
             "motion; record runs in which the joints move"
