@@ -199,7 +199,7 @@ class RunSettings:
     methods: bool = False
     """Run nothing, print the table of all tools on the cases that all of them have."""
     recording: Path | None = None
-    """Print what the tool says of one recording instead; with --out also write it there."""
+    """Write what the tool says of one recording into --out instead: result.json and cost.json."""
     ablate: tuple[str, ...] | None = None
     """Run the cases again with one thing changed at a time; with words, only the variants that
     begin so, such as without or core.decision."""
@@ -236,10 +236,7 @@ def run(given: RunSettings) -> None:
         return
     tool_of(given.tool)
     if given.recording is not None:
-        if given.out is not None:
-            ask(given.tool, given.recording, given.out)
-        else:
-            print(said_of(tool_of(given.tool)(given.recording)))
+        ask(given.tool, given.recording, given.out or OUT)
         return
     out = (given.out or OUT / given.tool.replace(":", ".")).resolve()
     file, code = out / "rows.jsonl", code_of(given.tool)
@@ -306,20 +303,6 @@ def line_of(row: Row) -> str:
     """One line about a case."""
     said = f"FAILED {row['error']}" if row["error"] else f"[{row.get('cpu', 0):.0f} s CPU]"
     return f"{row['number']:5d} {words_of(row)}  {said}"
-
-
-def said_of(result: Mapping[str, Any]) -> str:
-    """What a result says, a line for each effect."""
-    lines = [f"{result['verdict']}"]
-    for effect in result.get("effects", ()):
-        values = [
-            f"{key} {value:.4g} ({', '.join(f'{x:.4g}' for x in span)})"
-            if (span := (effect.get("interval_95") or {}).get(key))
-            else f"{key} {value:.4g}"
-            for key, value in effect["parameters"].items()
-        ]
-        lines.append(f"  {effect['kind']} at {effect['where']}: {', '.join(values)}")
-    return "\n".join(lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
