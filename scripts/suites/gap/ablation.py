@@ -89,6 +89,8 @@ NUMBERS: tuple[Number, ...] = (
            reason="three or four a decade: motion, its harmonics and resonances lie apart"),
     Number(name="core.evidence.STRETCHES", unit="stretches",
            reason="two of each of four runs: whether a residual repeats"),
+    Number(name="core.evidence._SHORTEST_S", unit="s",
+           reason="some periods of slow motion in each stretch"),
     # data that are left out
     Number(name="core.evidence.KNOCK", unit="of the median square",
            reason="four times the usual amplitude is no motion of the machine's own"),
@@ -98,6 +100,8 @@ NUMBERS: tuple[Number, ...] = (
            reason="longer than a reversal takes"),
     Number(name="core.motion.HIGHEST_HZ", unit="Hz",
            reason="structural modes of any arm lie above"),
+    Number(name="core.balance._MOST_LOAD", unit="of the load", tried=(0.45, 0.95),
+           reason="with more friction by load a drive would lock"),
     # exact fits
     Number(name="core.exact.WINDOW_S", unit="s",
            reason="some periods of a joint's motion, before errors of the start have grown"),
