@@ -26,6 +26,7 @@ from loose_env.gap import Tolerances
 from loose_env.io import write_text
 from loose_env.registration import IDS, TIERS
 from scripts.study import between
+from scripts.suites.gap.ablation import numbers_table
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = DOCS / "environments.md"
@@ -103,8 +104,8 @@ def environments() -> str:
 
 
 def gap() -> str:
-    """Text of the page on model errors, its table of tolerances as the code has it now."""
-    text = GAP.read_text(encoding="utf-8")
+    """Text of the page on model errors, its tables of numbers as the code has them now."""
+    text = between(GAP.read_text(encoding="utf-8"), numbers_table(), "numbers", GAP)
     return between(text, "\n".join(tolerance_table()), "tolerances", GAP)
 
 

@@ -6,11 +6,12 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from loose_env.errors import InvalidSetting
 
 Row = dict[str, Any]
+Key = TypeVar("Key", int, str)
 
 
 def kept(path: Path) -> list[Row]:
@@ -33,8 +34,8 @@ def add(path: Path, row: Row) -> None:
 
 
 def run_cases(
-    numbers: Iterable[int],
-    work: Callable[[int], Row],
+    numbers: Iterable[Key],
+    work: Callable[[Key], Row],
     path: Path,
     *,
     workers: int = 1,

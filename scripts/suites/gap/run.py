@@ -7,8 +7,8 @@ are kept: the same command goes on where it was stopped.
     python -m scripts.suites.gap.run --numbers 0-59                     # development
     python -m scripts.suites.gap.run --numbers 10000-10359 --phrase "words chosen today"
     python -m scripts.suites.gap.run --tool module:function             # recording folder -> result
-    python -m scripts.suites.gap.run --tool stepwise                    # a rival, on the same cases
     python -m scripts.suites.gap.run --methods                          # table of all tools
+    python -m scripts.suites.gap.run --ablate --most-seconds 20         # one thing changed each
 
 Others enter with files: recordings are made from a phrase that is kept back, each answer is what
 ``result.json`` holds, and truths are checked against the commitments that were given out.
@@ -39,6 +39,7 @@ import loose_env
 from loose_env.cli.command import command
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import write_text
+from scripts.suites.gap import ablation
 from scripts.suites.gap.cases import TOLERANCES, made, name_of, numbers_of
 from scripts.suites.gap.effects import CATALOGUE, KINDS
 from scripts.suites.gap.grading import failed, grade, methods_table, table, words_of
@@ -48,21 +49,16 @@ ROOT = Path(__file__).resolve().parents[3]
 OUT = ROOT / "out" / "gap_suite"
 Tool = Callable[[Path], Mapping[str, Any]]
 """Reads the recording in a folder; returns what ``result.json`` of `loose gap` holds."""
-TOOLS = {
-    "loose_gap": "scripts.suites.gap.run:loose_gap",
-    "sysid": "scripts.suites.gap.rivals:sysid",
-    "stepwise": "scripts.suites.gap.rivals:stepwise",
-}
-"""Short names of tools."""
 VERDICTS = ("no_gap", "named", "unexplained")
 LONGEST = 1800.0
 """Time after which a tool counts as failed [s]."""
 
 
-def loose_gap(recording: Path) -> Mapping[str, Any]:
-    """The tool under test, as a user calls it."""
+def loose_gap(recording: Path, variant: str = "") -> Mapping[str, Any]:
+    """The tool under test, as a user calls it, or a variant of it."""
     say = functools.partial(print, file=sys.stderr, flush=True)
-    found = loose_env.explain_gap(recording, ignore_doctor=True, say=say, threads=1)
+    settings = ablation.changed(variant) if variant else {}
+    found = loose_env.explain_gap(recording, ignore_doctor=True, say=say, threads=1, **settings)
     return json.loads(found.result.to_json())  # type: ignore[no-any-return]
 
 
@@ -88,10 +84,13 @@ def answered(answers: Path, name: str) -> Mapping[str, Any]:
 
 
 def tool_of(name: str) -> Tool:
-    """A tool by its short name, or as ``module:function``."""
-    module, colon, function = TOOLS.get(name, name).partition(":")
+    """A tool as ``module:function``, ``loose_gap``, or a variant of it, ``loose_gap@VARIANT``."""
+    own, _, variant = name.partition("@")
+    if own == "loose_gap":
+        return functools.partial(loose_gap, variant=variant)
+    module, colon, function = name.partition(":")
     if not colon:
-        raise InvalidSetting(f"no tool {name!r}; give {', '.join(TOOLS)} or module:function")
+        raise InvalidSetting(f"no tool {name!r}; give loose_gap or module:function")
     try:
         return getattr(importlib.import_module(module), function)  # type: ignore[no-any-return]
     except AttributeError as error:
@@ -186,7 +185,7 @@ class RunSettings:
     phrase: str = ""
     """Words of which cases for judging are drawn; choose new ones when you judge."""
     tool: str = "loose_gap"
-    """Tool that is graded: loose_gap, sysid, stepwise or module:function."""
+    """Tool that is graded: loose_gap or module:function."""
     out: Path | None = None
     """Folder of rows and results; out/gap_suite/TOOL by default."""
     blind: Path | None = None
@@ -200,7 +199,12 @@ class RunSettings:
     methods: bool = False
     """Run nothing, print the table of all tools on the cases that all of them have."""
     recording: Path | None = None
-    """Print what the tool says of one recording instead; with --out also write it there."""
+    """Write what the tool says of one recording into --out instead: result.json and cost.json."""
+    ablate: tuple[str, ...] | None = None
+    """Run the cases again with one thing changed at a time; with words, only the variants that
+    begin so, such as without or core.decision."""
+    most_seconds: float = LONGEST
+    """Of --ablate, cases whose CPU time as shipped was no more [s]."""
     afresh: bool = False
     """Remove kept rows first."""
     workers: int = 1
@@ -211,10 +215,10 @@ def code_of(tool: str) -> str:
     """Hash of the code that the rows of a tool depend on."""
     here = Path(__file__).parent
     suite = [here / f"{name}.py" for name in ("arms", "dynamics", "machine", "effects", "cases")]
-    module = importlib.import_module(TOOLS.get(tool, tool).partition(":")[0])
-    own = [Path(module.__file__ or "")]
     if tool == "loose_gap":
         own = [Path(loose_env.__file__).parent / part for part in ("gap", "recording")]
+    else:
+        own = [Path(importlib.import_module(tool.partition(":")[0]).__file__ or "")]
     return code_hash(*own, *suite)
 
 
@@ -232,10 +236,7 @@ def run(given: RunSettings) -> None:
         return
     tool_of(given.tool)
     if given.recording is not None:
-        if given.out is not None:
-            ask(given.tool, given.recording, given.out)
-        else:
-            print(said_of(tool_of(given.tool)(given.recording)))
+        ask(given.tool, given.recording, given.out or OUT)
         return
     out = (given.out or OUT / given.tool.replace(":", ".")).resolve()
     file, code = out / "rows.jsonl", code_of(given.tool)
@@ -261,30 +262,47 @@ def run(given: RunSettings) -> None:
             code=code,
         )
         rows = run_cases(numbers, work, file, workers=given.workers, say=line_of)
+    if given.ablate is not None:
+        _ablate(given, rows, out, code)
+        return
     who = f"tool {given.tool}" if given.answers is None else f"answers in {given.answers}"
     printed = f"{len(rows)} cases of {len(numbers)}, {who}.\n\n{table(rows)}\n"
     print(f"\n{printed}")
     write_text(file.with_name("summary.md"), printed)
 
 
+def _ablate(given: RunSettings, rows: Sequence[Row], out: Path, code: str) -> None:
+    """Run the variants on the cheaper cases, and print their table."""
+    cheap = [row for row in rows if row.get("cpu", math.inf) <= given.most_seconds]
+    if not cheap or given.tool != "loose_gap":
+        raise InvalidSetting(
+            f"{len(cheap)} of {len(rows)} cases of {given.tool} took {given.most_seconds:g} s or "
+            "less; ablate loose_gap, with more --most-seconds"
+        )
+    blind = (given.blind or OUT / "blind").resolve()
+
+    def work(variant: str, number: int) -> Row:
+        return run_case(
+            number, tool=f"loose_gap@{variant}", answers=None, phrase=given.phrase,
+            out=out / "ablation" / variant, blind=blind, code=code,
+        )  # fmt: skip
+
+    file = out / "ablation.jsonl"
+    if given.afresh:
+        file.unlink(missing_ok=True)
+    found = ablation.ablated(
+        cheap, given.ablate or (), work, file, code=code, workers=given.workers,
+        say=lambda row: f"{row['variant']}: {line_of(row)}", show=given.show,
+    )  # fmt: skip
+    printed = ablation.summary(cheap, found, of=len(rows), most_seconds=given.most_seconds)
+    print(f"\n{printed}")
+    write_text(file.with_suffix(".md"), printed)
+
+
 def line_of(row: Row) -> str:
     """One line about a case."""
     said = f"FAILED {row['error']}" if row["error"] else f"[{row.get('cpu', 0):.0f} s CPU]"
     return f"{row['number']:5d} {words_of(row)}  {said}"
-
-
-def said_of(result: Mapping[str, Any]) -> str:
-    """What a result says, a line for each effect."""
-    lines = [f"{result['verdict']}"]
-    for effect in result.get("effects", ()):
-        values = [
-            f"{key} {value:.4g} ({', '.join(f'{x:.4g}' for x in span)})"
-            if (span := (effect.get("interval_95") or {}).get(key))
-            else f"{key} {value:.4g}"
-            for key, value in effect["parameters"].items()
-        ]
-        lines.append(f"  {effect['kind']} at {effect['where']}: {', '.join(values)}")
-    return "\n".join(lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

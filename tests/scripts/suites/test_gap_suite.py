@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,11 @@ pytest.importorskip("numba")
 pytest.importorskip("joblib")
 
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.gap import Tolerances
+from scripts.suites.gap import ablation
 from scripts.suites.gap.cases import name_of, role_of
 from scripts.suites.gap.grading import failed, grade, methods_table, table
-from scripts.suites.gap.run import VERDICTS, RunSettings, run, tool_of
+from scripts.suites.gap.run import RunSettings, run, tool_of
 from scripts.suites.rows import kept
 
 STUB = "tests.scripts.suites.test_gap_suite:stub"
@@ -150,18 +153,6 @@ def test_cases_are_graded_kept_and_go_on(blind: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["stepwise", "sysid"])
-def test_a_rival_answers_a_blind_case(name: str, tmp_path: Path) -> None:
-    if name == "sysid":
-        sysid = pytest.importorskip("mujoco.sysid")
-        if not hasattr(sysid, "Parameter"):
-            pytest.skip("mujoco.sysid lacks its optional packages: pip install 'mujoco[sysid]'")
-    run(RunSettings(numbers=("2",), tool=name, out=tmp_path / "out", blind=tmp_path))
-    (row,) = kept(tmp_path / "out" / "rows.jsonl")
-    assert row["error"] == "" and row["verdict"] in VERDICTS
-
-
-@pytest.mark.slow
 def test_files_enter_against_commitments_made_from_a_phrase(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -193,3 +184,64 @@ def test_files_enter_against_commitments_made_from_a_phrase(
     (answers / f"{names[0]}.json").write_text('{"verdict": "no_gap"}')
     with pytest.raises(InvalidData, match="is not the truth"):
         run(replace(entered, afresh=True))
+
+
+@pytest.mark.parametrize("name", ["without discrepancy", "core.decision.HELD_OUT=8"])
+def test_a_variant_changes_a_number_wherever_it_is_known(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changes = ablation.variants()[name]
+    assert len(changes) > 1
+    for key in changes:  # restored after the test
+        module, _, constant = f"loose_env.gap.{key}".rpartition(".")
+        monkeypatch.setattr(f"{module}.{constant}", getattr(import_module(module), constant))
+    assert ablation.changed(name) == {"tolerances": Tolerances()}
+    for key, value in changes.items():
+        module, _, constant = f"loose_env.gap.{key}".rpartition(".")
+        assert getattr(import_module(module), constant) == value
+
+
+def test_every_number_that_decides_exists_and_is_changed_both_ways() -> None:
+    known = ablation.variants()
+    shipped = ablation.configuration({})
+    assert len(known) == 7 + 2 * len(ablation.NUMBERS)
+    assert all(ablation.configuration(changes) != shipped for changes in known.values())
+    assert ablation.changed("without exact fit") == {
+        "tolerances": Tolerances(), "simulate": False
+    }  # fmt: skip
+    none = ablation.changed("without rigid nuisances")["tolerances"]
+    assert none.mass < 1e-4 and none.damping == Tolerances().damping
+    with pytest.raises(InvalidSetting, match="no variant 'without care'"):
+        tool_of("loose_gap@without care")(Path())
+
+
+def test_an_ablation_goes_on_and_tells_names_that_change(tmp_path: Path) -> None:
+    true = [truth("one", FRICTION), truth("none")]
+    right = [grade(said("named", NAMED_FRICTION), true[0]), grade(said("no_gap"), true[1])]
+    wrong = [grade(said("unexplained"), true[0]), grade(said("named", NAMED_PLAY), true[1])]
+    common = {"code": "a", "error": "", "cpu": 2.0}
+    shipped = [marks | common | {"number": k} for k, marks in enumerate(right)]
+    asked: list[tuple[str, int]] = []
+
+    def work(name: str, number: int) -> dict[str, Any]:
+        asked.append((name, number))
+        return wrong[number] | common | {"number": number}
+
+    file = tmp_path / "ablation.jsonl"
+
+    def ablated(words: str, cases: int = 2) -> dict[str, Any]:
+        return ablation.ablated(shipped[:cases], [words], work, file, code="a")
+
+    ablated("without exact", 1)
+    found = ablated("without exact")
+    assert asked == [("without exact fit", 0), ("without exact fit", 1)]
+    assert kept(file)[0]["configuration"]["settings.simulate"] is False
+    printed = ablation.summary(shipped, found, of=9, most_seconds=5.0)
+    assert "2 of 9 cases, those that took 5 s" in printed
+    assert "| as shipped | 1/1 | none | 1/1 | none | 0 | 0/2 | 2 s |" in printed
+    assert "| without exact fit | 0/1 | none | 0/1 | none | 1 | 2/2 | 2 s |" in printed
+    assert "0: -coulomb_friction@joint2; 1: +backlash@joint2" in printed
+    with pytest.raises(InvalidSetting, match="rows of other code"):
+        ablation.ablated(shipped, (), work, file, code="b")
+    with pytest.raises(InvalidSetting, match="no variant begins with"):
+        ablated("with care")
