@@ -275,7 +275,7 @@ def _run_motion(
         sampled=kept(low_passed(log.commands, band, log.step)),
         straight=kept(low_passed(log.commands, band, log.step, drawn=log.step)),
         torques=kept(low_passed(log.torque, band, log.step)),
-        limited=_blocks(_limited(log.commands, whole[0], whole[1], machine), thin)[taken],
+        limited=_blocks(_limited(log, whole[0], whole[1], machine), thin)[taken],
         log_step=log.step,
         begin=((thin - 1) // 2 + first * thin) * log.step,
     )
@@ -298,9 +298,14 @@ def _blocks(values: Array, thin: int) -> Array:
     return np.asarray(values[: count * thin].reshape(count, thin, -1).mean(axis=1))
 
 
-def _limited(commands: Array, position: Array, speed: Array, machine: NominalModel) -> Array:
-    """Samples in which the nominal drive of a joint is at its limit, 1 or 0 (T, joints)."""
-    model, found = machine.model, np.zeros_like(position)
+def _limited(log: _Log, position: Array, speed: Array, machine: NominalModel) -> Array:
+    """Samples in which the nominal drive of a joint is at its limit, 1 or 0 (T, joints).
+
+    Commands act only where they drive the run: measured torques are what the drives gave.
+    """
+    commands, model, found = log.commands, machine.model, np.zeros_like(position)
+    if log.run.comparison != "forward":
+        return found
     for k, name in enumerate(machine.actuators):
         if not (machine.affine_actuators[k] and model.actuator_forcelimited[k]):
             continue

@@ -536,7 +536,8 @@ def _rotor(at: At, p: Parameters) -> None:
 def _spring(at: At, p: Parameters) -> None:
     law = at.law
     law[of.STIFFNESS], law[of.REST] = p["stiffness"], p["reference"]
-    law[of.PROGRESS] = p["stiffening"] / at.link.reach**2
+    farthest = abs(at.link.home - p["reference"]) + at.link.reach
+    law[of.PROGRESS] = p["stiffening"] / farthest**2
 
 
 def _mass(at: At, p: Parameters) -> None:
