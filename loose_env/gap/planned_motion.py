@@ -12,10 +12,10 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.gap.core.motion import Motion
-from loose_env.gap.experiment_design.servo_arm import Sensing, ServoArm, touching
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import step_for
+from loose_env.gap.servo_arm import Sensing, ServoArm, touching
 from loose_env.io import Checked, Count, NonNegative, Positive
 from loose_env.recording import Recording, Run, joint_sensors
 from loose_env.typing import Array

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.gap.experiment_design.servo_arm import ServoArm, touching
+from loose_env.gap.servo_arm import ServoArm, touching
 from loose_env.typing import Array
 
 T = TypeVar("T")
@@ -326,7 +326,7 @@ def check_motion(motion: Motion, arm: ServoArm) -> MotionCheck:
     Examples
     --------
     >>> from loose_env.arms import SERVO_ARM
-    >>> from loose_env.gap.experiment_design.servo_arm import read_servo_arm
+    >>> from loose_env.gap.servo_arm import read_servo_arm
     >>> arm = read_servo_arm(SERVO_ARM)
     >>> slow = Motion(kind="slow_triangle", joints=(1,), amplitude=0.2, speed=0.2)
     >>> check_motion(slow, arm).refusal
