@@ -30,7 +30,7 @@ from loose_env.gap.core.motion import RunMotion, low_passed, rates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.motions import Motion, battery, check_motion
+from loose_env.gap.motions import Motion, battery, check_motion, wear_of
 from loose_env.gap.servo_arm import ServoArm
 from loose_env.typing import Array, IndexArray
 
@@ -124,8 +124,8 @@ class MotionEvidence:
     def rest(self, residual: Array) -> float:
         """Root mean square of a residual that no column spans [noise sd]."""
         inside = self._basis.T @ residual
-        free = max(len(residual) - len(inside), 1)
-        return float(np.sqrt(max(residual @ residual - inside @ inside, 0.0) / free))
+        left = max(float(residual @ residual - inside @ inside), 0.0)
+        return float(np.sqrt(left / max(len(residual) - len(inside), 1)))
 
     @cached_property
     def gram(self) -> Array:
@@ -184,12 +184,13 @@ class MotionBank:
     @cached_property
     def beyond(self) -> Array:
         """Products on the motions of reference that no nominal parameter explains (V, V)."""
-        return beyond(sum(self.evidence[k].gram for k in self.reference), self.nuisances)
+        grams = [self.evidence[k].gram for k in self.reference]
+        return beyond(np.sum(grams, axis=0), self.nuisances)
 
     def visibility(self, shape: Shape, coefficients: Array) -> float:
         """Length of the signature on the motions of reference [noise standard deviations]."""
         own = self.beyond[np.ix_(shape.at, shape.at)]
-        return float(np.sqrt(max(coefficients @ own @ coefficients, 0.0)))
+        return float(np.sqrt(max(float(coefficients @ own @ coefficients), 0.0)))
 
     @cached_property
     def seconds(self) -> Array:
@@ -451,7 +452,7 @@ def _evidence(
 ) -> MotionEvidence:
     """Play a motion with the nominal model, and whiten the columns of all shapes along it."""
     say(f"columns of {len(shaped)} shapes along {words}: {motion.description}")
-    checked = check_motion(motion, arm)
+    planned, _ = check_motion(motion, arm)
     along = Along(arm, motion, arm.simulate([Hypothesis()], motion.commands(arm))[0])
     nominal, windows, scales = along.residuals(), [], []
     for form in ("commands", "torques"):
@@ -466,7 +467,7 @@ def _evidence(
     series = np.stack([*map(along.tolerances, own), *along.columns(terms)], axis=1)
     found = MotionEvidence(
         np.empty((0, 0), np.float32), nominal, np.stack(windows), np.stack(scales),
-        checked.seconds, checked.wear,
+        len(planned.time) / arm.sensing.rate, wear_of(planned, arm),
     )  # fmt: skip
     return replace(found, rows=found.whitened(series).T.astype(np.float32))
 
@@ -517,7 +518,7 @@ def _indistinguishable(bank: MotionBank) -> set[str]:
 
     As the mass of a link that only turns about the vertical and the inertia of its rotor.
     """
-    gram = beyond(sum(e.gram for e in bank.evidence), bank.nuisances)
+    gram = beyond(np.sum([e.gram for e in bank.evidence], axis=0), bank.nuisances)
     of = {name: [s for s in bank.shapes if s.name == name] for name in bank.names}
     found: set[str] = set()
 

@@ -397,17 +397,18 @@ def _posterior(evidence: Evidence, settings: BeliefSettings) -> Posterior:
         members.setdefault(tuple(own), []).append(k)
     totals = {own: np.logaddexp.reduce(score[order][rows]) for own, rows in members.items()}
     whole = np.logaddexp.reduce(list(totals.values()))
-    marginal, sets = np.zeros(count), []
-    for own in sorted(totals, key=lambda own: -totals[own]):
-        share = float(np.exp(totals[own] - whole))
-        marginal[list(own)] += share
+    marginal = np.zeros(count)
+    sets: list[HypothesisSet] = []
+    for which in sorted(totals, key=lambda which: -totals[which]):
+        share = float(np.exp(totals[which] - whole))
+        marginal[list(which)] += share
         if len(sets) < _SETS:
-            row = unique[order[members[own][0]]]
+            row = unique[order[members[which][0]]]
             best_shapes = tuple(int(h) for h in (a[row], b[row]) if h >= 0)
             known = len(sets) < _ESTIMATED
             sets.append(
                 HypothesisSet(
-                    names=tuple(sorted(bank.names[m] for m in own)), probability=share,
+                    names=tuple(sorted(bank.names[m] for m in which)), probability=share,
                     effects=evidence.estimates(best_shapes, settings.linearisation, misfit)
                     if known else (),
                     shapes=best_shapes,
