@@ -380,7 +380,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     location and with a random size, and by nominal parameters within a tolerance. The agent
     chooses motions; each is simulated with the hidden effects in MuJoCo, measured by encoders and
     torque sensors with noise, and updates a belief: a posterior over all sets of at most two
-    effects, from signatures about the nominal model. It names a set when it is sure.
+    effects, from the columns of `loose gap` along the nominal motion. It names a set when sure.
 
     ## Action Space
     `Discrete(M + R)`: a motion of the library, `motions[k]`, or M + r: name the set of rank r in
@@ -422,8 +422,8 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     ## Arguments
     `model`, the path of an MJCF file with position servos (by default a waist, shoulder and
-    elbow), and all fields of `ModelGapSettings`. The signatures of the arm are computed once,
-    within minutes, and stored in the user's cache folder. Options of `reset`: ``{"names": [...]}``
+    elbow), and all fields of `ModelGapSettings`. The columns of the arm are made once, within
+    minutes, and stored in the user's cache folder. Options of `reset`: ``{"names": [...]}``
     hides given effects, ``{"count": n}`` a number of random ones.
 
     ## Version History

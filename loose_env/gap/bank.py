@@ -412,7 +412,8 @@ class Along:
         before: Effect | None = None
         for term in terms:
             known, before = known if term.effect is before else {}, term.effect
-            forms: tuple[Form, ...] = ("commands", "torques")
+            moves_otherwise = term.effect.part == "sensor" or term.effect.adds_motion
+            forms: tuple[Form, ...] = ("commands", "torques") if moves_otherwise else ("commands",)
             forms = (*forms, "sampled") if term.effect.drives else forms
             for values in term.axes:
                 if values not in known:
@@ -426,6 +427,9 @@ class Along:
                     if term.contact:
                         change = change + forces.dry * self.balance.directions[term.contact]
                     changes[form] = np.nan_to_num(change)
+                if "torques" not in changes:  # drives do not change what the motion takes
+                    nothing = np.zeros_like(changes["commands"])
+                    changes["torques"] = nothing if term.effect.drives else changes["commands"]
                 yield self._by_form(changes)
 
     def _stepped(self, effect: Effect, values: Array) -> Forces:

@@ -422,7 +422,7 @@ def _posterior(evidence: Evidence, settings: BeliefSettings) -> Posterior:
         own_values = coefficients[h, :width]
         seen[k] = max(bank.visibility(shape, own_values), 1e-3)
         spread = bank.visibility(shape, np.sqrt(np.diag(covariances[h, :width, :width]) * misfit))
-        sds[k] = spread / seen[k] / np.log(10)
+        sds[k] = spread / np.hypot(seen[k], spread) / np.log(10)
     evidence_alone = np.where(np.isfinite(alone[best_of]), alone[best_of], -1e6)
     return Posterior(tuple(sets), bank.names, marginal, evidence_alone, np.log10(seen), sds, misfit)
 

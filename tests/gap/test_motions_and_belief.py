@@ -109,6 +109,17 @@ def hidden(*names: str, seed: int = 1) -> HiddenMachine:
     return draw.draw(small_bank(), np.random.default_rng(seed), names=names, count=len(names))
 
 
+def test_the_residual_of_the_nominal_machine_is_white_noise() -> None:
+    bank = small_bank()
+    healthy = HiddenMachine(bank, (), np.ones(bank.nuisances))
+    belief = Belief(bank)
+
+    belief.add(0, healthy.run(0, np.random.default_rng(0)))
+
+    assert np.mean(belief.sums[0] ** 2) == pytest.approx(1.0, abs=0.2)
+    assert belief.rest[0] == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.parametrize(
     "names",
     [
