@@ -286,39 +286,45 @@ def motion_bank(
     return _only(bank, {k for k, c in enumerate(bank.candidate) if bank.names[c] not in twins})
 
 
-def _played(arm: ServoArm, commands: Array, readings: Array, form: Form) -> Measured:
-    """Motion of one run by its readings, in the band of all motions."""
-    step, joints = 1.0 / arm.sensing.rate, len(arm.joints)
+def _played(arm: ServoArm, commands: Array, readings: Array) -> dict[Form, Measured]:
+    """Motion of one run by its readings, in the band of all motions, as each balance sees it."""
+    step, joints, own = 1.0 / arm.sensing.rate, len(arm.joints), arm.driven
     thin = max(1, int(arm.sensing.rate / (6 * _BAND_HZ)))
     filtered = np.zeros((len(readings), arm.machine.model.nv))
     filtered[:] = arm.rest_position
-    filtered[:, arm.driven] = low_passed(readings[:, :joints], _BAND_HZ, step)
+    filtered[:, own] = low_passed(readings[:, :joints], _BAND_HZ, step)
     torques = np.full_like(filtered, np.nan)
-    torques[:, arm.driven] = low_passed(readings[:, joints:], _BAND_HZ, step)
+    torques[:, own] = low_passed(readings[:, joints:], _BAND_HZ, step)
     states = [filtered, rates(filtered, step), rates(filtered, step, 2)]
     position, speed, acceleration = (np.ascontiguousarray(x[::thin]) for x in states)
     fine, every = arm.held(commands, _FINER), arm.parts * _FINER
     given = low_passed(fine, _BAND_HZ, step / every)[:: thin * every]
     seen = low_passed(fine[::every], _BAND_HZ, step)[::thin]
     run = RunMotion(
-        name="motion", form="inverse" if form == "torques" else "forward", step=step * thin,
-        position=position, speed=speed, acceleration=acceleration, derived=speed,
-        readings=np.zeros((len(position), 0)), commands=seen if form == "sampled" else given,
-        sampled=seen, straight=given, torques=torques[::thin],
+        name="motion", form="forward", step=step * thin, position=position, speed=speed,
+        acceleration=acceleration, derived=speed, readings=np.zeros((len(position), 0)),
+        commands=given, sampled=seen, straight=given, torques=torques[::thin],
         limited=np.zeros_like(position), log_step=step, begin=0.0,
     )  # fmt: skip
     noise = np.full((3, arm.machine.model.nv), np.inf)
     noise[0] = arm.noise[0] / np.sqrt(thin)
-    noise[0, arm.driven] = arm.noise[:joints] / np.sqrt(thin)
-    if form == "torques":
-        noise[2, arm.driven] = arm.noise[joints:] / np.sqrt(thin)
-    return Measured(runs=(run,), band=_BAND_HZ, noise=noise, sensors=(), sensor_noise=np.zeros(0))
+    noise[0, own] = arm.noise[:joints] / np.sqrt(thin)
+    measured = Measured(
+        runs=(run,), band=_BAND_HZ, noise=noise, sensors=(), sensor_noise=np.zeros(0)
+    )
+    read = noise.copy()
+    read[2, own] = arm.noise[joints:] / np.sqrt(thin)
+    return {
+        "commands": measured,
+        "torques": replace(measured, runs=(replace(run, form="inverse"),), noise=read),
+        "sampled": replace(measured, runs=(replace(run, commands=seen),)),
+    }
 
 
 def _shapes_of(arm: ServoArm, motions: Sequence[Motion], kinds: Sequence[str]) -> list[Shape]:
     """Shapes of all candidates, with the priors that they have along some motions."""
     runs = [
-        _played(arm, commands, arm.simulate([Hypothesis()], commands)[0], "commands")
+        _played(arm, commands, arm.simulate([Hypothesis()], commands)[0])["commands"]
         for commands in (motion.commands(arm) for motion in motions)
     ]
     measured = replace(runs[0], runs=tuple(run for each in runs for run in each.runs))
@@ -372,11 +378,7 @@ class Along:
 
     def __init__(self, arm: ServoArm, motion: Motion, readings: Array) -> None:
         self.arm, self.commands = arm, motion.commands(arm)
-        commands = self.commands
-        self.motions = {
-            form: _played(arm, commands, readings, form)
-            for form in ("commands", "torques", "sampled")
-        }
+        self.motions = _played(arm, self.commands, readings)
         self.balance = Balance(arm.machine, self.motions["commands"])
         released, sampled = copy(self.balance), copy(self.balance)
         released.motion, sampled.motion = self.motions["torques"], self.motions["sampled"]
