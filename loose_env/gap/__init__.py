@@ -4,7 +4,7 @@ Data flow: model -> runs -> simulator -> core -> output -> motions -> planned_mo
 -> explain, session; bank and belief use the core's columns for `Gap-v0`.
 """
 
-from loose_env.gap.bank import VISIBLE, MotionBank, MotionEvidence, Shape, motion_bank
+from loose_env.gap.bank import VISIBLE, MotionBank, Shape, motion_bank
 from loose_env.gap.belief import Belief, BeliefSettings, HypothesisSet, Outlook, outlook
 from loose_env.gap.core.find import Answer, find_gap
 from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
@@ -88,7 +88,6 @@ __all__ = [
     "JointExcitation",
     "Motion",
     "MotionBank",
-    "MotionEvidence",
     "NamedEffect",
     "NextMotion",
     "NextMotionSettings",
