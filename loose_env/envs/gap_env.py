@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,54 +18,71 @@ from numpy.typing import NDArray
 from loose_env.arms import SERVO_ARM
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.gap import (
-    BankSettings,
+    VISIBLE,
     Belief,
     BeliefSettings,
+    Effect,
     Hypothesis,
     HypothesisSet,
-    LocalModels,
+    MotionBank,
     Outlook,
-    Ray,
-    SignatureBank,
+    Shape,
     battery,
     brief_library,
+    motion_bank,
     motion_library,
     outlook,
     read_servo_arm,
-    signature_bank,
 )
 from loose_env.io import Checked, Count, NonNegative, Positive, Probability, Rule
 from loose_env.typing import Array
 
-_SHAPE_LIMIT = 1.5
-"""Largest deviation of a drawn shape parameter [standard deviations]."""
+_JITTER, _LIMIT = 0.2, 1.5
+"""Standard deviation of the logarithm of parameters beside the size, and the largest deviation; the
+damping of a spring is that of the catalogue's start."""
+_STRONGEST = 400.0
+"""Largest signature that is drawn where nominal parameters explain most of it [noise sd]."""
 _LARGEST = 0.7
-"""Largest size that is drawn, over the largest in the bank."""
+"""Largest size that is drawn, over that of the largest visibility."""
 
 
 @dataclass(frozen=True, eq=False)
 class HiddenEffect:
     """An effect of the machine, with its values."""
 
-    ray: Ray
+    effect: Effect
     values: Array
 
     @property
     def name(self) -> str:
         """Kind and location."""
-        return self.ray.name
+        return f"{self.effect.kind}@{self.effect.where}"
+
+    @cached_property
+    def none(self) -> Array:
+        """Values that are no effect; of an effect that has none, of no size."""
+        null = self.effect.null_values
+        return np.zeros(len(self.values)) if null is None else np.array(null)
+
+    @cached_property
+    def main(self) -> int:
+        """Index of the parameter by which its size is stated."""
+        scale = np.array([parameter.scale for parameter in self.effect.parameters])
+        if self.effect.proportional is not None or self.effect.null_values is None:
+            return self.effect.proportional or 0
+        return int(np.argmax(np.abs(self.values - self.none) / scale))
 
     @property
     def value(self) -> float:
         """Parameter by which its size is stated."""
-        return float(self.values[self.ray.main])
+        return float(self.values[self.main])
 
 
 @dataclass(frozen=True, eq=False)
 class HiddenMachine:
     """A machine: hidden effects, and nominal parameters that are off."""
 
-    bank: SignatureBank
+    bank: MotionBank
     effects: tuple[HiddenEffect, ...]
     factors: Array
     """Factors on the nominal parameters."""
@@ -78,7 +96,7 @@ class HiddenMachine:
     def hypothesis(self) -> Hypothesis:
         """The machine as a hypothesis."""
         return Hypothesis(
-            effects=tuple(e.ray.effect for e in self.effects),
+            effects=tuple(e.effect for e in self.effects),
             values=tuple(e.values for e in self.effects),
             nominal=self.bank.arm.nominal,
             factors=self.factors,
@@ -95,9 +113,8 @@ class HiddenMachine:
 class MachineDraw:
     """Distribution of hidden machines.
 
-    Sizes are uniform in the logarithm from that seen at `least_visible` up to a share of the
-    largest in the bank, so that the belief's prior, which is wider at both ends, does not tell
-    where they end. Locations and kinds are uniform.
+    Sizes are uniform in the logarithm from that seen at `least_visible` up to a share of that of
+    the largest visibility, or of the parameter's bound. Locations and kinds are uniform.
     """
 
     probabilities: tuple[float, float, float] = (0.2, 0.5, 0.3)
@@ -114,7 +131,7 @@ class MachineDraw:
             raise InvalidSetting(f"least_visible is above 0, got {self.least_visible!r}")
 
     def draw(
-        self, bank: SignatureBank, rng: np.random.Generator, *, count: int | None = None,
+        self, bank: MotionBank, rng: np.random.Generator, *, count: int | None = None,
         names: tuple[str, ...] = (),
     ) -> HiddenMachine:  # fmt: skip
         """Draw a machine, with a number of effects or with given ones where asked.
@@ -137,16 +154,55 @@ class MachineDraw:
         factors = 1 + rng.uniform(-tolerance, tolerance, len(bank.arm.nominal.entries))
         return HiddenMachine(bank, tuple(self._effect(bank, n, rng) for n in chosen), factors)
 
-    def _effect(self, bank: SignatureBank, name: str, rng: np.random.Generator) -> HiddenEffect:
-        rays = [k for k, ray in enumerate(bank.rays) if ray.name == name]
-        k = int(rng.choice(rays))
-        ray, sizes, seen = bank.rays[k], np.log(bank.sizes[k]), np.log(bank.visibilities[k])
-        order = np.maximum.accumulate(seen)
-        least = np.interp(np.log(self.least_visible), order, sizes)
-        most = sizes[-1] + np.log(_LARGEST)
-        size = float(np.exp(rng.uniform(min(least, most - 0.1), most)))
-        shape = np.clip(rng.normal(size=len(ray.shape_parameters)), -_SHAPE_LIMIT, _SHAPE_LIMIT)
-        return HiddenEffect(ray, ray.values(size, shape))
+    def _effect(self, bank: MotionBank, name: str, rng: np.random.Generator) -> HiddenEffect:
+        own = [shape for shape in bank.shapes if shape.name == name]
+        own = [s for s in own if s.term.contact == own[0].term.contact]
+        effect = own[0].term.effect
+        if own[0].term.law:
+            return HiddenEffect(effect, self._law(bank, own, rng))
+        shape = own[int(rng.integers(len(own)))]
+        at = [
+            (axis, sign)
+            for axis, column in enumerate(shape.term.columns)
+            for sign, bound in ((1.0, column.high), (-1.0, -column.low))
+            if bound > self.least_visible * bank.unit(shape, axis)
+        ]
+        at = at or [(0, 1.0)]
+        axis, sign = at[int(rng.integers(len(at)))]
+        column, unit = shape.term.columns[axis], bank.unit(shape, axis)
+        most = _LARGEST * min(VISIBLE[1] * unit, column.high if sign > 0 else -column.low)
+        most = min(most, _STRONGEST / bank.strength(shape, axis))
+        least = min(self.least_visible * unit, 0.9 * most)
+        values = np.zeros(len(shape.at))
+        values[axis] = sign * np.exp(rng.uniform(np.log(least), np.log(most)))
+        found = shape.term.values(values)
+        return HiddenEffect(effect, self._beside_size(effect, found, effect.proportional or 0, rng))
+
+    def _law(self, bank: MotionBank, own: Sequence[Shape], rng: np.random.Generator) -> Array:
+        """Values of a law: between two neighbouring shapes, by visibility."""
+        variants = list(dict.fromkeys(shape.term.effect for shape in own))
+        chosen = variants[int(rng.integers(len(variants)))]
+        own = [shape for shape in own if shape.term.effect is chosen]
+        seen = np.array([bank.visibility(shape, shape.centre) for shape in own])
+        # from the weakest on: what is large looks like other effects
+        order = np.argsort([bank.strength(shape) for shape in own])
+        most = int(np.argmax([*(seen[order] > _LARGEST * VISIBLE[1]), True]))
+        good = [k for k in order[:most] if seen[k] >= self.least_visible] or [order[0]]
+        near = np.log(np.abs([own[k].term.axes[0][0] for k in good]))
+        values = np.array(own[0].term.axes[0])
+        values[0] = np.sign(values[0]) * np.exp(rng.uniform(near.min(), near.max()))
+        return self._beside_size(chosen, values, 0, rng)
+
+    def _beside_size(
+        self, effect: Effect, values: Array, size: int, rng: np.random.Generator
+    ) -> Array:
+        """Values with other shapes: logarithmic parameters beside the size."""
+        found = values.copy()
+        for k, parameter in enumerate(effect.parameters):
+            if k != size and parameter.log and not effect.adds_motion:
+                z = np.clip(rng.normal(), -_LIMIT, _LIMIT)
+                found[k] = parameter.clipped(float(values[k] * np.exp(_JITTER * z)))
+        return found
 
 
 _KINDS = Rule("kinds of the catalogue, none for all")
@@ -324,7 +380,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
     location and with a random size, and by nominal parameters within a tolerance. The agent
     chooses motions; each is simulated with the hidden effects in MuJoCo, measured by encoders and
     torque sensors with noise, and updates a belief: a posterior over all sets of at most two
-    effects, from signatures about the nominal model. It names a set when it is sure.
+    effects, from the columns of `loose gap` along the nominal motion. It names a set when sure.
 
     ## Action Space
     `Discrete(M + R)`: a motion of the library, `motions[k]`, or M + r: name the set of rank r in
@@ -366,8 +422,8 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     ## Arguments
     `model`, the path of an MJCF file with position servos (by default a waist, shoulder and
-    elbow), and all fields of `ModelGapSettings`. The signatures of the arm are computed once,
-    within minutes, and stored in the user's cache folder. Options of `reset`: ``{"names": [...]}``
+    elbow), and all fields of `ModelGapSettings`. The columns of the arm are made once, within
+    minutes, and stored in the user's cache folder. Options of `reset`: ``{"names": [...]}``
     hides given effects, ``{"count": n}`` a number of random ones.
 
     ## Version History
@@ -376,12 +432,8 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
-    def __init__(
-        self, bank: SignatureBank, settings: ModelGapSettings | None = None, *,
-        models: LocalModels | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, bank: MotionBank, settings: ModelGapSettings | None = None) -> None:
         self.bank, self.settings = bank, settings or ModelGapSettings()
-        self.models = models or LocalModels(bank)
         self.motions = bank.library
         self.layout = GapObservation(
             candidates=len(bank.names), motions=len(bank.library), ranks=self.settings.ranks
@@ -390,7 +442,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         self.action_space = spaces.Discrete(len(bank.library) + self.settings.ranks)
         self.machine: HiddenMachine | None = None
         """The hidden machine of the episode."""
-        self.belief = Belief(self.models, self.settings.belief)
+        self.belief = Belief(self.bank, self.settings.belief)
         """Belief about it."""
         self.seconds, self.wear = 0.0, 0.0
         self._over = True
@@ -417,7 +469,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             self.bank, self.np_random, count=given.get("count"),
             names=tuple(given.get("names", ())),
         )  # fmt: skip
-        self.belief = Belief(self.models, self.settings.belief)
+        self.belief = Belief(self.bank, self.settings.belief)
         self.seconds, self.wear, self._over = 0.0, 0.0, False
         return self._observed(), self._info()
 
@@ -487,9 +539,8 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         for estimate in named.effects:
             if estimate.name in hidden:
                 effect = hidden[estimate.name]
-                null_values = effect.ray.effect.null_values
-                none = 0.0 if null_values is None else null_values[effect.ray.main]
-                off = abs(estimate.value - effect.value) / max(abs(effect.value - none), 1e-12)
+                none, own = effect.none[effect.main], estimate.values[effect.main]
+                off = abs(own - effect.value) / max(abs(effect.value - none), 1e-12)
                 errors.append(min(off, 1.0))
         return float(np.mean(errors)) if errors else float(bool(hidden))
 
@@ -554,22 +605,20 @@ def make_model_gap(*, model: str | Path | None = None, **arguments: Any) -> Mode
         raise UnknownName(f"unknown arguments {unknown}; known are {[*_OTHERS, *known]}")
     settings = ModelGapSettings(**arguments)
     path = SERVO_ARM if model is None else Path(model)
-    models = _models(
+    bank = _bank(
         str(path), settings.tolerance, settings.max_speed, tuple(settings.kinds), settings.library
     )
-    return ModelGapEnv(models.bank, settings, models=models)
+    return ModelGapEnv(bank, settings)
 
 
 @lru_cache(maxsize=4)
-def _models(
+def _bank(
     path: str, tolerance: float, max_speed: float, kinds: tuple[str, ...], library: str
-) -> LocalModels:
-    """Local models of an arm, shared by the environments of a process."""
+) -> MotionBank:
+    """Evidence of the motions of an arm, shared by the environments of a process."""
     arm = read_servo_arm(path, tolerance=tolerance, max_speed=max_speed)
     motions = {"whole": motion_library, "brief": brief_library, "battery": battery}[library](arm)
-    settings = BankSettings(kinds=kinds or None)
-    bank = signature_bank(arm, motions, settings, say=_say)
-    return LocalModels(bank)
+    return motion_bank(arm, motions, kinds, say=_say)
 
 
 def _say(words: str) -> None:

@@ -1,26 +1,14 @@
 """Model error: find, identify and correct the physical effects that a simulation lacks.
 
-Data flow: model -> runs -> simulator -> core -> output -> planned_motion -> next_motion -> explain,
-session; experiment_design is beside the core, for `Gap-v0` and the next motion.
+Data flow: model -> runs -> simulator -> core -> output -> motions -> planned_motion -> next_motion
+-> explain, session; bank and belief use the core's columns for `Gap-v0`.
 """
 
+from loose_env.gap.bank import VISIBLE, MotionBank, Shape, motion_bank
+from loose_env.gap.belief import Belief, BeliefSettings, HypothesisSet, Outlook, outlook
 from loose_env.gap.core.find import Answer, find_gap
 from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
 from loose_env.gap.core.tolerances import Tolerances
-from loose_env.gap.experiment_design.bank import BankSettings, SignatureBank, signature_bank
-from loose_env.gap.experiment_design.belief import Belief, Outlook, outlook
-from loose_env.gap.experiment_design.candidates import Ray
-from loose_env.gap.experiment_design.local_models import LocalModels
-from loose_env.gap.experiment_design.motions import (
-    Motion,
-    battery,
-    brief_library,
-    check_motion,
-    motion_library,
-    scaled_to_fit,
-)
-from loose_env.gap.experiment_design.screening import BeliefSettings, HypothesisSet
-from loose_env.gap.experiment_design.servo_arm import ServoArm, read_servo_arm
 from loose_env.gap.explain import (
     GapSolution,
     check_gap,
@@ -33,6 +21,14 @@ from loose_env.gap.joined_runs import join_recordings, note_source, read_source
 from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
 from loose_env.gap.model.effects.catalogue import read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.motions import (
+    Motion,
+    battery,
+    brief_library,
+    check_motion,
+    motion_library,
+    scaled_to_fit,
+)
 from loose_env.gap.next_motion import (
     NEXT_MOTION,
     NextMotion,
@@ -67,14 +63,15 @@ from loose_env.gap.output.result import (
     read_result,
 )
 from loose_env.gap.planned_motion import NextMotionSettings
+from loose_env.gap.servo_arm import ServoArm, read_servo_arm
 from loose_env.gap.session import GapSession
 from loose_env.gap.settings import GapSettings
 
 __all__ = [
     "NEXT_MOTION",
     "TARGETS",
+    "VISIBLE",
     "Answer",
-    "BankSettings",
     "Belief",
     "BeliefSettings",
     "ChannelVerdict",
@@ -94,8 +91,8 @@ __all__ = [
     "Identifiability",
     "JointEffect",
     "JointExcitation",
-    "LocalModels",
     "Motion",
+    "MotionBank",
     "NamedEffect",
     "NextMotion",
     "NextMotionSettings",
@@ -105,11 +102,10 @@ __all__ = [
     "Parameter",
     "Played",
     "RankedSet",
-    "Ray",
     "ResidualTest",
     "Response",
     "ServoArm",
-    "SignatureBank",
+    "Shape",
     "TolerancePull",
     "Tolerances",
     "VisibleEffect",
@@ -124,6 +120,7 @@ __all__ = [
     "how_to_see",
     "how_to_separate",
     "join_recordings",
+    "motion_bank",
     "motion_library",
     "next_motion_lines",
     "note_source",
@@ -136,7 +133,6 @@ __all__ = [
     "read_source",
     "register",
     "scaled_to_fit",
-    "signature_bank",
     "solve_gap",
     "summary_of",
     "write_export",

@@ -24,8 +24,8 @@ from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Selection, Set, SetFit, neighbours
 from loose_env.gap.core.tolerances import nuisances
-from loose_env.gap.experiment_design.motions import Motion, long_motions, scaled_until
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.motions import Motion, long_motions, scaled_until
 from loose_env.gap.planned_motion import (
     MotionLimits,
     NextMotionSettings,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Literal
 
@@ -12,10 +12,10 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.gap.core.motion import Motion
-from loose_env.gap.experiment_design.servo_arm import Sensing, ServoArm, touching
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import step_for
+from loose_env.gap.servo_arm import Sensing, ServoArm, touching
 from loose_env.io import Checked, Count, NonNegative, Positive
 from loose_env.recording import Recording, Run, joint_sensors
 from loose_env.typing import Array
@@ -257,6 +257,47 @@ def drive_of(machine: NominalModel) -> CommandMode:
     return kinds.pop() if kinds else "none"
 
 
+def followed(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    desired: Array,
+    interval: float,
+    parts: int,
+    where: tuple[Array, Array],
+    command: Callable[[int], None],
+    sensors: Sequence[str] = (),
+) -> PlannedMotion:
+    """Simulate a motion from a state, with a command at each sample, contacts included."""
+    at, dofs = where
+    mujoco.mj_forward(model, data)
+    before = touching(model, data)  # what touches at home may
+    met: dict[tuple[str, str], None] = {}
+    saturated: dict[str, None] = {}
+    position, speed, torque = np.zeros((3, *desired.shape))
+    limited = np.flatnonzero(model.actuator_forcelimited)
+    seen: dict[str, list[Array]] = {name: [] for name in sensors}
+    for row in range(len(desired)):
+        for _ in range(parts if row else 0):
+            mujoco.mj_step(model, data)
+            met |= dict.fromkeys(sorted(touching(model, data) - before))
+        mujoco.mj_forward(model, data)
+        position[row], speed[row] = data.qpos[at], data.qvel[dofs]
+        torque[row] = data.qfrc_actuator[dofs]
+        for name, values in seen.items():
+            values.append(np.array(data.sensor(name).data))
+        for k in limited:
+            low, high = model.actuator_forcerange[k]
+            if not low < data.actuator_force[k] < high:
+                saturated[model.actuator(int(k)).name] = None
+        command(row)
+    return PlannedMotion(
+        time=np.arange(len(desired), dtype=float) * interval, desired=np.asarray(desired),
+        controls=np.zeros((len(desired), 0)), position=position, speed=speed, torque=torque,
+        readings={name: np.squeeze(np.stack(values)) for name, values in seen.items()},
+        contacts=tuple(met), saturated=tuple(saturated),
+    )  # fmt: skip
+
+
 class Player:
     """Plays desired positions on the corrected model, in the columns of a recording.
 
@@ -314,41 +355,25 @@ class Player:
             for own in np.flatnonzero(model.actuator_actnum):
                 data.act[model.actuator_actadr[own]] = data.ctrl[min(int(own), count - 1)]
             mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
-        mujoco.mj_forward(model, data)
-        before = touching(model, data)
-        met: dict[tuple[str, str], None] = {}
-        saturated: dict[str, None] = {}
-        position, speed, torque = np.zeros((3, *desired.shape))
         given = np.zeros((len(desired), count * (self.form == "forward")))
-        seen: dict[str, list[Array]] = {name: [] for name in self._sensors}
-        for row in range(len(desired)):
-            for _ in range(self._parts if row else 0):
-                mujoco.mj_step(model, data)
-                for pair in touching(model, data) - before:
-                    met[pair] = None
-            mujoco.mj_forward(model, data)
-            position[row], speed[row] = data.qpos[self._at], data.qvel[self._dofs]
-            torque[row] = data.qfrc_actuator[self._dofs]
-            for name, values in seen.items():
-                values.append(np.array(data.sensor(name).data))
-            for k, name in enumerate(self.machine.actuators):
-                low, high = model.actuator_forcerange[k]
-                if model.actuator_forcelimited[k] and not low < data.actuator_force[k] < high:
-                    saturated[name] = None
+        external = np.zeros_like(desired)
+
+        def command(row: int) -> None:
             effort = self._effort(data, desired[row], rates[row])
             if controls is not None:
                 data.ctrl[:count] = controls[row]
             elif self.drive == "torque":
                 data.ctrl[:count] = np.linalg.lstsq(gears, effort, rcond=None)[0]
             else:
-                data.qfrc_applied[self._dofs] = torque[row] = effort
+                data.qfrc_applied[self._dofs] = external[row] = effort
             given[row] = data.ctrl[: given.shape[1]]
-        return PlannedMotion(
-            time=np.arange(len(desired), dtype=float) * self._interval, desired=np.asarray(desired),
-            controls=given, position=position, speed=speed, torque=torque,
-            readings={name: np.squeeze(np.stack(values)) for name, values in seen.items()},
-            contacts=tuple(met), saturated=tuple(saturated),
+
+        found = followed(
+            model, data, desired, self._interval, self._parts, (self._at, self._dofs), command,
+            self._sensors,
         )  # fmt: skip
+        torque = external if controls is None and self.drive != "torque" else found.torque
+        return replace(found, controls=given, torque=torque)
 
     def _effort(self, data: mujoco.MjData, at: Array, rate: Array) -> Array:
         """Torque by which a controller follows a motion where the model has no servo (joints,)."""

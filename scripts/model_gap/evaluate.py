@@ -131,8 +131,12 @@ def played(
             break
         best = env.belief.posterior.best
         certain = certain + 1 if best.probability > _CERTAIN else 0
-        hidden = {e.name: e.value for e in env.machine.effects}
-        inside = [e.low <= hidden[e.name] <= e.high for e in best.effects if e.name in hidden]
+        hidden = {e.name: e for e in env.machine.effects}
+        inside = [
+            e.low[own.main] <= own.value <= e.high[own.main]
+            for e in best.effects
+            if (own := hidden.get(e.name)) is not None
+        ]
         steps.append(
             {
                 "motion": int(action),

@@ -1,8 +1,7 @@
 """Trains maskable PPO on loose_env/Gap-v0, on the belief as observation.
 
 Weights and the learning curve are written every `--every` steps; the same command goes on where it
-was stopped. In training the belief screens by the bank's signatures alone unless `--simulations`
-says otherwise: exact fits cost most of a step.
+was stopped.
 
 Usage: python scripts/model_gap/train.py --steps 100000 --out out/gap_ppo
 """

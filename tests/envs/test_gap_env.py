@@ -19,20 +19,19 @@ from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.envs import GapPrices, ModelGapEnv, ModelGapSettings
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.gap import (
-    BankSettings,
     brief_library,
+    motion_bank,
     read_servo_arm,
-    signature_bank,
 )
 from loose_env.registration import GAP_ID
 from scripts.model_gap.train import Options, train
-from tests.gap.cases.small_bank import small_bank, small_models
+from tests.gap.cases.small_bank import small_bank
 
 UR5E = Path(__file__).parents[3] / "shared" / "models" / "ur5e_bare.xml"
 
 
 def env(**settings: Any) -> ModelGapEnv:
-    return ModelGapEnv(small_bank(), ModelGapSettings(**settings), models=small_models())
+    return ModelGapEnv(small_bank(), ModelGapSettings(**settings))
 
 
 def test_gymnasiums_checker_passes() -> None:
@@ -113,8 +112,7 @@ def test_arms_of_six_axes_have_episodes(file: Path) -> None:
         pytest.skip("the model lies beside the repository, not in it")
     arm = read_servo_arm(file)
     motions = brief_library(arm)[3:5]
-    settings = BankSettings(kinds=("viscous_friction",), points=2, rank=40)
-    bank = signature_bank(arm, motions, settings, reference=motions[:1], cache=None)
+    bank = motion_bank(arm, motions, ("viscous_friction",), reference=motions[:1], cache=None)
     made = ModelGapEnv(bank)
     hidden = bank.names[0]
 
@@ -145,7 +143,7 @@ SHIPPED = Path(__file__).parents[2] / "agents/loose_agents/weights/gap-ppo/polic
 @pytest.mark.slow
 def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
     settings = ModelGapSettings(max_motions=2)
-    env = ModelGapEnv(small_bank(), settings, models=small_models())
+    env = ModelGapEnv(small_bank(), settings)
 
     for steps in (16, 24):  # the second one goes on
         train(Options(out=tmp_path, steps=steps, every=8), env)
@@ -163,7 +161,7 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
         start = False
     assert "is_success" in info
 
-    other = ModelGapEnv(env.bank, replace(settings, ranks=3), models=env.models)
+    other = ModelGapEnv(env.bank, replace(settings, ranks=3))
     with pytest.raises(InvalidSetting, match="as many ranks of verdicts: train anew"):
         LearnedGapAgent(tmp_path / "policy.pt", other)
     for damaged in (b"", SHIPPED.read_bytes()[:5000]):
@@ -182,7 +180,7 @@ def test_training_goes_on_and_its_agent_plays(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_shipped_weights_serve_another_library() -> None:
     settings = ModelGapSettings()
-    env = ModelGapEnv(small_bank(), settings, models=small_models())
+    env = ModelGapEnv(small_bank(), settings)
     agent = LearnedGapAgent(SHIPPED, env)
     rewards = []
     for seed in range(6):

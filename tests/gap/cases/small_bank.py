@@ -3,17 +3,9 @@
 from functools import cache
 
 from loose_env.arms import SERVO_ARM
-from loose_env.gap import (
-    BankSettings,
-    LocalModels,
-    Motion,
-    SignatureBank,
-    read_servo_arm,
-    signature_bank,
-)
+from loose_env.gap import Motion, MotionBank, motion_bank, read_servo_arm
 
 KINDS = ("coulomb_friction", "payload", "rotor_inertia")
-SETTINGS = BankSettings(kinds=KINDS, points=3, rank=40)
 LIBRARY = (
     Motion(kind="random", joints=(0, 1, 2), amplitude=0.4, speed=1.5, seconds=1.5, seed=3),
     Motion(kind="slow_triangle", joints=(1,), amplitude=0.1, speed=0.2, seconds=2.0),
@@ -21,13 +13,7 @@ LIBRARY = (
 
 
 @cache
-def small_bank() -> SignatureBank:
+def small_bank() -> MotionBank:
     """Candidates on both motions, sized on the first."""
     arm = read_servo_arm(SERVO_ARM)
-    return signature_bank(arm, LIBRARY, SETTINGS, reference=LIBRARY[:1], cache=None)
-
-
-@cache
-def small_models() -> LocalModels:
-    """Its local models."""
-    return LocalModels(small_bank())
+    return motion_bank(arm, LIBRARY, KINDS, reference=LIBRARY[:1], cache=None)

@@ -11,7 +11,8 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.gap.experiment_design.servo_arm import ServoArm, touching
+from loose_env.gap.planned_motion import MotionLimits, PlannedMotion, followed
+from loose_env.gap.servo_arm import ServoArm
 from loose_env.typing import Array
 
 T = TypeVar("T")
@@ -276,47 +277,14 @@ _SHAPES: dict[str, Callable[[Motion, Array, int, float], Array]] = {
 
 _TORQUE_SHARE = 0.8
 """Share of a torque limit that a motion may take in the nominal model."""
-_SPEED_SHARE = 1.25
-"""Speed of the nominal arm over the limit of its commands: a servo overshoots after a step."""
 _SHRINK = 0.7
 """Factor on amplitude and speed of a motion that does not fit."""
 _POSES = 400
 """Random poses among which those of small and of large load are chosen."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class MotionCheck:
-    """Result of a motion's simulation with the nominal model."""
-
-    seconds: float
-    """Machine time [s]."""
-    torque_share: float
-    """Largest torque over its joint's limit [1]."""
-    speed_share: float
-    """Largest joint speed over its limit [1]."""
-    wear: float
-    """Integral of the squared torque shares, summed over joints [s]."""
-    contact: str
-    """Bodies that touch, "" if none do."""
-    beyond: str
-    """Joint that leaves its range, "" if none does."""
-
-    @property
-    def refusal(self) -> str:
-        """Reason why the motion is refused, "" if it is not."""
-        if self.contact:
-            return f"{self.contact} would touch"
-        if self.beyond:
-            return f"{self.beyond} would leave its range"
-        if self.torque_share > _TORQUE_SHARE:
-            return f"it would take {self.torque_share:.2f} of a torque limit"
-        if self.speed_share > _SPEED_SHARE:
-            return f"it would take {self.speed_share:.2f} of a speed limit"
-        return ""
-
-
-def check_motion(motion: Motion, arm: ServoArm) -> MotionCheck:
-    """Simulate a motion with the nominal model, contacts included.
+def check_motion(motion: Motion, arm: ServoArm) -> tuple[PlannedMotion, str]:
+    """Simulate a motion with the nominal model, contacts included; say why it does not fit.
 
     Raises
     ------
@@ -326,48 +294,40 @@ def check_motion(motion: Motion, arm: ServoArm) -> MotionCheck:
     Examples
     --------
     >>> from loose_env.arms import SERVO_ARM
-    >>> from loose_env.gap.experiment_design.servo_arm import read_servo_arm
+    >>> from loose_env.gap.servo_arm import read_servo_arm
     >>> arm = read_servo_arm(SERVO_ARM)
-    >>> slow = Motion(kind="slow_triangle", joints=(1,), amplitude=0.2, speed=0.2)
-    >>> check_motion(slow, arm).refusal
+    >>> check_motion(Motion(kind="slow_triangle", joints=(1,), amplitude=0.2, speed=0.2), arm)[1]
     ''
     """
-    commands = motion.commands(arm)
-    model: mujoco.MjModel = arm.model
+    desired, model = motion.commands(arm), arm.model
+    controls = arm.controls(desired)
     data = mujoco.MjData(model)
     data.qpos[:] = arm.rest_position
     data.qpos[arm.driven] = arm.home
-    parts = round(1.0 / (arm.sensing.rate * model.opt.timestep))
-    controls = arm.controls(commands)
     data.ctrl[:] = controls[0]
-    mujoco.mj_forward(model, data)
-    apart = touching(model, data)  # what touches at home may
-    for _ in range(round(0.4 / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    position, speed, force = np.empty((3, *commands.shape))
-    met: dict[tuple[str, str], None] = {}
-    for k, row in enumerate(controls):
-        data.ctrl[:] = row
-        for _ in range(parts):
-            mujoco.mj_step(model, data)
-        # joints are hinges and slides: one position and one speed each
-        position[k], speed[k] = data.qpos[arm.driven], data.qvel[arm.driven]
-        force[k] = data.actuator_force[arm.actuators]
-        met |= dict.fromkeys(sorted(touching(model, data) - apart))
+    mujoco.mj_step(model, data, round(0.4 / model.opt.timestep))
+
+    def command(row: int) -> None:
+        data.ctrl[:] = controls[row]
+
+    # joints are hinges and slides: one position and one speed each
+    where = (arm.driven, arm.driven)
+    planned = followed(model, data, desired, 1 / arm.sensing.rate, arm.parts, where, command)
     low, high = arm.ranges
-    shares = np.abs(model.actuator_gear[arm.actuators, 0] * force) / arm.torque_limits
-    outside = np.flatnonzero(((position < low) | (position > high)).any(axis=0))
-    return MotionCheck(
-        seconds=len(commands) / arm.sensing.rate,
-        torque_share=float(shares.max()),
-        speed_share=float(np.max(np.abs(speed) / arm.speed_limits)),
-        wear=float(np.sum(shares**2)) / arm.sensing.rate,
-        contact=" and ".join(next(iter(met), ())),
-        beyond=arm.joints[outside[0]] if len(outside) else "",
-    )
+    limits = MotionLimits(
+        joints=arm.joints, home=arm.home, low=low, high=high, speed=arm.speed_limits,
+        torque=_TORQUE_SHARE * arm.torque_limits,
+        sources=("its range", "its speed limit", f"{_TORQUE_SHARE:g} of its torque limit"),
+    )  # fmt: skip
+    return planned, limits.refusal(planned)
 
 
-def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, MotionCheck]:
+def wear_of(planned: PlannedMotion, arm: ServoArm) -> float:
+    """Integral of the squared torque shares, summed over joints [s]."""
+    return float(np.sum((planned.torque / arm.torque_limits) ** 2)) / arm.sensing.rate
+
+
+def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, PlannedMotion]:
     """Reduce amplitude and speed of a motion until it fits the arm's limits.
 
     Raises
@@ -375,17 +335,12 @@ def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, MotionCheck]:
     InvalidSetting
         If it does not fit at a twentieth of its size either: in its centre pose, say.
     """
-
-    def checked(motion: Motion) -> tuple[MotionCheck | None, str]:
-        found = check_motion(motion, arm)
-        return found, found.refusal
-
-    fitting, found, reason = scaled_until(motion, checked)
-    if found is None or reason:
+    fitting, planned, reason = scaled_until(motion, partial(check_motion, arm=arm))
+    if planned is None or reason:
         raise InvalidSetting(
             f"{fitting.description} does not fit the arm: {reason}; give another centre pose"
         )
-    return fitting, found
+    return fitting, planned
 
 
 def scaled_until(

@@ -285,11 +285,24 @@ class ServoArm:
             readings[k] = readings[k] - of + at
         return readings
 
+    @property
+    def parts(self) -> int:
+        """Steps of a simulation from sample to sample."""
+        return round(1.0 / (self.sensing.rate * float(self.machine.model.opt.timestep)))
+
+    def held(self, commands: Array, finer: int = 1) -> Array:
+        """Commands that act, held, at the steps of a simulation or finer (n · parts · finer, nu).
+
+        Each acts from half-way between two samples on, so that sensors are read in the middle of it
+        and no small delay decides whether they see the old or the new one.
+        """
+        given = np.repeat(self.controls(commands), self.parts * finer, axis=0)
+        late = self.parts // 2 * finer
+        return np.concatenate([np.repeat(given[:1], late, axis=0), given])[: len(given)]
+
     def _trial(self, commands: Array) -> Trial:
-        count = len(commands)
-        step = float(self.machine.model.opt.timestep)
-        parts = round(1.0 / (self.sensing.rate * step))
-        controls = np.repeat(self.controls(commands), parts, axis=0)[: (count - 1) * parts + 1]
+        count, step = len(commands), float(self.machine.model.opt.timestep)
+        controls = self.held(commands)[: (count - 1) * self.parts + 1]
         position = self.rest_position
         position[self.driven] = self.home
         return Trial(

@@ -1,0 +1,577 @@
+"""Belief: measured motions of one machine in, posterior over sets of effects and outlook out.
+
+With the mean residual ȳ_k of motion k over n_k repetitions, in noise standard deviations, a machine
+with effects e is
+
+    ȳ_k = J_k z + Σ_e C_ke θ_e + ε_k,      z ~ N(0, I),   θ_e ~ N(centre, spread²)
+    ε_k ~ N(0, 1/n_k + δ_k),    δ_k = (η |ȳ_k|)² / K
+
+z are the nominal parameters, C the columns of the force balance along the motion. δ is the error of
+columns along the nominal motion, in proportion to what they have to explain, which a repetition
+does not average out. All sets of effects are then small linear problems in one Gram matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+
+import numpy as np
+
+from loose_env.errors import InvalidSetting
+from loose_env.gap.bank import VISIBLE, Along, MotionBank, MotionEvidence, Shape, beyond
+from loose_env.gap.core.find import silent
+from loose_env.gap.core.identifiability import unexplained
+from loose_env.inference import information_bound
+from loose_env.typing import Array, IndexArray
+
+_FIRST, _SWAPS = 24, 10
+"""Shapes beside which every other one is tried as the second of a pair, and members of good pairs
+beside which every other one is tried again."""
+_CANDIDATES, _SETS, _ESTIMATED = 3000, 40, 8
+"""Hypotheses that are compared, sets of a posterior, and those with estimates."""
+_OPEN, _SAMPLES, _LEAST = 16, 32, 1e-3
+"""Sets that count as open at most, readings drawn from the prediction of each, and the probability
+of an open set over that of the most probable one, at least."""
+_DIRECTIONS = 100
+"""Directions over which the error of the columns spreads."""
+_OUT = 2.0
+"""Standard deviations by which an estimate may lie beyond its bounds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeliefSettings:
+    """Priors and errors of the belief.
+
+    Examples
+    --------
+    >>> BeliefSettings(none=0.9, single=0.2)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: none and single are probabilities of at most 1 in all, ...
+    """
+
+    none: float = 0.2
+    """Prior probability that no effect is missing."""
+    single: float = 0.5
+    """Prior probability that one is; two otherwise."""
+    linearisation: float = 0.02
+    """Error of the columns over the length of the residual that they explain [1]."""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not (self.none > 0 and self.single > 0 and self.none + self.single <= 1):
+            raise InvalidSetting(
+                "none and single are probabilities of at most 1 in all, above 0 each, got "
+                f"{self.none!r} and {self.single!r}"
+            )
+        if not 0 <= self.linearisation < 1:
+            raise InvalidSetting(f"linearisation is a share below 1, got {self.linearisation!r}")
+
+    def log_prior(self, count: int, candidates: int) -> float:
+        """Log prior probability of one set of some number of effects."""
+        if count == 0:
+            return float(np.log(self.none))
+        if count == 1:
+            return float(np.log(self.single / candidates))
+        double = max(1.0 - self.none - self.single, 1e-12)
+        return float(np.log(double / max(candidates * (candidates - 1) / 2, 1)))
+
+
+@dataclass(frozen=True)
+class EffectEstimate:
+    """An effect with its parameters."""
+
+    name: str
+    """Kind and location."""
+    values: tuple[float, ...]
+    """Posterior means of its parameters."""
+    low: tuple[float, ...]
+    """Lower ends of the 95 % intervals."""
+    high: tuple[float, ...]
+    """Upper ends."""
+
+
+@dataclass(frozen=True)
+class HypothesisSet:
+    """A set of missing effects with its probability."""
+
+    names: tuple[str, ...]
+    """Kinds and locations, sorted; empty for none."""
+    probability: float
+    effects: tuple[EffectEstimate, ...]
+    """Estimates of its effects; of the most probable sets alone."""
+    shapes: tuple[int, ...] = field(default=(), repr=False)
+    """Indices of its best shapes in the bank."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Posterior over sets of effects."""
+
+    sets: tuple[HypothesisSet, ...]
+    """By decreasing probability."""
+    names: tuple[str, ...]
+    """All candidates."""
+    marginal: Array
+    """Probability that each candidate is among the missing effects (names,)."""
+    log_evidence: Array
+    """Log evidence of each candidate alone against none, its best shape [nats] (names,)."""
+    size: Array
+    """Log10 of each candidate's visibility, alone (names,)."""
+    size_sd: Array
+    """Its standard deviation (names,)."""
+    misfit: float
+    """χ² of the best hypothesis over its degrees of freedom, 1 where that is no more than chance;
+    variances of the parameters are multiplied by it (Birge ratio)."""
+
+    @property
+    def best(self) -> HypothesisSet:
+        """The most probable set."""
+        return self.sets[0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Least squares of some columns: means, covariance, and what is left with the parameters'."""
+
+    at: IndexArray
+    values: Array
+    covariance: Array
+    chi2: float
+
+
+class _Shapes:
+    """Columns of all shapes of a bank in one array, those of narrower ones filled up."""
+
+    def __init__(self, bank: MotionBank) -> None:
+        self.bank, self.count = bank, len(bank.shapes)
+        width = max(len(shape.at) for shape in bank.shapes)
+        self.at = np.full((self.count, width), len(bank.precision), dtype=np.intp)
+        self.centre, self.precision = np.zeros((self.count, width)), np.ones((self.count, width))
+        self.low = np.full((self.count, width), -np.inf)
+        self.high = -self.low
+        for h, shape in enumerate(bank.shapes):
+            own = slice(0, len(shape.at))
+            self.at[h, own], self.centre[h, own] = shape.at, shape.centre
+            self.precision[h, own] = bank.precision[list(shape.at)]
+            self.low[h, own] = [column.low for column in shape.term.columns]
+            self.high[h, own] = [column.high for column in shape.term.columns]
+        counts = np.bincount(bank.candidate, minlength=len(bank.names))
+        self.log_prior = -np.log(counts[bank.candidate])
+        self.prior_centre = np.zeros(len(bank.precision))
+        for shape in bank.shapes:
+            self.prior_centre[list(shape.at)] = shape.centre
+
+
+class Belief:
+    """Belief about one machine, updated by measured motions.
+
+    Parameters
+    ----------
+    bank : MotionBank
+        Evidence of the motions.
+    settings : BeliefSettings, optional
+        Priors and errors.
+    """
+
+    def __init__(self, bank: MotionBank, settings: BeliefSettings | None = None) -> None:
+        self.bank, self.settings = bank, settings or BeliefSettings()
+        self.shapes = _shapes_of(bank)
+        self.sums: dict[int, Array] = {}
+        """Motion -> sum of the residuals of its repetitions (R,)."""
+        self.counts: dict[int, int] = {}
+        """Motion -> repetitions."""
+        self.rest: dict[int, float] = {}
+        """Motion -> rms of the latest residual beyond all columns [noise sd]."""
+
+    def add(self, motion: int, readings: Array) -> None:
+        """Add measured readings (n, C) of a motion of the library, by its index."""
+        found = self.bank.evidence[motion]
+        with silent():
+            measured = Along(self.bank.arm, self.bank.library[motion], readings)
+            residual = found.residual(measured)
+            before = self.sums.get(motion, np.zeros(len(residual)))
+            self.counts[motion] = self.counts.get(motion, 0) + 1
+            self._set(motion, before + residual)
+            residual = residual - self._bent(found, measured)
+        self._set(motion, before + residual)
+        self.rest[motion] = found.rest(residual)
+
+    def _set(self, motion: int, total: Array) -> None:
+        self.sums[motion] = total
+        for name in ("evidence", "posterior"):
+            self.__dict__.pop(name, None)
+
+    def _bent(self, found: MotionEvidence, measured: Along) -> Array:
+        """Residual of the best set that its columns lack along the nominal motion (R,).
+
+        The machine moves a little otherwise, and its forces with it.
+        """
+        own = self.posterior.best.shapes
+        fit, free = self.evidence.fit(own), self.bank.nuisances
+        terms = [self.bank.shapes[h].term for h in own]
+        moved = measured.tolerances(fit.values[:free])
+        for value, column in zip(fit.values[free:], measured.columns(terms), strict=True):
+            moved = moved + value * column
+        return found.whitened(moved) - found.rows[:, fit.at] @ fit.values
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """Products of all columns and residuals of the motions so far."""
+        return Evidence.of(self)
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """Posterior over sets of effects, given all motions so far."""
+        return _posterior(self.evidence, self.settings)
+
+
+@cache
+def _shapes_of(bank: MotionBank) -> _Shapes:
+    """Shapes of a bank, in arrays."""
+    return _Shapes(bank)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Products of all columns and residuals of the measured motions."""
+
+    shapes: _Shapes
+    gram: Array
+    """Of the columns (V, V)."""
+    right: Array
+    """With the residuals (V,)."""
+    power: float
+    """Of the residuals."""
+    dof: int
+    """Numbers in all residuals."""
+
+    @classmethod
+    def of(cls, belief: Belief) -> Evidence:
+        """Sum them over the motions, each by its noise and the error of its columns."""
+        count = len(belief.bank.precision)
+        gram, right, power, dof = np.zeros((count, count)), np.zeros(count), 0.0, 0
+        for motion, total in belief.sums.items():
+            own, repeated = belief.bank.evidence[motion], belief.counts[motion]
+            mean = total / repeated
+            square = float(mean @ mean)
+            weight = 1 / (1 / repeated + belief.settings.linearisation**2 * square / _DIRECTIONS)
+            gram += weight * own.gram
+            right += weight * (mean @ own.rows)
+            power += weight * square
+            dof += len(mean)
+        return cls(belief.shapes, gram, right, power, dof)
+
+    def fit(self, own: Sequence[int] = ()) -> _Fit:
+        """Nominal parameters, then the columns of some shapes."""
+        bank, shapes = self.shapes.bank, self.shapes
+        at = np.array([*range(bank.nuisances), *(k for h in own for k in bank.shapes[h].at)])
+        precision, centre = bank.precision[at], shapes.prior_centre[at]
+        covariance = np.asarray(np.linalg.inv(self.gram[np.ix_(at, at)] + np.diag(precision)))
+        slope = self.right[at] + precision * centre
+        values = covariance @ slope
+        chi2 = self.power + float(precision @ centre**2) - float(slope @ values)
+        return _Fit(at, values, covariance, max(chi2, 0.0))
+
+    @cached_property
+    def nominal(self) -> _Fit:
+        """Fit of the nominal parameters alone."""
+        return self.fit()
+
+    @cached_property
+    def _beyond(self) -> tuple[Array, Array]:
+        """Products that nominal parameters cannot explain, padded by a column of nothing."""
+        free = self.shapes.bank.nuisances
+        gram = beyond(self.gram, free)
+        right = self.right - self.gram[:, :free] @ self.nominal.values
+        return np.pad(gram, ((0, 1), (0, 1))), np.pad(right, (0, 1))
+
+    @cached_property
+    def alone(self) -> tuple[Array, Array, Array, Array]:
+        """χ² (H,), half log determinant (H,), coefficients (H, Q) and covariances of one shape."""
+        gram, right = self._beyond
+        at = self.shapes.at
+        return self._solved(gram[at[:, :, None], at[:, None, :]], right[at], self.nominal.chi2)
+
+    def beside(self, first: int) -> tuple[Array, Array]:
+        """χ² and half log determinant of every shape beside a given one (H,)."""
+        gram, right = self._beyond
+        at, chi2, half, found, covariance = self.shapes.at, *self.alone
+        own = at[first]
+        inner = covariance[first]
+        across = gram[own[:, None, None], at[None]].transpose(1, 0, 2)
+        rest = gram[at[:, :, None], at[:, None, :]] - across.transpose(0, 2, 1) @ inner @ across
+        target = right[at] - np.einsum("q,hqr->hr", found[first], across)
+        fits, halves, _, _ = self._solved(rest, target, float(chi2[first]))
+        return fits, halves + half[first]
+
+    def _solved(
+        self, inner: Array, right: Array, total: float
+    ) -> tuple[Array, Array, Array, Array]:
+        """Every shape in products that others are eliminated from; none beyond its bounds."""
+        shapes = self.shapes
+        prior, centre = shapes.precision, shapes.centre
+        precision = inner + prior[:, :, None] * np.eye(prior.shape[1])
+        # columns of very different size: determinants of the scaled matrix
+        scale = 1 / np.sqrt(np.diagonal(precision, axis1=1, axis2=2))
+        unit = precision * scale[:, :, None] * scale[:, None, :]
+        covariance = np.linalg.inv(unit) * scale[:, :, None] * scale[:, None, :]
+        slope = right + prior * centre
+        found = np.einsum("hij,hj->hi", covariance, slope)
+        chi2 = total + np.sum(prior * centre**2 - slope * found, axis=1)
+        half = 0.5 * np.linalg.slogdet(unit)[1] - np.sum(np.log(scale * np.sqrt(prior)), axis=1)
+        sd = _OUT * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        out = np.any((found + sd < shapes.low) | (found - sd > shapes.high), axis=1)
+        return np.where(out, np.inf, chi2), half, found, np.asarray(covariance)
+
+    def estimates(
+        self, own: Sequence[int], eta: float, misfit: float
+    ) -> tuple[EffectEstimate, ...]:
+        """Estimates of the effects of some shapes."""
+        bank, fit, found = self.shapes.bank, self.fit(own), []
+        first = bank.nuisances
+        for h in own:
+            shape = bank.shapes[h]
+            at = slice(first, first + len(shape.at))
+            first = at.stop
+            means, sds = fit.values[at], np.sqrt(np.diag(fit.covariance)[at] * misfit)
+            spread = 1.96 * np.hypot(sds, eta * means)
+            moved = [
+                shape.term.values(means + sign * spread * unit)
+                for unit in np.eye(len(means))
+                for sign in (-1, 1)
+            ]
+            values = shape.term.values(means)
+            off = np.sqrt(np.sum((np.array(moved) - values) ** 2, axis=0) / 2)
+            ends = (tuple(map(float, each)) for each in (values, values - off, values + off))
+            found.append(EffectEstimate(shape.name, *ends))
+        return tuple(sorted(found, key=lambda each: each.name))
+
+
+def _posterior(evidence: Evidence, settings: BeliefSettings) -> Posterior:
+    """Posterior over sets of at most two effects about the nominal model.
+
+    Singles are all evaluated. Pairs are those of any effect beside one of the best singles, then
+    beside one of the second members of the best pairs.
+    """
+    shapes, bank = evidence.shapes, evidence.shapes.bank
+    candidate, count, every = bank.candidate, len(bank.names), np.arange(evidence.shapes.count)
+    chi2, half, coefficients, covariances = evidence.alone
+    none = np.full(1, -1)
+    first, second = [none, every], [none, np.full(shapes.count, -1)]
+    fits = [np.array([evidence.nominal.chi2]), chi2]
+    others = [
+        np.array([settings.log_prior(0, count)]),
+        settings.log_prior(1, count) + shapes.log_prior - half,
+    ]
+
+    def pair_up(which: Sequence[int]) -> None:
+        for h in which:
+            fit, size = evidence.beside(h)
+            first.append(np.full(shapes.count, h))
+            second.append(every)
+            fits.append(np.where(candidate == candidate[h], np.inf, fit))
+            prior = settings.log_prior(2, count) + shapes.log_prior + shapes.log_prior[h]
+            others.append(prior - size)
+
+    if count > 1:
+        tried = _leading(others[1] - chi2 / 2, candidate, _FIRST)
+        pair_up(tried)
+        score = np.concatenate(others[2:]) - np.concatenate(fits[2:]) / 2
+        seconds = np.concatenate(second[2:])
+        best = [int(h) for h in seconds[np.argsort(-score)[: 40 * _SWAPS]]]
+        pair_up([h for h in dict.fromkeys(best) if h not in set(tried)][:_SWAPS])
+    a, b, fit = np.concatenate(first), np.concatenate(second), np.concatenate(fits)
+    misfit = max(float(np.min(fit)) / max(evidence.dof, 1), 1.0)
+    # the same pair may have been reached from either side
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    _, unique = np.unique(high * (shapes.count + 1) + low, return_index=True)
+    score = (np.concatenate(others) - fit / 2 / misfit)[unique]
+    order = np.argsort(-score, kind="stable")[:_CANDIDATES]
+    order = order[np.isfinite(score[order])]
+    members: dict[tuple[int, ...], list[int]] = {}
+    for k, (one, other) in enumerate(zip(a[unique[order]], b[unique[order]], strict=True)):
+        own = sorted(int(candidate[h]) for h in (one, other) if h >= 0)
+        members.setdefault(tuple(own), []).append(k)
+    totals = {own: np.logaddexp.reduce(score[order][rows]) for own, rows in members.items()}
+    whole = np.logaddexp.reduce(list(totals.values()))
+    marginal = np.zeros(count)
+    sets: list[HypothesisSet] = []
+    for which in sorted(totals, key=lambda which: -totals[which]):
+        share = float(np.exp(totals[which] - whole))
+        marginal[list(which)] += share
+        if len(sets) < _SETS:
+            row = unique[order[members[which][0]]]
+            best_shapes = tuple(int(h) for h in (a[row], b[row]) if h >= 0)
+            known = len(sets) < _ESTIMATED
+            sets.append(
+                HypothesisSet(
+                    names=tuple(sorted(bank.names[m] for m in which)), probability=share,
+                    effects=evidence.estimates(best_shapes, settings.linearisation, misfit)
+                    if known else (),
+                    shapes=best_shapes,
+                )
+            )  # fmt: skip
+    alone = (evidence.nominal.chi2 - chi2) / 2 / misfit - half
+    best_of = _best_of(alone, candidate, count)
+    seen, sds = np.zeros((2, count))
+    for k, h in enumerate(best_of):
+        shape, width = bank.shapes[h], len(bank.shapes[h].at)
+        own_values = coefficients[h, :width]
+        seen[k] = max(bank.visibility(shape, own_values), 1e-3)
+        spread = bank.visibility(shape, np.sqrt(np.diag(covariances[h, :width, :width]) * misfit))
+        sds[k] = spread / np.hypot(seen[k], spread) / np.log(10)
+    evidence_alone = np.where(np.isfinite(alone[best_of]), alone[best_of], -1e6)
+    return Posterior(tuple(sets), bank.names, marginal, evidence_alone, np.log10(seen), sds, misfit)
+
+
+def _best_of(score: Array, candidate: IndexArray, count: int) -> IndexArray:
+    """Shape of each candidate with the largest score (N,)."""
+    best = np.empty(count, dtype=np.intp)
+    order = np.argsort(score, kind="stable")
+    best[candidate[order]] = order  # the last one written has most
+    return best
+
+
+def _leading(score: Array, candidate: IndexArray, most: int) -> list[int]:
+    """Shapes by decreasing score, two of a candidate at most."""
+    found: list[int] = []
+    seen: dict[int, int] = {}
+    for h in np.argsort(-score):
+        own = int(candidate[h])
+        if seen.get(own, 0) < 2 and np.isfinite(score[h]):
+            seen[own] = seen.get(own, 0) + 1
+            found.append(int(h))
+        if len(found) == most:
+            break
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """Expected result of each motion."""
+
+    information: Array
+    """Expected information about which set of effects is missing [nats] (M,)."""
+    gain: Array
+    """Expected gain in the reward of the best verdict (M,)."""
+
+
+def outlook(belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]], float]) -> Outlook:
+    """Expected information of each motion, and what it would add to the reward of a verdict.
+
+    The information is a lower bound of the mutual information between set and readings, from the
+    Bhattacharyya distances between the predictions of the sets (Kolchinsky and Tracey, Entropy 19,
+    2017, 361):
+
+        I ≥ − Σ_i p_i ln Σ_j p_j exp(−B_ij),    B_ij = (1/8) d²_ij
+
+    d² is what the parameters of one set, as uncertain as they still are, cannot do of the other's
+    prediction, in the noise and the error of the columns.
+
+    The gain is the value of information: with readings y drawn from the predictions, and the
+    verdict v* that is best now,
+
+        E_y [ max_v Σ_j p(j | y) R(v, j) − Σ_j p(j | y) R(v*, j) ]
+
+    Parameters
+    ----------
+    belief : Belief
+        Belief about the machine.
+    reward : callable
+        Reward of naming one set while another one is missing.
+    """
+    weights, names, fits = _predictions(belief)
+    rewards = np.array([[reward(named, truth) for truth in names] for named in names])
+    means = np.zeros((len(belief.bank.precision), len(fits)))
+    for k, fit in enumerate(fits):
+        means[fit.at, k] = fit.values
+    precisions = [np.asarray(np.linalg.inv(fit.covariance), float) for fit in fits]
+    information, gain = [], []
+    centred = np.eye(len(weights)) - weights
+    for own in belief.bank.evidence:
+        moved = own.gram @ means
+        squares = means.T @ moved
+        power = np.diag(squares)
+        eta = belief.settings.linearisation
+        noise = 1.0 + eta**2 * float(weights @ power) / _DIRECTIONS
+        apart = power[:, None] - 2 * squares + power  # [i, k] of set i from set k
+        found = np.empty_like(apart)
+        for k, (fit, precision) in enumerate(zip(fits, precisions, strict=True)):
+            cross = moved[fit.at] - moved[fit.at, k][:, None]
+            normal = own.gram[np.ix_(fit.at, fit.at)]
+            found[:, k] = unexplained(apart[:, k] / noise, cross / noise, normal / noise, precision)
+        squared = np.maximum(found + found.T, 0.0) / 2
+        np.fill_diagonal(squared, 0.0)
+        information.append(information_bound(weights, squared))
+        gain.append(value_of_information(weights, -centred @ squared @ centred.T / 2, rewards))
+    return Outlook(np.array(information), np.array(gain))
+
+
+def value_of_information(weights: Array, products: Array, rewards: Array) -> float:
+    """Expected gain in reward by a motion.
+
+    Examples
+    --------
+    >>> equal = np.full(2, 0.5)  # two sets 4 standard deviations apart: 2 Φ(2) - 1 = 0.954
+    >>> round(value_of_information(equal, np.diag([16.0, 0.0]), 2 * np.eye(2) - 1), 1)
+    1.0
+    """
+    values, vectors = np.linalg.eigh(products)
+    noise = _normal(len(weights)) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    scores = np.log(weights) - np.diag(products) / 2 + products[:, None] + noise
+    scores -= scores.max(axis=2, keepdims=True)
+    posterior = np.exp(scores)
+    posterior /= posterior.sum(axis=2, keepdims=True)
+    verdicts = posterior @ rewards.T
+    now = int(np.argmax(rewards @ weights))
+    return float(weights @ np.mean(verdicts.max(axis=2) - verdicts[:, :, now], axis=1))
+
+
+@cache
+def _normal(count: int) -> Array:
+    """Standard normal numbers in pairs of either sign (_SAMPLES, count)."""
+    half = np.random.default_rng(0).normal(size=(_SAMPLES // 2, count))
+    return np.concatenate([half, -half])
+
+
+def _predictions(belief: Belief) -> tuple[Array, list[tuple[str, ...]], list[_Fit]]:
+    """Probabilities of the open sets, their effects and their fitted parameters."""
+    if not belief.counts:
+        return _prior_predictions(belief)
+    best = belief.posterior.best.probability
+    sets = [s for s in belief.posterior.sets[:_OPEN] if s.probability > _LEAST * best]
+    weights = np.array([each.probability for each in sets])
+    fits = [belief.evidence.fit(each.shapes) for each in sets]
+    return weights / weights.sum(), [each.names for each in sets], fits
+
+
+def _prior_predictions(belief: Belief) -> tuple[Array, list[tuple[str, ...]], list[_Fit]]:
+    """Before any motion: no effect, and each candidate at a middle visibility."""
+    bank, settings = belief.bank, belief.settings
+    middle = float(np.sqrt(VISIBLE[0] * VISIBLE[1]))
+    fits = [_prior_fit(bank, None, 0.0)]
+    for number in range(len(bank.names)):
+        own = [bank.shapes[h] for h in np.flatnonzero(bank.candidate == number)]
+        seen = [bank.visibility(s, s.centre) if s.term.law else middle for s in own]
+        fits.append(_prior_fit(bank, own[int(np.argmin(np.abs(np.log(seen) - np.log(middle))))],
+                               middle))  # fmt: skip
+    weights = np.full(len(fits), settings.single / max(len(fits) - 1, 1))
+    weights[0] = settings.none
+    return weights / weights.sum(), [(), *((name,) for name in bank.names)], fits
+
+
+def _prior_fit(bank: MotionBank, shape: Shape | None, visibility: float) -> _Fit:
+    """Nominal parameters, and one effect of some visibility, as uncertain as its size."""
+    own = () if shape is None else shape.at
+    at = np.array([*range(bank.nuisances), *own])
+    values, sds = np.zeros(len(at)), np.ones(len(at))
+    if shape is not None:
+        mean = shape.centre
+        if not shape.term.law:
+            mean = visibility * bank.unit(shape, 0) * np.eye(len(own))[0]
+        values[bank.nuisances :] = mean
+        sds[bank.nuisances :] = 0.45 * np.abs(mean).max()
+    return _Fit(at, values, np.diag(sds**2), 0.0)
