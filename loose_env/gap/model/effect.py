@@ -161,8 +161,6 @@ class Effect:
     effect, where `null_values` is None."""
     adds_motion: ClassVar[bool] = False
     """Whether the edit adds a degree of freedom, which is invisible in an inverse comparison."""
-    needs_fine_steps: ClassVar[bool] = False
-    """Whether it needs finer steps than a smooth model: a stiff spring, a joint with stiction."""
     extends: ClassVar[str] = ""
     """Kind that it is, with more parameters: dry friction is asymmetric, or falls with speed."""
     exact_law: ClassVar[bool] = False

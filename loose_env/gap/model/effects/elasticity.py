@@ -58,7 +58,6 @@ class AddedJoint(Effect):
     """An effect that adds a joint to the model."""
 
     adds_motion = True
-    needs_fine_steps = True
 
     @property
     def unit(self) -> str:

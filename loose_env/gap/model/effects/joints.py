@@ -101,7 +101,6 @@ class CoulombFriction(_Resistance):
     """
 
     kind = "coulomb_friction"
-    needs_fine_steps = True
     name, power, most, shares = "torque", 0, 20.0, (0.03, 0.2)
 
     @property
@@ -159,7 +158,6 @@ class AsymmetricFriction(JointEffect):
 
     kind = "asymmetric_friction"
     extends = "coulomb_friction"
-    needs_fine_steps = True
     null_values = (0.0, 0.0)
 
     @property
@@ -212,7 +210,6 @@ class StribeckFriction(JointEffect):
 
     kind = "stribeck_friction"
     extends = "coulomb_friction"
-    needs_fine_steps = True
     proportional = 0
     limit = (("torque", "low"),)
 
@@ -258,7 +255,6 @@ class LoadFriction(DrivenEffect, JointEffect):
     """
 
     kind = "load_friction"
-    needs_fine_steps = True
     variants = ("", "stribeck", "external")
     null_values: ClassVar[tuple[float, ...] | None] = (0.0, 0.0)
 
