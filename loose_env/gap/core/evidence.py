@@ -464,13 +464,11 @@ def weight_of(balance: Balance, joint: int) -> Array:
         return np.ones(len(balance.residual))
     cache = balance.__dict__.setdefault("_quiet", {})
     if joint not in cache:
-        moving = _sliding(balance, joint)
-        cache[joint] = _knocks(balance, joint, moving > 0.5) * moving * _within(balance, joint)
+        cache[joint] = _knocks(balance, joint) * _sliding(balance, joint) * _within(balance, joint)
     return np.asarray(cache[joint])
 
 
-def _knocks(balance: Balance, joint: int, moving: NDArray[np.bool_]) -> Array:
-    """Weight of samples, none in knocks: beyond what is usual while a joint moves."""
+def _knocks(balance: Balance, joint: int) -> Array:
     motion, step = balance.motion, balance.motion.step
     v, a, q = (x[:, joint] for x in (balance.speed, balance.acceleration, balance.position))
     known = [np.ones_like(q), v, a, v * np.abs(v), np.tanh(v / (0.04 * np.std(v) + 1e-12))]
@@ -482,23 +480,22 @@ def _knocks(balance: Balance, joint: int, moving: NDArray[np.bool_]) -> Array:
     width = max(int(1 / motion.band / step), 2)
     kernel = np.hanning(2 * width + 3)
     kernel /= kernel.sum()
-    weight, bad = 1.0 * moving, np.zeros(len(y), bool)
-    for _ in range(2 if moving.any() else 0):
+    weight, bad = np.ones(len(y)), np.zeros(len(y), bool)
+    for _ in range(2):
         normal = (columns * weight[:, None]).T @ columns + 1e-4 * len(y) * np.eye(columns.shape[1])
         left = y - columns @ np.linalg.solve(normal, columns.T @ (weight * y))
         level, usual = np.convolve(left**2, kernel, "same"), []
-        half, whole = max(int(6 / step), 8 * width), float(np.median(level[moving]))
-        for own in motion.split(np.where(moving, level, np.nan)):
+        half = max(int(6 / step), 8 * width)
+        for own in motion.split(level):
             middles = np.arange(min(half, len(own) // 2), len(own), half)
-            parts = [own[max(m - half, 0) : m + half] for m in middles]
-            medians = [np.nanmedian(p) if np.isfinite(p).any() else whole for p in parts]
+            medians = [np.median(own[max(m - half, 0) : m + half]) for m in middles]
             usual.append(np.interp(np.arange(len(own)), middles, medians))
-        bad = moving & (level > KNOCK * np.concatenate(usual))
-        weight = 1.0 * (moving & ~bad)
-    if bad.sum() > 0.3 * moving.sum():
+        bad = level > KNOCK * np.concatenate(usual)
+        weight = np.where(bad, 0.0, 1.0)
+    if bad.mean() > 0.3:
         return np.ones(len(y))
-    near = np.convolve(1.0 * bad, np.ones(width + 1), "same") > 0.5
-    return np.asarray(1 - np.clip(np.convolve(1.0 * near, kernel, "same"), 0, 1))
+    near = np.convolve(bad, np.ones(width + 1), "same") > 0.5
+    return np.asarray(1 - np.clip(np.convolve(near, kernel, "same"), 0, 1))
 
 
 def _sliding(balance: Balance, joint: int) -> Array:
@@ -512,12 +509,12 @@ def _sliding(balance: Balance, joint: int) -> Array:
     kernel /= kernel.sum()
     span = np.ones(max(int(_REST_S / motion.step), 3))
     for run, own in zip(motion.runs, motion.split(speed), strict=True):
-        still = np.convolve(1.0 * (np.abs(own) < limit), span, "same") > len(span) - 0.5
-        rests = np.convolve(1.0 * still, span, "same") > 0.5
-        # a drive that holds a joint nearly always is all that such a run shows of it
-        if run.form != "free" and not 0.01 < rests.mean() < 0.85:
-            rests[:] = False
-        found.append(1 - np.clip(np.convolve(1.0 * rests, kernel, "same"), 0, 1))
+        still = np.convolve(np.abs(own) < limit, span, "same") > len(span) - 0.5
+        still = np.convolve(still, span, "same") > 0.5
+        if run.form == "free" or not 0.01 < still.mean() < 0.85:
+            found.append(np.ones(len(own)))
+        else:
+            found.append(1 - np.clip(np.convolve(still, kernel, "same"), 0, 1))
     return np.concatenate(found)
 
 

@@ -6,7 +6,8 @@ adds it to the catalogue. Custom effects are read from a Python file.
 
 from __future__ import annotations
 
-import runpy
+import importlib.util
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeVar
@@ -126,11 +127,14 @@ def read_effects(path: str | Path) -> tuple[str, ...]:
         If it cannot be read or run, or registers no effect.
     """
     file = Path(path)
-    if not file.is_file():
-        raise InvalidSetting(f"{file} is no Python file with effects")
     name = f"effects_of_{file.stem}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None or not file.is_file():
+        raise InvalidSetting(f"{file} is no Python file with effects")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # as in an import: dataclasses look there for their module
     try:
-        runpy.run_path(str(file), run_name=name)
+        spec.loader.exec_module(module)
     except Exception as error:  # whatever the file does
         raise InvalidSetting(f"{file} cannot be run: {type(error).__name__}: {error}") from error
     found = tuple(kind for kind, effect in CATALOGUE.items() if effect.__module__ == name)
