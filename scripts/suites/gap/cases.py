@@ -632,6 +632,9 @@ def accepted_of(
             sets.append(tuple((effect.kind, f"motor{k + 1}") for k in range(n)))
         if effect.kind == "asymmetric_friction":
             sets.append((("coulomb_friction", where), ("torque_offset", where)))
+        if effect.kind == "torque_constant" and setup.form == TORQUE:
+            # without commands a drive that gives more than it reads is the same
+            sets.append((("actuator_gain", f"motor{j + 1}"),))
         if effect.kind in ("payload", "link_mass", "link_com") and j == n - 1:
             tip = f"link{n}"
             alike = (("payload", "tool"), ("link_mass", tip), ("link_com", tip))
