@@ -98,6 +98,14 @@ class Shape:
         """Prior means of its coefficients."""
         return np.array([column.centre for column in self.term.columns])
 
+    def values(self, coefficients: Array) -> Array:
+        """Parameter values for its coefficients; a spring that acts more is softer."""
+        found, effect = self.term.values(coefficients), self.term.effect
+        if self.term.law and dict(effect.limit).get(effect.parameters[0].name) == "high":
+            size = float(self.term.axes[0][0] / max(coefficients[0], 1e-3))
+            found[0] = effect.parameters[0].clipped(size)
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class MotionEvidence:

@@ -23,6 +23,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.gap.bank import VISIBLE, Along, MotionBank, MotionEvidence, Shape, beyond
 from loose_env.gap.core.find import silent
 from loose_env.gap.core.identifiability import unexplained
+from loose_env.gap.core.tolerances import Tolerances
 from loose_env.inference import information_bound
 from loose_env.typing import Array, IndexArray
 
@@ -36,6 +37,8 @@ _OPEN, _SAMPLES, _LEAST = 16, 32, 1e-3
 of an open set over that of the most probable one, at least."""
 _DIRECTIONS = 100
 """Directions over which the error of the columns spreads."""
+_MISSED = Tolerances().law
+"""Share of its force that the law of an effect misses."""
 _OUT = 2.0
 """Standard deviations by which an estimate may lie beyond its bounds."""
 
@@ -326,9 +329,7 @@ class Evidence:
         out = np.any((found + sd < shapes.low) | (found - sd > shapes.high), axis=1)
         return np.where(out, np.inf, chi2), half, found, np.asarray(covariance)
 
-    def estimates(
-        self, own: Sequence[int], eta: float, misfit: float
-    ) -> tuple[EffectEstimate, ...]:
+    def estimates(self, own: Sequence[int], misfit: float) -> tuple[EffectEstimate, ...]:
         """Estimates of the effects of some shapes."""
         bank, fit, found = self.shapes.bank, self.fit(own), []
         first = bank.nuisances
@@ -337,13 +338,13 @@ class Evidence:
             at = slice(first, first + len(shape.at))
             first = at.stop
             means, sds = fit.values[at], np.sqrt(np.diag(fit.covariance)[at] * misfit)
-            spread = 1.96 * np.hypot(sds, eta * means)
+            spread = 1.96 * np.hypot(sds, _MISSED * means)
             moved = [
-                shape.term.values(means + sign * spread * unit)
+                shape.values(means + sign * spread * unit)
                 for unit in np.eye(len(means))
                 for sign in (-1, 1)
             ]
-            values = shape.term.values(means)
+            values = shape.values(means)
             off = np.sqrt(np.sum((np.array(moved) - values) ** 2, axis=0) / 2)
             ends = (tuple(map(float, each)) for each in (values, values - off, values + off))
             found.append(EffectEstimate(shape.name, *ends))
@@ -409,7 +410,7 @@ def _posterior(evidence: Evidence, settings: BeliefSettings) -> Posterior:
             sets.append(
                 HypothesisSet(
                     names=tuple(sorted(bank.names[m] for m in which)), probability=share,
-                    effects=evidence.estimates(best_shapes, settings.linearisation, misfit)
+                    effects=evidence.estimates(best_shapes, misfit)
                     if known else (),
                     shapes=best_shapes,
                 )

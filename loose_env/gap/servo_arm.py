@@ -235,7 +235,7 @@ class ServoArm:
 
     @cached_property
     def key(self) -> str:
-        """Digest of model, sensing, tolerance and speed: what signatures depend on."""
+        """Digest of model, sensing, tolerance and speed: what columns depend on."""
         text = self._prepared.to_xml() + repr((asdict(self.sensing), self.tolerance))
         text += repr((self.max_speed, mujoco.__version__))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
