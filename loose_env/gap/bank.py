@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import Balance, Forces, scaled
-from loose_env.gap.core.catalogue import Term, candidates, shapes, terms_of
+from loose_env.gap.core.catalogue import Term, shapes, terms_of
 from loose_env.gap.core.evidence import weight_of
 from loose_env.gap.core.find import silent
 from loose_env.gap.core.motion import Motion as Measured
 from loose_env.gap.core.motion import RunMotion, low_passed, rates
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.catalogue import CATALOGUE
+from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.motions import Motion, battery, check_motion, wear_of
 from loose_env.gap.servo_arm import ServoArm
@@ -342,7 +342,7 @@ def _shapes_of(arm: ServoArm, motions: Sequence[Motion], kinds: Sequence[str]) -
     found: list[Shape] = []
     at = len(arm.nominal.entries)
     driven = {arm.model.actuator(int(k)).name for k in arm.actuators}
-    for effect in candidates(balance, wanted):
+    for effect in candidates(balance.machine, wanted):
         first = type(effect).variants_at(balance.machine, effect.where)[0]
         if effect.variant != first and effect.kind not in _AXES:
             continue

@@ -233,7 +233,7 @@ def align_run(
     held = np.searchsorted(time, (np.arange(steps) + 0.5) * step, side="right") - 1
     for k, name in enumerate(machine.actuators):
         if name in run.controls:
-            controls[:, k] = _filled(run.controls[name])[held]
+            controls[:, k] = filled(run.controls[name])[held]
     return Trial(
         name=run.name, form=run.comparison, time=time, measured=measured, step=step, steps=steps,
         controls=controls, position=machine.model.qpos0.copy(), speed=np.zeros(machine.model.nv),
@@ -241,10 +241,13 @@ def align_run(
     )  # fmt: skip
 
 
-def _filled(values: Array) -> Array:
-    """Forward-fill gaps in values; those at the start take the first value."""
-    good = np.isfinite(values)
-    if good.all():
-        return values
-    at = np.maximum.accumulate(np.where(good, np.arange(len(values)), -1))
-    return np.asarray(values[np.where(at < 0, np.argmax(good), at)])
+def filled(values: Array) -> Array:
+    """Commands with each missing one as the last before it: a drive keeps its set point.
+
+    Those at the start take the first one; zeros where none is known.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    if not len(known):
+        return np.zeros_like(values)
+    at = np.clip(np.searchsorted(known, np.arange(len(values)), "right") - 1, 0, None)
+    return np.asarray(values[known[at]])

@@ -12,12 +12,12 @@ import numpy as np
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.core.catalogue import Term, shapes, shows, terms_of
 from loose_env.gap.core.decision import Finding, decide
-from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import append
 from loose_env.gap.core.find import evidence_of, silent
 from loose_env.gap.core.selection import SetFit
 from loose_env.gap.explain import named_effect, pooled_rms
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import effect_class
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.corrected_model import correction_code, write_model
 from loose_env.gap.settings import GapSettings
@@ -202,9 +202,8 @@ class GapSession:
     @property
     def hypothesis(self) -> Hypothesis:
         """The effects that were added, at their values in the last fit."""
-        place = {k: i for i, k in enumerate(self.fit.numbers)}
-        columns = self.selection.evidence.columns_of
-        values = [t.values(self.fit.values[[place[k] for k in columns(t)]]) for t in self.fit.terms]
+        fit, columns = self.fit, self.selection.evidence.columns_of
+        values = (term.values(fit.values[fit.places(columns(term))]) for term in fit.terms)
         return Hypothesis(effects=self.added, values=tuple(values))
 
     @property
@@ -250,9 +249,7 @@ class GapSession:
                 raise InvalidSetting(f"{effect!r} has a location already; leave out {where!r}")
             return [effect]
         if isinstance(effect, str):
-            if effect not in EFFECTS:
-                raise UnknownName(f"unknown effect {effect!r}; the catalogue has {list(EFFECTS)}")
-            effect = EFFECTS[effect]
+            effect = effect_class(effect)
         if where is None:
             locations = list(effect.locations(machine))
             raise InvalidSetting(f"{effect.kind} needs a location, one of {locations}")

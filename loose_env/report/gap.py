@@ -173,10 +173,10 @@ def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     likely = "" if effect.probability is None else percent(effect.probability)
     name, rows = effect_words(effect.kind, effect.where), []
     others = ", ".join(rivals_words(effect))
-    for parameter, value in effect.parameters.items():
-        ends = effect.interval_95.get(parameter)
-        if value == 0 and ends == (0.0, 0.0):  # a direction that the motion does not excite
-            continue
+    # less the directions that the motion does not excite
+    pairs = {p: (v, effect.interval_95.get(p)) for p, v in effect.parameters.items()}
+    moved = {p: pair for p, pair in pairs.items() if pair != (0.0, (0.0, 0.0))}
+    for parameter, (value, ends) in (moved or pairs).items():
         between = "" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}"
         words, unit = parameter.replace("_", " "), effect.units.get(parameter, "")
         rows.append([name, likely, words, f"{value:.3g}", between, unit, others])

@@ -135,6 +135,8 @@ def test_bad_input_is_told_what_is_allowed() -> None:
         made.reset(options={"fault": 1})
     with pytest.raises(UnknownName, match="unknown arguments \\['speed'\\]"):
         gymnasium.make(GAP_ID, speed=3)
+    with pytest.raises(UnknownName, match="unknown effect 'slack'; the catalogue has"):
+        gymnasium.make(GAP_ID, kinds=("slack",), library="battery")
 
 
 SHIPPED = Path(__file__).parents[2] / "agents/loose_agents/weights/gap-ppo/policy.pt"

@@ -65,6 +65,16 @@ def test_a_payload_is_named_in_a_torque_log(tmp_path: Path) -> None:
     assert set(result.gap.by_quantity) == {"joint torque [N·m]"}
 
 
+def test_commands_that_a_torque_log_lacks_put_no_drive_at_its_limit(tmp_path: Path) -> None:
+    limited = MODEL.replace("<position ", '<position forcerange="-5 5" ')
+    plain, own = (
+        check_gap(torque_log(tmp_path / name, nominal=xml), FEW)
+        for name, xml in (("plain", MODEL), ("limited", limited))
+    )
+    used = [joint.used for joint in own.joints]
+    assert used == [joint.used for joint in plain.joints] and min(used) > 0.5
+
+
 def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
     result = explain_gap(record(tmp_path / "whole", edit=lambda spec: None), ONE)
     assert result.verdict == "no_gap" and not result.effects and not result.doubtful

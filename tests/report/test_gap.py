@@ -173,6 +173,13 @@ def test_every_open_question_gets_a_motion_that_answers_it() -> None:
     assert "strain what you suspect" in gap_steps(result("no_gap"))[0]
 
 
+def test_an_effect_whose_every_parameter_is_zero_is_told() -> None:
+    nothing = {"mass": 0.0, "x": 0.0}
+    ends = dict.fromkeys(nothing, (0.0, 0.0))
+    effect = NamedEffect(kind="payload", where="tool", parameters=nothing, interval_95=ends)
+    assert "mass       0      0 to 0" in gap_text(result("named", effects=(effect,)))
+
+
 def test_the_check_lists_what_is_seen_and_what_is_not() -> None:
     text = check_text(SHOWN)
     assert "elbow  1.2" in text and "80 %" in text

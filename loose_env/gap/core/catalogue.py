@@ -7,7 +7,7 @@ column has the coefficient one where the shape is right, or the size of its prop
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import log
@@ -15,8 +15,8 @@ from math import log
 import numpy as np
 
 from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change, Forces
-from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
 from loose_env.gap.model.effects.drives import DriveLimit
 from loose_env.typing import Array
 
@@ -110,21 +110,12 @@ class Term:
 def catalogue(balance: Balance, kinds: Iterable[str] | None = None) -> list[Term]:
     """List all effects that the balance shows, at all locations, in all variants and shapes."""
     found: list[Term] = []
-    for effect in candidates(balance, EFFECTS if kinds is None else kinds):
+    for effect in candidates(balance.machine, EFFECTS if kinds is None else kinds):
         if not shows(balance, effect):
             continue
         for axes, law in shapes(balance, effect):
             found += terms_of(balance, effect, axes, law)
     return found
-
-
-def candidates(balance: Balance, kinds: Iterable[str]) -> Iterator[Effect]:
-    """List effects at all locations, in every variant."""
-    machine = balance.machine
-    for kind in kinds:
-        for where in EFFECTS[kind].locations(machine):
-            for variant in EFFECTS[kind].variants_at(machine, where):
-                yield EFFECTS[kind](machine, where, variant)
 
 
 def shows(balance: Balance, effect: Effect) -> bool:

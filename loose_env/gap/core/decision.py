@@ -112,10 +112,9 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
     before = _before(selection)
     open_ = _unexplained(before, after)
     covariance = _covariance(selection, fit)
-    place = {k: i for i, k in enumerate(fit.numbers)}
     findings = []
     for number, term in enumerate(fit.terms):
-        own = [place[k] for k in selection.evidence.columns_of(term)]
+        own = fit.places(selection.evidence.columns_of(term))
         x, sd = fit.values[own], np.sqrt(np.diag(covariance)[own])
         values = term.values(x)
         ends = _ends(term, x, covariance[np.ix_(own, own)])
@@ -417,11 +416,10 @@ def left_open(selection: Selection, fit: SetFit) -> list[int]:
 
 def _main(selection: Selection, fit: SetFit, term: Term) -> int:
     """Channel that shows most of an effect."""
-    values = dict(zip(fit.numbers.tolist(), fit.values.tolist(), strict=True))
     sizes = []
     for channel in selection.evidence.channels:
         own = [k for k, n in enumerate(channel.columns) if n in selection.evidence.columns_of(term)]
-        x = np.array([values[int(channel.columns[k])] for k in own])
+        x = fit.values[fit.places(channel.columns[own])]
         sizes.append(float(np.mean((channel.rows[:, own] @ x) ** 2)) if own else 0.0)
     return int(np.argmax(sizes))
 

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from loose_env.gap.core.balance import Balance
-from loose_env.gap.core.catalogue import Term, candidates
+from loose_env.gap.core.catalogue import Term
 from loose_env.gap.core.selection import (
     LEAST_VALUES,
     SHARE_VALUES,
@@ -30,6 +30,7 @@ from loose_env.gap.core.selection import (
 )
 from loose_env.gap.core.tolerances import Nuisance
 from loose_env.gap.model.effect import Effect, Parameter, free_of, values_of
+from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.drives import DriveLimit
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
@@ -142,11 +143,8 @@ class Exact:
 
     def fit(self, selection: Selection, fit: SetFit) -> ExactFit:
         """Fit the effects of a set in simulation, from what the cells say of them."""
-        place = {k: i for i, k in enumerate(fit.numbers)}
-        first = [
-            term.values(fit.values[[place[k] for k in selection.evidence.columns_of(term)]])
-            for term in fit.terms
-        ]
+        columns = selection.evidence.columns_of
+        first = [term.values(fit.values[fit.places(columns(term))]) for term in fit.terms]
         return self.beside(selection, fit).refit(selection, fit.terms, first)
 
     def beside(self, selection: Selection, fit: SetFit) -> Exact:
@@ -411,7 +409,7 @@ def pool_of(
     places = {place for joint in joints for place in at_joint(balance.machine, joint)}
     found: list[Start] = []
     everywhere: dict[tuple[str, str, int], list[Term]] = {}
-    for effect in candidates(balance, kinds):
+    for effect in candidates(balance.machine, kinds):
         shows = effect.moves or effect.where in balance.encoders
         if effect.where not in places or not shows or effect.has_memory:
             continue

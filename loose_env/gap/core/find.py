@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loose_env.arms import quiet
-from loose_env.errors import InvalidData, UnknownName
+from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import Balance, scaled
 from loose_env.gap.core.catalogue import catalogue
 from loose_env.gap.core.decision import (
@@ -20,12 +20,12 @@ from loose_env.gap.core.decision import (
     left_open,
     pruned,
 )
-from loose_env.gap.core.effects import EFFECTS
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import Exact, ExactFit, leading, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, smooth
 from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.core.tolerances import nuisances
+from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording
@@ -140,9 +140,8 @@ def _simulated(
 
 def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Selection:
     """Evidence of a recording for all effects of the catalogue, before any is selected."""
-    unknown = [kind for kind in settings.kinds if kind not in EFFECTS]
-    if unknown:
-        raise UnknownName(f"unknown effect {unknown[0]!r}; the catalogue has {list(EFFECTS)}")
+    for kind in settings.kinds:
+        effect_class(kind)  # refuses an unknown one before any work
     _check_length(recording)
     machine = NominalModel(recording.spec())
     say(f"motion of {len(recording.runs)} run{'s' * (len(recording.runs) > 1)}")

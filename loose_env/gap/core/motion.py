@@ -15,7 +15,7 @@ from scipy.signal import resample
 
 from loose_env.errors import InvalidData
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.runs import measured_runs
+from loose_env.gap.runs import filled, measured_runs
 from loose_env.recording import Recording, Run, joint_sensors
 from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
@@ -179,7 +179,7 @@ class _Log:
             )
         rows = np.clip(np.searchsorted(run.time, grid + 1e-9, "right") - 1, 0, run.samples - 1)
         held = [
-            _last(run.controls[a])[rows] if a in run.controls else 0 * grid
+            filled(run.controls[a])[rows] if a in run.controls else 0 * grid
             for a in machine.actuators
         ]
         return cls(
@@ -439,15 +439,6 @@ def _agrees(v: Array, derived: Array, noise: Array, band: float, step: float) ->
     off = float(np.std((derived - own)[20:-20]))
     expected = float(np.hypot(noise[1], noise[0] * 2 * np.pi * band))
     return off <= max(3 * expected, 0.02 * float(np.std(own)))
-
-
-def _last(column: Array) -> Array:
-    """Commands with each missing one as the last before it: a drive keeps its set point."""
-    known = np.flatnonzero(np.isfinite(column))
-    if not len(known):
-        return np.zeros_like(column)
-    at = np.clip(np.searchsorted(known, np.arange(len(column)), "right") - 1, 0, None)
-    return np.asarray(column[known[at]])
 
 
 def _without_jumps(q: Array) -> Array:

@@ -62,10 +62,9 @@ def _remainder(selection: Selection, fit: SetFit) -> Array:
     evidence = selection.evidence
     left = evidence.balance.residual.copy()
     pulls = evidence.mixed @ fit.values[: evidence.tolerances]
-    place = {k: i for i, k in enumerate(fit.numbers)}
     parts = [(n.change, x) for n, x in zip(evidence.nuisances, pulls, strict=True)]
     for term in fit.terms:
-        values = fit.values[[place[k] for k in evidence.columns_of(term)]]
+        values = fit.values[fit.places(evidence.columns_of(term))]
         parts += [(c.change, x) for c, x in zip(term.columns, values, strict=True)]
     for change, size in parts:
         left[:, : change.shape[1]] -= size * change.whole()
@@ -223,14 +222,13 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
 
 def parameter_correlation(selection: Selection, fit: SetFit) -> tuple[tuple[str, ...], Array]:
     """Names of the coefficients of a set, and their posterior correlation (K, K)."""
-    place = {k: i for i, k in enumerate(fit.numbers)}
     names, at = [], []
     for term in fit.terms:
         own = selection.evidence.columns_of(term)
-        for number, k in enumerate(own, start=1):
+        for number in range(1, len(own) + 1):
             axis = f" {number}" * (len(own) > 1)
             names.append(f"{term.effect.kind} {term.effect.where}{axis}")
-            at.append(place[k])
+        at += fit.places(own).tolist()
     covariance = np.linalg.inv(fit.normal)[np.ix_(at, at)] if at else np.zeros((0, 0))
     scale = 1 / np.sqrt(np.diag(covariance))
     return tuple(names), np.asarray(covariance * np.outer(scale, scale))

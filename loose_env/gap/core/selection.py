@@ -82,6 +82,10 @@ class SetFit:
     allowed: bool
     """Whether all coefficients lie within their bounds."""
 
+    def places(self, columns: Iterable[int]) -> NDArray[np.intp]:
+        """Where columns of the set stand among its coefficients."""
+        return np.searchsorted(self.numbers, list(columns))
+
 
 class Selection:
     """Search over sets of effects in the cells of some evidence."""
@@ -423,9 +427,7 @@ class Selection:
 
         A tilt of 0.1 rad takes half a per cent off gravity, which another effect would explain.
         """
-        place = {k: i for i, k in enumerate(state.numbers)}
-        own = [place[k] for k in self.evidence.columns_of(term)]
-        shares = state.values[own]
+        shares = state.values[state.places(self.evidence.columns_of(term))]
         axes = list(term.axes)
         # two digits: a secant to a value nearby is as good, and is already there
         secant = tuple(float(f"{value:.1e}") for value in term.values(shares))

@@ -106,9 +106,15 @@ def record(
     return write_recording(folder, model_xml=model_with(suffix), runs=found, file_format="csv")
 
 
-def torque_log(folder: Path, edit: Callable[[mujoco.MjSpec], None], *, runs: int = 2) -> Recording:
+def torque_log(
+    folder: Path,
+    edit: Callable[[mujoco.MjSpec], None] = lambda spec: None,
+    *,
+    runs: int = 2,
+    nominal: str = MODEL,
+) -> Recording:
     """Write a recording of motion and measured torque of an arm with an edit."""
-    spec = mujoco.MjSpec.from_string(MODEL)
+    spec = mujoco.MjSpec.from_string(nominal)
     edit(spec)
     model, rng = spec.compile(), np.random.default_rng(4)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
@@ -130,7 +136,7 @@ def torque_log(folder: Path, edit: Callable[[mujoco.MjSpec], None], *, runs: int
                 torques={name: torque[:, j] for j, name in enumerate(("shoulder", "elbow"))},
             )
         )
-    return write_recording(folder, model_xml=MODEL, runs=found, file_format="csv")
+    return write_recording(folder, model_xml=nominal, runs=found, file_format="csv")
 
 
 def _wave(time: float, run: int) -> tuple[Array, Array, Array]:

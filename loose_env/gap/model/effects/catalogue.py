@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Iterable
+from collections import ChainMap
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TypeVar
 
@@ -58,6 +59,19 @@ CATALOGUE: dict[str, type[Effect]] = {
     )
 }
 """Identifier, as in the result file -> class."""
+EFFECTS: Mapping[str, type[Effect]] = ChainMap(
+    {
+        effect.kind: effect
+        for effect in (
+            joints.TorqueOffset,
+            joints.FrictionBehindSlack,
+            drives.CommandInterpolation,
+        )
+    },
+    CATALOGUE,
+)
+"""The same with what logs of machines ask for, and simulations do without; those that users
+register included."""
 
 
 def register(effect: Kind) -> Kind:
@@ -99,17 +113,21 @@ def register(effect: Kind) -> Kind:
     return effect
 
 
+def effect_class(kind: str) -> type[Effect]:
+    """Class of a kind of effect; refuses one that there is not."""
+    if kind not in EFFECTS:
+        raise UnknownName(f"unknown effect {kind!r}; the catalogue has {list(EFFECTS)}")
+    return EFFECTS[kind]
+
+
 def candidates(machine: NominalModel, kinds: Iterable[str] | None = None) -> list[Effect]:
-    """List all effects at all possible locations, in every variant."""
-    wanted = tuple(CATALOGUE) if kinds is None else tuple(kinds)
-    for kind in wanted:
-        if kind not in CATALOGUE:
-            raise UnknownName(f"unknown effect {kind!r}; the catalogue has {list(CATALOGUE)}")
+    """List effects at all possible locations, in every variant; all that simulations have."""
+    classes = [effect_class(kind) for kind in (CATALOGUE if kinds is None else kinds)]
     return [
-        CATALOGUE[kind](machine, where, variant)
-        for kind in wanted
-        for where in CATALOGUE[kind].locations(machine)
-        for variant in CATALOGUE[kind].variants_at(machine, where)
+        own(machine, where, variant)
+        for own in classes
+        for where in own.locations(machine)
+        for variant in own.variants_at(machine, where)
     ]
 
 
