@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import tomllib
+from functools import cache
 from importlib.resources import files
+from typing import Any
 
-_WORDS = tomllib.loads(files("loose_env.gap.output").joinpath("advice.toml").read_text("utf-8"))
-"""Tables of the words, as the file says."""
+
+@cache
+def _words() -> dict[str, Any]:
+    """Tables of the words, as the file says."""
+    return tomllib.loads(files("loose_env.gap.output").joinpath("advice.toml").read_text("utf-8"))
 
 
 def _found(table: str, *keys: str) -> str:
     """Words of the first key that a table has; "" if it has none."""
-    words = _WORDS[table]
+    words = _words()[table]
     first = next((words[key] for key in keys if key in words), "")
     return str(words.get(first, first))
 

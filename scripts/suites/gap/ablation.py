@@ -171,14 +171,19 @@ def configuration(changes: Changes) -> dict[str, Any]:
     return {**whole, "settings.simulate": settings.simulate, **changes}
 
 
-def changed(name: str) -> dict[str, Any]:
-    """Set the numbers of a variant in this process; settings that `explain_gap` gets for it."""
+def changes_of(name: str) -> Changes:
+    """Changes of a variant, by its name."""
     known = variants()
     if name not in known:
         raise InvalidSetting(f"no variant {name!r}; there are {', '.join(known)}")
+    return known[name]
+
+
+def changed(name: str) -> dict[str, Any]:
+    """Set the numbers of a variant in this process; settings that `explain_gap` gets for it."""
     settings: dict[str, Any] = {}
     tolerances = GapSettings().tolerances
-    for key, value in known[name].items():
+    for key, value in changes_of(name).items():
         module, _, own = key.rpartition(".")
         if module == "tolerances":
             tolerances = replace(tolerances, **{own: value})
@@ -189,9 +194,19 @@ def changed(name: str) -> dict[str, Any]:
     return {"tolerances": tolerances, **settings}
 
 
+def chosen(prefixes: Sequence[str]) -> list[str]:
+    """Names of the variants that begin with one of some words, of all for none."""
+    names = [name for name in variants() if not prefixes or name.startswith(tuple(prefixes))]
+    if not names:
+        raise InvalidSetting(
+            f"no variant begins with {prefixes}; there are {', '.join(variants())}"
+        )
+    return names
+
+
 def ablated(
     shipped: Sequence[Row],
-    chosen: Sequence[str],
+    words: Sequence[str],
     work: Callable[[str, int], Row],
     file: Path,
     *,
@@ -200,11 +215,8 @@ def ablated(
     say: Callable[[Row], str] = str,
     show: bool = False,
 ) -> dict[str, list[Row]]:
-    """Rows of the variants chosen, those that the file lacks run; variants as the prefixes say."""
-    known = variants()
-    names = [name for name in known if not chosen or name.startswith(tuple(chosen))]
-    if not names:
-        raise InvalidSetting(f"no variant begins with {chosen}; there are {', '.join(known)}")
+    """Rows of the variants that begin with some words; those that the file lacks are run."""
+    known, names = variants(), chosen(words)
     keys = {f"{name} {row['number']}": (name, row["number"]) for name in names for row in shipped}
     check_code(kept(file), code, file)
 

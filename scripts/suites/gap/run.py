@@ -85,8 +85,10 @@ def answered(answers: Path, name: str) -> Mapping[str, Any]:
 
 def tool_of(name: str) -> Tool:
     """A tool as ``module:function``, ``loose_gap``, or a variant of it, ``loose_gap@VARIANT``."""
-    own, _, variant = name.partition("@")
+    own, at, variant = name.partition("@")
     if own == "loose_gap":
+        if at:
+            ablation.changes_of(variant)
         return functools.partial(loose_gap, variant=variant)
     module, colon, function = name.partition(":")
     if not colon:
@@ -215,7 +217,7 @@ def code_of(tool: str) -> str:
     """Hash of the code that the rows of a tool depend on."""
     here = Path(__file__).parent
     suite = [here / f"{name}.py" for name in ("arms", "dynamics", "machine", "effects", "cases")]
-    if tool == "loose_gap":
+    if tool.partition("@")[0] == "loose_gap":
         own = [Path(loose_env.__file__).parent / part for part in ("gap", "recording")]
     else:
         own = [Path(importlib.import_module(tool.partition(":")[0]).__file__ or "")]
@@ -235,6 +237,7 @@ def run(given: RunSettings) -> None:
         make(numbers, given.phrase, given.make)
         return
     tool_of(given.tool)
+    ablation.chosen(given.ablate or ())
     if given.recording is not None:
         ask(given.tool, given.recording, given.out or OUT)
         return
