@@ -111,11 +111,12 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
     after = held_out_rms(selection, fit)
     before = _before(selection)
     open_ = _unexplained(before, after)
-    covariance = _covariance(selection, fit)
+    freely, sized = selection.sized(fit)
+    covariance = _covariance(freely, sized)
     findings = []
     for number, term in enumerate(fit.terms):
         own = fit.places(selection.evidence.columns_of(term))
-        x, sd = fit.values[own], np.sqrt(np.diag(covariance)[own])
+        x, sd = sized.values[own], np.sqrt(np.diag(covariance)[own])
         values = term.values(x)
         ends = _ends(term, x, covariance[np.ix_(own, own)])
         ends = _with_shapes(selection, fit, term, ends)

@@ -532,14 +532,15 @@ def _within(balance: Balance, joint: int) -> Array:
 
 
 def _felt(channels: list[Channel], free: int) -> Array:
-    """Combinations of tolerances that the data feel, of unit prior width (tolerances, kept)."""
+    """Combinations of tolerances that the data feel, of unit prior width (tolerances, kept).
+
+    Beside what the nominal model leaves most would not be felt, beside the true effects they are.
+    """
     total = np.zeros((free, free))
     for channel in channels:
-        excess = np.maximum(channel.power - channel.count, 0) / (2 + 0.02 * channel.count)
-        weight = 1 / (1 + 0.02 * excess)
         own = np.flatnonzero(channel.columns < free)
         at = channel.columns[own]
-        total[np.ix_(at, at)] += channel.products(weight, own, own)
+        total[np.ix_(at, at)] += channel.products(np.ones(len(channel.count)), own, own)
     values, vectors = np.linalg.eigh(total)
     return np.asarray(vectors[:, values > _FELT])
 

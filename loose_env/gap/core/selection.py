@@ -51,6 +51,8 @@ _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _MISSED = (0.0, *(2.0**-k for k in range(7, -1, -1)))
 """Squared shares of the tolerance of laws that are tried."""
+_SIZES = 10.0
+"""Widths of the prior of a size that values are given."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
 """Relative steps in which shapes are refined."""
 
@@ -163,6 +165,21 @@ class Selection:
         found = copy(self)
         found.used, found.fits = list(used), {}
         return found
+
+    def sized(self, fit: SetFit) -> tuple[Selection, SetFit]:
+        """A set with hardly any prior of sizes: how large an effect is, once it is there.
+
+        Selection needs that prior; values would be drawn to nothing by it, where a tolerance is
+        nearly the same column.
+        """
+        found, evidence = self.on(self.used), copy(self.evidence)
+        evidence.precision = np.where(
+            (evidence.centre == 0) & (np.arange(len(evidence.centre)) >= evidence.tolerances),
+            _SIZES**-2 * evidence.precision, evidence.precision,
+        )  # fmt: skip
+        found.evidence = evidence
+        fitted = found.fit(fit.terms, fit.powers)
+        return (found, fitted) if fitted.allowed else (self, fit)
 
     def solve(self, terms: Sequence[Term], start: Sequence[Array] | None = None) -> SetFit:
         """Fit a set, from the weights of a start."""
@@ -352,6 +369,7 @@ class Selection:
     def best(self) -> SetFit:
         """Best set of searches from several starts, with the shapes of its laws refined."""
         found = min((self.search(start) for start in self.starts()), key=lambda f: f.total)
+        found = self.thinned(found)
         for _ in range(2):
             refined = self.refined(found)
             if refined is found:
@@ -550,6 +568,21 @@ class Selection:
             if best.total > state.total - 0.3:
                 return state
             state = best
+
+    def thinned(self, state: SetFit) -> SetFit:
+        """Best set on the way to none, the least needed member removed first.
+
+        Several members that stand in for one are not removed one by one by steps that must help.
+        """
+        best = state
+        while len(state.terms) > 1 and state.cost < best.total:
+            rests = [tuple(t for t in state.terms if t is not term) for term in state.terms]
+            fits = self.fitted(state, rests, [state.powers, self.rich], _FITTED)
+            if not fits:
+                break
+            state = min(map(self.settled, fits[:_FITTED]), key=lambda f: f.total)
+            best = min(best, state, key=lambda f: f.total)
+        return best
 
     def alternatives(self, form: _Form, rest: Set, term: Term) -> list[Term]:
         """Other kinds at the place of a member, or at the links and drives beside it."""
