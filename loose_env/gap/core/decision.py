@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import append
-from loose_env.gap.core.exact import LARGE, Exact, ExactFit
+from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
 from loose_env.gap.core.selection import Selection, Set, SetFit, at_joint, neighbours
 from loose_env.gap.model.effect import free_of, values_of
 from loose_env.typing import Array
@@ -36,10 +36,6 @@ _Z = 1.96
 """Half width of a 95 % interval in standard deviations."""
 _ASIDE = 0.25
 """Relative step of a shape over which the fall of its evidence is read."""
-_STILL = 0.5
-"""Share of the time without evidence from which the rest does not speak for a joint."""
-_EXPLAINED = 0.8
-"""Share of a channel's residual that explains it."""
 _NOISE = 1.6
 """Held-out residual up to which nothing more is needed [noise standard deviations]."""
 
@@ -402,16 +398,16 @@ def _before(selection: Selection) -> Array:
 def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
     """Channels of which most is left (C,)."""
     share = 1 - (after / before) ** 2
-    return np.asarray((after > LARGE) & (share < _EXPLAINED) & (before > LARGE))
+    return np.asarray((after > LARGE) & (share < EXPLAINED) & (before > LARGE))
 
 
 def left_open(selection: Selection, fit: SetFit) -> list[int]:
-    """Channels that a set leaves open: most is left, or stood still, or was at a limit."""
+    """Channels that a set leaves open: much is left, or most of the time says nothing of it."""
     unexplained = _unexplained(_before(selection), held_out_rms(selection, fit))
     return [
         channel.joint
         for channel, most in zip(selection.evidence.channels, unexplained, strict=True)
-        if most or channel.blanked > _STILL
+        if most or channel.blanked > 0.5
     ]
 
 

@@ -33,8 +33,6 @@ _NOISE = 1.1
 it by some per cent."""
 _REST = 0.01
 """Speed over the typical one below which a joint is at rest, or four times its noise."""
-_REST_S = 0.12
-"""Shortest rest [s]."""
 _FELT = 0.05
 """Squared noise standard deviations of a standard deviation of tolerance below which it is not
 felt."""
@@ -339,12 +337,12 @@ def _grid(balance: Balance, joint: int) -> _Grid:
     counts: dict[tuple[int, int], float] = {}
     for number, (run, own) in enumerate(whole):
         rows = slice(int(first[run]) + own.start, int(first[run]) + own.stop)
-        window = _taper(own.stop - own.start, len(motion.runs[run].position)) * weight[rows]
+        window = _taper(own.stop - own.start) * weight[rows]
         frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
-        noise = _NOISE * balance.noise(joint, frequency)
-        scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / noise
-        scale[0] /= np.sqrt(2)
         band = np.searchsorted(edges, frequency, side="right") - 1
+        noise = np.where(band < BANDS, _NOISE * balance.noise(joint, frequency), 0.0)
+        scale = 1 / np.sqrt(_windowed(noise**2, window) / 2 + 1e-300)
+        scale[0] /= np.sqrt(2)
         kept = np.flatnonzero(band < BANDS)
         at = []
         for k in kept:
@@ -367,6 +365,17 @@ def _grid(balance: Balance, joint: int) -> _Grid:
     return cache[joint]
 
 
+def _windowed(variance: Array, window: Array) -> Array:
+    """Expected square of the spectrum of noise in a window (F,), of so much variance a frequency.
+
+    Noise of positions grows with the square of the frequency in a balance, and a window that ends
+    within a few samples spreads it over all frequencies.
+    """
+    count = len(window)
+    alike = np.fft.irfft(np.abs(np.fft.rfft(window)) ** 2, count)
+    return np.asarray(np.fft.rfft(np.fft.irfft(variance, count) * alike).real)
+
+
 def cell_powers(balance: Balance, channel: int, change: Array) -> Array:
     """Power of a change of the balance in each cell of a channel, in noise variances (C,)."""
     found = _rows(balance, channel, [Change(change)])
@@ -385,7 +394,7 @@ def stretches_of(balance: Balance) -> list[tuple[int, slice]]:
     return found
 
 
-def _taper(count: int, whole: int) -> Array:
+def _taper(count: int) -> Array:
     """Cosine taper over a quarter of a stretch at either end."""
     at = np.linspace(0, 1, count)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(at, 1 - at) / 0.25, 0, 1)))
@@ -507,11 +516,11 @@ def _sliding(balance: Balance, joint: int) -> Array:
     width = max(int(1 / motion.band / motion.step), 2)
     kernel = np.hanning(2 * width + 3)
     kernel /= kernel.sum()
-    span = np.ones(max(int(_REST_S / motion.step), 3))
-    for run, own in zip(motion.runs, motion.split(speed), strict=True):
+    span = np.ones(max(width, 3))
+    for own in motion.split(speed):
         still = np.convolve(np.abs(own) < limit, span, "same") > len(span) - 0.5
         still = np.convolve(still, span, "same") > 0.5
-        if run.form == "free" or not 0.01 < still.mean() < 0.85:
+        if not 0.01 < still.mean() < 0.85:
             found.append(np.ones(len(own)))
         else:
             found.append(1 - np.clip(np.convolve(still, kernel, "same"), 0, 1))

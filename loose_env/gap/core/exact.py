@@ -48,8 +48,9 @@ LEAD_S = 0.3
 """Time from the measured state to what is compared: longer than most drives are late [s]."""
 LARGE = 3.0
 """Residual from which something is left [noise standard deviations]."""
-_EXPLAINED = 0.9
-"""Share of the power of a channel's residual that explains it: less than a third is left of it."""
+EXPLAINED = 0.8
+"""Share of the power of a channel's residual that explains it: less than half the amplitude is
+left."""
 _ROUNDS = 2
 """Reweighted rounds of a fit."""
 _EVALUATIONS = 3
@@ -59,7 +60,7 @@ _MOST_KINDS = 6
 _TRIED = 3
 """Effects that are fitted in one step of that search."""
 _GUESSED = 4
-"""Windows in which starts are compared, at least."""
+"""Windows in which starts are compared, about."""
 _LEAST_GAIN = 0.5
 """Fall of the total for which a step is taken."""
 _PULLED = 0.1
@@ -205,7 +206,6 @@ class Exact:
         selection: Selection,
         best: ExactFit,
         pool: Sequence[Start],
-        joints: int,
         leaves_open: Callable[[ExactFit], bool],
         say: Callable[[str], None],
     ) -> list[ExactFit]:
@@ -214,8 +214,7 @@ class Exact:
         They are exchanged only while they leave open one of the joints that they should explain.
         """
         visited, count = [best], len(self.simulator.trials)
-        # guesses take as long for many joints as for one
-        some = self.on(range(0, count, max(min(1 + joints, count // _GUESSED), 1)))
+        some = self.on(range(0, count, max(count // _GUESSED, 1)))
 
         def likely(by: Exact, starts: Sequence[Start]) -> list[ExactFit]:
             guesses = by._totals(selection, [s for s, _ in starts], [v for _, v in starts])
@@ -392,7 +391,7 @@ def open_joints(exact: Exact, nominal: ExactFit, best: ExactFit, cells: Iterable
     found, by_joint = set(), exact.by_joint()
     for joint in set(cells) & set(by_joint):
         left, before = best.rms[by_joint[joint]], nominal.rms[by_joint[joint]]
-        if left > LARGE and 1 - (left / before) ** 2 < _EXPLAINED:
+        if left > LARGE and 1 - (left / before) ** 2 < EXPLAINED:
             found.add(exact.balance.machine.joints[joint])
     return found
 

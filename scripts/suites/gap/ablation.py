@@ -96,8 +96,6 @@ NUMBERS: tuple[Number, ...] = (
            reason="four times the usual amplitude is no motion of the machine's own"),
     Number(name="core.evidence._REST", unit="of the speed",
            reason="below, presliding: dry friction takes any value"),
-    Number(name="core.evidence._REST_S", unit="s",
-           reason="longer than a reversal takes"),
     Number(name="core.motion.HIGHEST_HZ", unit="Hz",
            reason="structural modes of any arm lie above"),
     Number(name="core.balance._MOST_LOAD", unit="of the load", tried=(0.45, 0.95),
@@ -109,8 +107,8 @@ NUMBERS: tuple[Number, ...] = (
            reason="longer than most drives are late"),
     Number(name="core.exact.LARGE", unit="noise sd",
            reason="three standard deviations: 1 in 370 by chance"),
-    Number(name="core.exact._EXPLAINED", unit="of the power", tried=(0.8, 0.95),
-           reason="less than a third of the amplitude is left"),
+    Number(name="core.exact.EXPLAINED", unit="of the power", tried=(0.6, 0.9),
+           reason="less than half of the amplitude is left"),
     # decision
     Number(name="core.decision.NAMED", unit="probability", tried=(0.25, 0.75),
            reason="as likely as not"),
@@ -118,10 +116,6 @@ NUMBERS: tuple[Number, ...] = (
            reason="positive evidence (Kass and Raftery 1995)"),
     Number(name="core.decision.CONTRADICTED", unit="2 ln likelihood",
            reason="very strong evidence (Kass and Raftery 1995)"),
-    Number(name="core.decision._EXPLAINED", unit="of the power", tried=(0.6, 0.9),
-           reason="less than half of the amplitude is left"),
-    Number(name="core.decision._STILL", unit="of the time", tried=(0.25, 0.75),
-           reason="a channel that is blanked most of the time does not speak for its joint"),
 )  # fmt: skip
 """The numbers that decide, in the order of the method; half and double of each are tried."""
 
