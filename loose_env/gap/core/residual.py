@@ -32,6 +32,8 @@ OVERLAY_S = 4.0
 """Length of the stretch that is shown of a channel [s]."""
 _EDGE_PERIODS = 2.0
 """Ends of a run that are not shown [periods of the end of the band]."""
+_MOVING = 0.1
+"""Speed over its root mean square above which a joint is shown moving."""
 _TAPER = 0.3
 """Share of a run that is faded, at both ends together, before its spectrum is divided."""
 _PLAYED_S = 60.0
@@ -175,7 +177,7 @@ def residual_tests(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overlay:
-    """The stretch of a channel in which the nominal model misses most."""
+    """The stretch of a channel in which the nominal model misses most of the motion."""
 
     channel: str
     """Joint, or reading with its axis."""
@@ -200,14 +202,17 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
     length = int(OVERLAY_S / balance.motion.step)
     found: list[tuple[float, Overlay]] = []
     for k in (channel.joint for channel in selection.evidence.channels):
+        at_joint = k < len(machine.joints)
         lost = weight_of(balance, k) * before[:, k] ** 2
+        if at_joint:  # at rest it is judged where it hardly moves, and there is nothing to see
+            speed = np.abs(balance.speed[:, k])
+            lost *= speed > _MOVING * np.sqrt(np.mean(speed**2))
         stretches = [
             (run, slice(first, min(first + length, inner.stop)))
             for run, inner in enumerate(_inner(balance))
             for first in range(inner.start, max(inner.stop - length // 2, inner.start + 1), length)
         ]
         run, rows = max(stretches, key=lambda own: float(np.mean(lost[own[1]])))
-        at_joint = k < len(machine.joints)
         measured = balance.drive[rows, k] if at_joint else readings[rows, k - len(machine.joints)]
         unit = "as recorded" if not at_joint else "N·m" if machine.turns(machine.joints[k]) else "N"
         overlay = Overlay(
