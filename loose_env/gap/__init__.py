@@ -39,7 +39,7 @@ from loose_env.gap.next_motion import (
     summary_of,
     write_next_motion,
 )
-from loose_env.gap.output.advice import how_to_see, how_to_separate
+from loose_env.gap.output.advice import effect_words, how_to_see, how_to_separate, kind_words
 from loose_env.gap.output.corrected_model import write_model
 from loose_env.gap.output.export import (
     TARGETS,
@@ -114,12 +114,14 @@ __all__ = [
     "check_gap",
     "check_motion",
     "choose_next",
+    "effect_words",
     "explain_gap",
     "export_result",
     "find_gap",
     "how_to_see",
     "how_to_separate",
     "join_recordings",
+    "kind_words",
     "motion_bank",
     "motion_library",
     "next_motion_lines",
