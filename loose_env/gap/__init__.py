@@ -7,7 +7,7 @@ Data flow: model -> runs -> simulator -> core -> output -> motions -> planned_mo
 from loose_env.gap.bank import VISIBLE, MotionBank, Shape, motion_bank
 from loose_env.gap.belief import Belief, BeliefSettings, HypothesisSet, Outlook, outlook
 from loose_env.gap.core.find import Answer, find_gap
-from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
+from loose_env.gap.core.residual import Correlation, Played
 from loose_env.gap.core.tolerances import Tolerances
 from loose_env.gap.explain import (
     GapSolution,
@@ -19,7 +19,7 @@ from loose_env.gap.explain import (
 )
 from loose_env.gap.joined_runs import join_recordings, note_source, read_source
 from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
-from loose_env.gap.model.effects.catalogue import read_effects, register
+from loose_env.gap.model.effects.catalogue import effect_class, read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.motions import (
     Motion,
@@ -98,12 +98,10 @@ __all__ = [
     "NextMotionSettings",
     "NextMotionSummary",
     "Outlook",
-    "Overlay",
     "Parameter",
     "Played",
     "RankedSet",
     "ResidualTest",
-    "Response",
     "ServoArm",
     "Shape",
     "TolerancePull",
@@ -114,6 +112,7 @@ __all__ = [
     "check_gap",
     "check_motion",
     "choose_next",
+    "effect_class",
     "effect_words",
     "explain_gap",
     "export_result",

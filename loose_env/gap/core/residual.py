@@ -271,18 +271,15 @@ def simulated(
 
 def _errors(exact: Exact, predicted: Sequence[Sequence[Array]]) -> dict[str, tuple[float, float]]:
     """Root mean square error by quantity of the nominal and of the corrected model."""
-    trials = exact.simulator.trials
     names = np.array([quantity_of(exact.balance.machine, c.column) for c in exact.channels])
-    count = sum(np.isfinite(trial.measured).sum(axis=0) for trial in trials)
-    squares = np.zeros((2, len(names)))
-    for own, shown in zip(squares, predicted, strict=True):
-        for trial, values in zip(trials, shown, strict=True):
-            off = np.where(np.isfinite(trial.measured), trial.measured - values, 0.0)
-            own += np.nan_to_num(np.sum(off**2, axis=0), nan=np.inf)
+    measured = np.concatenate([trial.measured for trial in exact.simulator.trials])
+    seen = np.isfinite(measured)
+    off = [np.where(seen, measured - np.concatenate(own), 0.0) for own in predicted]
+    squares = np.nan_to_num(np.sum(np.square(off), axis=1), nan=np.inf)
     found = {}
     for name in filter(None, dict.fromkeys(names.tolist())):
         of = names == name
-        nominal, corrected = np.sqrt(squares[:, of].sum(axis=1) / np.sum(count, where=of))
+        nominal, corrected = np.sqrt(squares[:, of].sum(axis=1) / seen[:, of].sum())
         found[name] = float(nominal), float(corrected)
     return found
 
@@ -304,23 +301,18 @@ def _beginnings(recording: Recording, motion: Motion, exact: Exact) -> Simulator
 def force_errors(answer: Answer, before: Array, after: Array) -> dict[str, tuple[float, float]]:
     """Root mean square force that is missing on held-out data, of hinges and of slides."""
     evidence = answer.selection.evidence
-    machine, found = evidence.balance.machine, {}
-    for turns, quantity in ((True, "joint torque [N·m]"), (False, "joint force [N]")):
-        own = [
-            c.joint
-            for c in evidence.channels
-            if c.joint < len(machine.joints) and machine.turns(machine.joints[c.joint]) == turns
-        ]
-        if own:
-            shown = np.zeros(len(before))
-            for inner in _inner(evidence.balance):
-                shown[inner] = 1.0
-            weight = np.stack([shown * weight_of(evidence.balance, k) for k in own], axis=1)
+    balance, joints = evidence.balance, evidence.balance.machine.joints
+    inner = np.concatenate([np.arange(s.start, s.stop) for s in _inner(balance)])
+    own = [c.joint for c in evidence.channels if c.joint < len(joints)]
+    turning = np.array([balance.machine.turns(joints[k]) for k in own])
+    found = {}
+    for quantity, of in (("joint torque [N·m]", turning), ("joint force [N]", ~turning)):
+        if of.any():
+            at = np.ix_(inner, np.array(own)[of])
+            weight = np.stack([weight_of(balance, k) for k in at[1][0]], axis=1)[inner]
             total = max(float(weight.sum()), 1e-300)
-            one, other = (
-                float(np.sqrt(np.sum(weight * x[:, own] ** 2) / total)) for x in (before, after)
-            )
-            found[quantity] = one, other
+            sides = (float(np.sqrt(np.sum(weight * x[at] ** 2) / total)) for x in (before, after))
+            found[quantity] = next(sides), next(sides)
     return found
 
 
