@@ -78,10 +78,9 @@ def gap_headline(result: GapResult) -> str:
     """
     left = [each.channel for each in result.channels if each.verdict == "unexplained"]
     if result.verdict == "no_gap":
-        open_ones = [each.channel for each in result.channels if each.verdict == "cannot tell"]
-        if open_ones:
-            told = f"the recording does not tell about {_channel_words(open_ones)}"
-            return f"No model error found; {told}."
+        if open_ := [each.channel for each in result.channels if each.verdict == "cannot tell"]:
+            words = _channel_words(open_)
+            return f"No model error found; the recording does not tell about {words}."
         return "No model error: the model explains the measurement."
     if result.verdict == "unexplained":
         if left:
@@ -141,9 +140,8 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
 
 def _channel_rows(result: GapResult) -> list[list[str]]:
     """One row for each joint and reading, readings without an error in one, and all together."""
-    quiet = [
-        c for c in result.channels if c.verdict == "not needed" and c.channel.startswith("sensor.")
-    ]
+    fine = [c for c in result.channels if c.verdict == "not needed"]
+    quiet = [c for c in fine if c.channel.startswith("sensor.")]
     quiet = quiet if len(quiet) > 1 else []
     rows = [
         [_reading(c.channel), c.verdict, _kinds(c.effects), *_sides(c.before, c.after)]
@@ -313,10 +311,9 @@ def write_gap_report(
     """
     try:
         return write_text(folder / "report.html", render_gap_page(solution))
-    except MissingExtra as error:
-        say(f"no report.html: {error}")
     except Exception as error:  # whatever a page fails by, model and result do not need it
-        say(f"no report.html: {type(error).__name__}: {error}")
+        kind = "" if isinstance(error, MissingExtra) else f"{type(error).__name__}: "
+        say(f"no report.html: {kind}{error}")
     folder.joinpath("report.html").unlink(missing_ok=True)
     return None
 
