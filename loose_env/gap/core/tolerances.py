@@ -25,6 +25,7 @@ from loose_env.gap.model.effects.mjcf import (
     set_inertial,
 )
 from loose_env.gap.model.effects.sensors import EncoderOffset, SensorDelay
+from loose_env.gap.model.hypothesis import scale
 from loose_env.gap.model.nominal_model import NominalModel, link_ends
 from loose_env.io import Checked, Positive
 from loose_env.typing import Array
@@ -179,8 +180,7 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             ("frictionloss", tolerances.damping),
         ):
             if float(getattr(model, f"dof_{field}")[int(model.joint(name).dofadr[0])]) > 0:
-                scaled = _scaled_joint(name, field, width)
-                yield _edited(f"{field} of {name}", scaled, balance)
+                yield _edited(f"{field} of {name}", _scaled(field, name, width), balance)
         one = np.eye(len(machine.joints))[joint]
         size = max(
             tolerances.offset * float(machine.load_scales[joint]),
@@ -218,14 +218,9 @@ def _limit(machine: NominalModel, joint: str) -> float:
     return float(min(limits, default=0.0))
 
 
-def _scaled_joint(joint: str, field: str, width: float) -> Edit:
-    """Edit that scales a property of a joint."""
-
-    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
-        own = spec.joint(joint)
-        setattr(own, field, np.asarray(getattr(own, field)) * max(1 + deviations * width, 0.0))
-
-    return edit
+def _scaled(name: str, of: str, width: float) -> Edit:
+    """Edit that scales a property of a joint or the gains of a drive."""
+    return lambda spec, deviations: scale(spec, name, of, max(1 + deviations * width, 0.0))
 
 
 def _constant(joint: str, torque: float) -> Edit:
@@ -233,21 +228,6 @@ def _constant(joint: str, torque: float) -> Edit:
     return lambda spec, deviations: add_constant(
         spec, joint, added_name(spec, joint, "tolerance"), deviations * torque
     )
-
-
-def _scaled_drive(actuator: str, width: float, *, velocity: bool) -> Edit:
-    """Edit that scales the gains of a drive, or its velocity gain alone."""
-
-    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
-        own, factor = spec.actuator(actuator), max(1 + deviations * width, 0.0)
-        bias, gain = np.array(own.biasprm), np.array(own.gainprm)
-        if velocity:
-            bias[2] *= factor
-        else:
-            bias, gain = factor * bias, factor * gain
-        own.biasprm, own.gainprm = bias, gain
-
-    return edit
 
 
 def _late_speed(machine: NominalModel, actuator: str, late: float) -> Edit:
@@ -270,10 +250,10 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         return
     for number, name in enumerate(machine.actuators):
         if machine.affine_actuators[number]:
-            gain = _scaled_drive(name, tolerances.torque, velocity=False)
+            gain = _scaled("all_gains", name, tolerances.torque)
             yield _edited(f"gain of {name}", gain, balance)
             if machine.model.actuator_biasprm[number, 2] != 0:
-                rate = _scaled_drive(name, tolerances.velocity_gain, velocity=True)
+                rate = _scaled("velocity_gain", name, tolerances.velocity_gain)
                 yield _edited(f"velocity gain of {name}", rate, balance)
                 late = _late_speed(machine, name, tolerances.speed_feedback_s)
                 yield _edited(f"speed feedback of {name}", late, balance)
