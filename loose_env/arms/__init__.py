@@ -56,6 +56,7 @@ from loose_env.arms.mismatch import Drift, Mismatch, MismatchDraw, MismatchIndic
 from loose_env.arms.model_file import (
     ModelFile,
     compile_spec,
+    copy_files,
     files_of,
     load_spec,
     model_file,
@@ -98,6 +99,7 @@ __all__ = [
     "arm_from_file",
     "arm_of_model_file",
     "compile_spec",
+    "copy_files",
     "describe_file",
     "files_of",
     "find_chain",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -150,6 +151,16 @@ def files_of(file: Path) -> set[Path]:
     """
     found = _looked_over(file)
     return set(found.parsed) | found.assets
+
+
+def copy_files(files: Iterable[Path], home: Path, folder: Path) -> list[Path]:
+    """Copy files below one folder to the same places below another; list those made there."""
+    pairs = [(file, folder / file.relative_to(home)) for file in sorted(files)]
+    pairs = [(file, copy) for file, copy in pairs if file != copy]
+    for file, copy in pairs:
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, copy)
+    return [copy for _, copy in pairs]
 
 
 @dataclass(kw_only=True)

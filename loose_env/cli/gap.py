@@ -23,6 +23,7 @@ from loose_env.gap import (
     NextMotionSettings,
     check_gap,
     choose_next,
+    effect_class,
     export_result,
     join_recordings,
     next_motion_lines,
@@ -107,7 +108,7 @@ class Gap(GapSettings, OnRecording):
         if self.out is None:
             refuse("loose gap", "--out DIR must be given, or --check")
         _check_rerun(self.rerun)
-        wanted = settled(self.next_motion)
+        settings, wanted = self._settings(), settled(self.next_motion)
         folder = OutputFolder(self.out, "gap", reads=self.model)
         sources = [
             read_source(path, KEPT, model=self.model) for path in self._recordings(folder.path)
@@ -115,9 +116,7 @@ class Gap(GapSettings, OnRecording):
         with folder.worked_in() as place:
             recording = sources[0] if len(sources) == 1 else join_recordings(place, sources)
             preflight = check_first(recording, ignore_errors=self.ignore_doctor)
-            for file in self.effects:
-                read_effects(file)
-            found = solve_gap(recording, self._settings, preflight=preflight, say=console.say)
+            found = solve_gap(recording, settings, preflight=preflight, say=console.say)
             motion, planned = None, list[str]()
             if self.next:
                 found, motion, planned = _next(found, wanted, console)
@@ -139,9 +138,12 @@ class Gap(GapSettings, OnRecording):
         lines = [gap_text(result, warnings=False), *planned, f"written: {', '.join(shown)}"]
         return Outcome(text="\n".join(lines), json=result.to_json, warnings=result.warnings)
 
-    @property
     def _settings(self) -> GapSettings:
-        """Settings of the comparison alone."""
+        """Settings of the comparison alone, with the kinds of effect that files register."""
+        for file in self.effects:
+            read_effects(file)
+        for kind in self.kinds:
+            effect_class(kind)  # refuses an unknown one before anything is read
         return GapSettings(**{each.name: getattr(self, each.name) for each in fields(GapSettings)})
 
     def _checked(self, console: Console) -> Outcome:
@@ -150,11 +152,10 @@ class Gap(GapSettings, OnRecording):
             raise InvalidSetting("--check writes nothing; leave out --out, --rerun and --next")
         if self.more:
             raise InvalidSetting("--check looks at one recording; leave out the others")
+        settings = self._settings()
         recording = read_source(self.recording, KEPT, model=self.model)
         check_first(recording, ignore_errors=self.ignore_doctor)
-        for file in self.effects:
-            read_effects(file)
-        found = check_gap(recording, self._settings, say=console.say)
+        found = check_gap(recording, settings, say=console.say)
         return Outcome(
             text=check_text(found), json=lambda: json_text({"format": CHECKED, **asdict(found)})
         )

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from loose_env.arms import files_of
+from loose_env.arms import copy_files, files_of
 from loose_env.errors import InvalidSetting
 from loose_env.recording import (
     DESCRIPTION,
@@ -175,10 +175,7 @@ def _shifted(time: Array, values: Array, seconds: float) -> Array:
 
 def _with_gravity(model: Path, vector: tuple[float, float, float], place: Path) -> Path:
     """Copy of a model with all its files, in which gravity points elsewhere."""
-    for source in files_of(model):
-        copy = place / source.relative_to(model.parent)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        copy.write_bytes(source.read_bytes())
+    copy_files(files_of(model), model.parent, place)
     file = place / model.name
     tree = ET.parse(file)
     # The last of several options holds.

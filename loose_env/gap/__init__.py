@@ -7,7 +7,7 @@ Data flow: model -> runs -> simulator -> core -> output -> motions -> planned_mo
 from loose_env.gap.bank import VISIBLE, MotionBank, Shape, motion_bank
 from loose_env.gap.belief import Belief, BeliefSettings, HypothesisSet, Outlook, outlook
 from loose_env.gap.core.find import Answer, find_gap
-from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
+from loose_env.gap.core.residual import Correlation, Played
 from loose_env.gap.core.tolerances import Tolerances
 from loose_env.gap.explain import (
     GapSolution,
@@ -19,7 +19,7 @@ from loose_env.gap.explain import (
 )
 from loose_env.gap.joined_runs import join_recordings, note_source, read_source
 from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
-from loose_env.gap.model.effects.catalogue import read_effects, register
+from loose_env.gap.model.effects.catalogue import effect_class, read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.motions import (
     Motion,
@@ -39,7 +39,7 @@ from loose_env.gap.next_motion import (
     summary_of,
     write_next_motion,
 )
-from loose_env.gap.output.advice import how_to_see, how_to_separate
+from loose_env.gap.output.advice import effect_words, how_to_see, how_to_separate, kind_words
 from loose_env.gap.output.corrected_model import write_model
 from loose_env.gap.output.export import (
     TARGETS,
@@ -98,12 +98,10 @@ __all__ = [
     "NextMotionSettings",
     "NextMotionSummary",
     "Outlook",
-    "Overlay",
     "Parameter",
     "Played",
     "RankedSet",
     "ResidualTest",
-    "Response",
     "ServoArm",
     "Shape",
     "TolerancePull",
@@ -114,12 +112,15 @@ __all__ = [
     "check_gap",
     "check_motion",
     "choose_next",
+    "effect_class",
+    "effect_words",
     "explain_gap",
     "export_result",
     "find_gap",
     "how_to_see",
     "how_to_separate",
     "join_recordings",
+    "kind_words",
     "motion_bank",
     "motion_library",
     "next_motion_lines",

@@ -408,11 +408,10 @@ class Along:
     def tolerances(self, sizes: Array) -> Array:
         """Change by nominal parameters that are off by some standard deviations (2, T, J)."""
         nominal = self.arm.nominal
-        sds = np.array([p.scale * (p.spread or 1.0) for p in nominal.parameters])
         changes: dict[Form, Array] = {}
         for form, balance in self.balances.items():
             spec = balance.machine.fresh()
-            nominal.edit(spec, 1 + _STEP * sizes * sds)
+            nominal.edit(spec, 1 + _STEP * sizes * nominal.deviation)
             changes[form] = balance.edited(spec).smooth / _STEP
         return self._by_form(changes)
 

@@ -9,6 +9,7 @@ from math import nan
 from pathlib import Path
 
 import numpy as np
+from scipy.special import softmax
 
 from loose_env.doctor import Finding as Preflight
 from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms
@@ -388,18 +389,17 @@ def _ranking(answer: Answer) -> tuple[RankedSet, ...]:
         names = frozenset(term.name for term in fit.terms)
         if fit.allowed:
             totals[names] = min(fit.total, totals.get(names, np.inf))
-    least, quickest = min(totals.values()), min(simulated.values(), default=0.0)
-    weights = {names: float(np.exp(-0.5 * (total - least))) for names, total in totals.items()}
-    whole = sum(weights.values())
+    ranked, quickest = sorted(totals, key=totals.__getitem__), min(simulated.values(), default=0.0)
+    behind = np.array([totals[names] for names in ranked]) - totals[ranked[0]]
     return tuple(
         RankedSet(
             effects=tuple(EffectLocation(kind=k, where=w) for k, w in sorted(names)),
-            behind=totals[names] - least,
-            probability=weights[names] / whole,
+            behind=float(above),
+            probability=float(probability),
             simulated=simulated[names] - quickest if names in simulated else None,
         )
-        for names in sorted(totals, key=lambda names: totals[names])[:_RANKED]
-    )
+        for names, above, probability in zip(ranked, behind, softmax(-behind / 2), strict=True)
+    )[:_RANKED]
 
 
 def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:

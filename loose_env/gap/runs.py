@@ -183,14 +183,14 @@ class Trial:
 
 def channels_of(runs: list[Run]) -> tuple[Channel, ...]:
     """List every column of any run, in the order of its first appearance."""
-    found: dict[Channel, None] = {}
-    for run in runs:
-        for prefix, columns in (("sensor", run.sensors), ("torque", run.torques)):
-            for name, values in columns.items():
-                axes = [None] if values.ndim == 1 else list(range(values.shape[1]))
-                for axis in axes:
-                    found[Channel(f"{prefix}.{name}", axis)] = None
-    return tuple(found)
+    found = (
+        Channel(f"{prefix}.{name}", axis)
+        for run in runs
+        for prefix, columns in (("sensor", run.sensors), ("torque", run.torques))
+        for name, values in columns.items()
+        for axis in ([None] if values.ndim == 1 else range(values.shape[1]))
+    )
+    return tuple(dict.fromkeys(found))
 
 
 def _even_interval(time: Array) -> float | None:
@@ -206,10 +206,10 @@ def _even_interval(time: Array) -> float | None:
 def _resolution(time: Array) -> float:
     """What time stamps (T,) are rounded to: the largest of 10 ms, 1 ms, ... [s]; 0 if finer."""
     spacing = float(np.spacing(np.max(np.abs(time))))
-    for digits in range(2, 8):
-        counts = (time - time[0]) * 10**digits
-        if np.all(np.abs(counts - np.round(counts)) <= 1e-3 + spacing * 10**digits):
-            return float(10.0**-digits)
+    for step in 10.0 ** -np.arange(2, 8):
+        counts = (time - time[0]) / step
+        if np.all(np.abs(counts - np.round(counts)) <= 1e-3 + spacing / step):
+            return float(step)
     return 0.0
 
 

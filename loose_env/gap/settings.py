@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from annotated_types import Ge, Le
 
-from loose_env.errors import InvalidSetting
 from loose_env.gap.core.tolerances import Tolerances
-from loose_env.io import Positive, Rule, check_fields, unmet
+from loose_env.io import Rule, check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +40,3 @@ class GapSettings:
     def __post_init__(self) -> None:
         """Check the values."""
         check_fields(self, GapSettings)  # a command line has more
-        for each in fields(self.tolerances):
-            value = getattr(self.tolerances, each.name)
-            if words := unmet(Positive, value):
-                raise InvalidSetting(f"tolerance {each.name} must be {words}; got {value!r}")

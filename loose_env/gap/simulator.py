@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -116,9 +116,18 @@ class _Stepped:
     def __init__(self, batch: Batch, joints: Sequence[str], slots: Sequence[_Slot]) -> None:
         self.batch, hypotheses = batch, [slot.hypothesis for slot in slots]
         self._places, self._dofs = _addresses(slots[0].model, joints)
-        self._rows, self._groups = _rows(hypotheses), _groups(hypotheses)
         self._option, self._own_models = slots[0].model.opt, list[mujoco.MjModel]()
-        driven = [effect for own, _ in self._groups for effect, _ in own]
+        self._terms = [
+            (hypotheses[own.argmax()], own)
+            for own in _groups([id(h) if _has_torque(h) else None for h in hypotheses])
+        ]
+        self._driven: list[tuple[_Driven, NDArray[np.bool_]]] = []
+        each = [_driven(hypothesis) for hypothesis in hypotheses]
+        for own in _groups([tuple(id(effect) for effect, _ in pairs) for pairs in each]):
+            members = zip(*(each[k] for k in np.flatnonzero(own)), strict=True)
+            stacked = [(m[0][0], np.stack([values for _, values in m], axis=-1)) for m in members]
+            self._driven.append((stacked, own))
+        driven = [effect for pairs, _ in self._driven for effect, _ in pairs]
         self._feeds = any(effect.overrides("feedback") for effect in driven)
         if any(effect.overrides("dry_friction") for effect in driven):
             # each simulation has its own friction
@@ -149,16 +158,16 @@ class _Stepped:
         for k in range(count):
             now = fields["qpos"][:, self._places], fields["qvel"][:, self._dofs]
             commands[:] = self._commands(control[:, k], now)
-            if self._rows:
-                applied[:, self._dofs] = _terms(self._rows, now)
+            if self._terms:
+                applied[:, self._dofs] = self._torque(now)
             if looks_ahead:
                 batch.forward()
                 for name in read:
                     found[name][:, k] = fields[name]
                 rate = fields["qacc"][:, self._dofs]
             middle = _ahead(now, rate, 0.5 * step)
-            if looks_ahead and self._rows:
-                applied[:, self._dofs] = _terms(self._rows, middle)
+            if looks_ahead and self._terms:
+                applied[:, self._dofs] = self._torque(middle)
             commands[:] = self._commands(control[:, k], middle)
             if self._own_models:
                 drive, bias = (fields[n][:, self._dofs] for n in ("qfrc_actuator", "qfrc_bias"))
@@ -178,15 +187,23 @@ class _Stepped:
         if not self._feeds:
             return command
         found, (position, speed) = command.copy(), state
-        for driven, own in self._groups:
+        for driven, own in self._driven:
             count = len(driven[0][0].machine.actuators)
             found[own, :count] = _fed(driven, command[own, :count], position[own], speed[own])
+        return found
+
+    def _torque(self, state: State) -> Array:
+        """Torque terms in a state (sims, joints)."""
+        position, speed = state
+        found = np.zeros(position.shape)
+        for hypothesis, own in self._terms:
+            found[own] = _torque_terms(hypothesis, position[own], speed[own])
         return found
 
     def _set_friction(self, drive: Array, load: Array, speed: Array) -> None:
         """Set the dry friction of the simulations from drive, load and speed (sims, joints)."""
         friction = self._base.copy()
-        for driven, own in self._groups:
+        for driven, own in self._driven:
             for effect, values in driven:
                 friction[own] += effect.dry_friction(drive[own], load[own], speed[own], values)
         for model, row in zip(self._own_models, friction, strict=True):
@@ -194,37 +211,11 @@ class _Stepped:
         self.batch.set_models(self._own_models)
 
 
-_Rows = Sequence[tuple[Hypothesis, NDArray[np.bool_]]]
-"""Hypotheses, and which simulations have them."""
-_Groups = Sequence[tuple[_Driven, NDArray[np.bool_]]]
-"""Driven effects, and which simulations have them."""
-
-
-def _rows(each: Sequence[Hypothesis]) -> _Rows:
-    """Hypotheses with torque terms, and their simulations."""
-    known = {id(hypothesis): hypothesis for hypothesis in each if _has_torque(hypothesis)}
-    return [(h, np.array([other is h for other in each])) for h in known.values()]
-
-
-def _groups(each: Sequence[Hypothesis]) -> _Groups:
-    """Driven effects with the values of all simulations that have them."""
-    keys = [tuple(id(effect) for effect, _ in _driven(hypothesis)) for hypothesis in each]
-    found = []
-    for key in dict.fromkeys(key for key in keys if key):
-        own = np.array([other == key for other in keys])
-        members = zip(*(_driven(each[k]) for k in np.flatnonzero(own).tolist()), strict=True)
-        stacked = [(m[0][0], np.stack([values for _, values in m], axis=-1)) for m in members]
-        found.append((stacked, own))
-    return found
-
-
-def _terms(rows: _Rows, state: State) -> Array:
-    """Torque terms in a state (sims, joints)."""
-    position, speed = state
-    found = np.zeros(position.shape)
-    for hypothesis, own in rows:
-        found[own] = _torque_terms(hypothesis, position[own], speed[own])
-    return found
+def _groups(keys: Sequence[object]) -> Iterator[NDArray[np.bool_]]:
+    """Members of each group of the same key; empty keys are in none."""
+    for key in dict.fromkeys(keys):
+        if key:
+            yield np.array([other == key for other in keys])
 
 
 def _ahead(now: State, rate: Array, time: float) -> State:

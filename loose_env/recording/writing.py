@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from posixpath import normpath
 from typing import Any, Literal, get_args
 
-from loose_env.arms import files_of
+from loose_env.arms import copy_files, files_of
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.recording.recording import (
     DESCRIPTION,
@@ -171,10 +171,7 @@ def _write_model(folder: Path, model_xml: str | Path) -> str:
     file = Path(model_xml).resolve()
     if not file.is_file():
         raise InvalidSetting(f"there is no model {str(model_xml)!r}; give MJCF text or its path")
-    for source in files_of(file):
-        copy = folder / source.relative_to(file.parent)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, copy)
+    copy_files(files_of(file), file.parent, folder)
     return file.name
 
 

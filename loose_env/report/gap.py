@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
+    Correlation,
     EffectLocation,
     GapResult,
     GapSolution,
     Identifiability,
     NamedEffect,
     VisibleEffect,
+    effect_words,
     how_to_see,
     how_to_separate,
+    kind_words,
     pulled_words,
 )
 from loose_env.io import begun, write_text
-from loose_env.report.gap_figures import correlation_figure, overlay_figure, response_figure
+from loose_env.report.figures import DASHED, labels, legend, panels, plain_log_ticks
 from loose_env.report.page import (
     Brief,
     FigureCard,
@@ -35,14 +40,15 @@ from loose_env.report.page import (
 )
 from loose_env.report.words import (
     RIVALS,
-    Located,
-    effect_words,
-    kind_words,
     percent,
     rivals_words,
     together,
 )
+from loose_env.typing import Array, ComplexArray
 from loose_env.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _HEADLINE = 60  # letters of the effects in the headline
 _RESPONSES = 4  # frequency responses drawn
@@ -54,6 +60,7 @@ _EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interva
 _CHANNELS = ["joint or reading", "verdict", "effects", "explained", "before", "after"]
 _DOUBTFUL = "Not named: improbable, or not confirmed by held-out data"
 _PULLED = "Beyond its tolerance"
+BEFORE, AFTER = TRUTH, MEASURED  # colours of the nominal and of the corrected model
 _UNIT = "before, after: residual on held-out data, in noise standard deviations (noise alone: 1)"
 
 
@@ -71,10 +78,9 @@ def gap_headline(result: GapResult) -> str:
     """
     left = [each.channel for each in result.channels if each.verdict == "unexplained"]
     if result.verdict == "no_gap":
-        open_ones = [each.channel for each in result.channels if each.verdict == "cannot tell"]
-        if open_ones:
-            told = f"the recording does not tell about {_channel_words(open_ones)}"
-            return f"No model error found; {told}."
+        if open_ := [each.channel for each in result.channels if each.verdict == "cannot tell"]:
+            words = _channel_words(open_)
+            return f"No model error found; the recording does not tell about {words}."
         return "No model error: the model explains the measurement."
     if result.verdict == "unexplained":
         if left:
@@ -90,7 +96,7 @@ def _channel_words(names: Sequence[str]) -> str:
     return named_list(shown) if len(shown) < 4 else f"{len(shown)} joints and readings"
 
 
-def _short(effects: Sequence[Located]) -> str:
+def _short(effects: Sequence[EffectLocation]) -> str:
     """Effects in one line: with their locations, else without, else their number."""
     kinds = dict.fromkeys(kind_words(e.kind) for e in effects)
     fits = (w for w in (together(effects), named_list(list(kinds))) if len(w) <= _HEADLINE)
@@ -134,9 +140,8 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
 
 def _channel_rows(result: GapResult) -> list[list[str]]:
     """One row for each joint and reading, readings without an error in one, and all together."""
-    quiet = [
-        c for c in result.channels if c.verdict == "not needed" and c.channel.startswith("sensor.")
-    ]
+    fine = [c for c in result.channels if c.verdict == "not needed"]
+    quiet = [c for c in fine if c.channel.startswith("sensor.")]
     quiet = quiet if len(quiet) > 1 else []
     rows = [
         [_reading(c.channel), c.verdict, _kinds(c.effects), *_sides(c.before, c.after)]
@@ -261,21 +266,27 @@ def _sizes(effects: Sequence[VisibleEffect]) -> str:
 def _wanted(found: Identifiability) -> list[str]:
     """Motions that would show what these do not, or tell apart what these confuse."""
     unseen: dict[str, list[VisibleEffect]] = {}
-    alike: dict[str, dict[frozenset[str], str]] = {}
     for each in found.effects:
-        other = each.confusable_with
         if not each.visible:
             unseen.setdefault(how_to_see(each.kind), []).append(each)
-        elif other is not None:
-            advice = how_to_separate(each.kind, each.where, other.kind, other.where)
-            words = [kind_words(each.kind), kind_words(other.kind)]
-            alike.setdefault(_uncapped(advice), {})[frozenset(words)] = " from ".join(words)
+    alike = [(e, e.confusable_with) for e in found.effects if e.visible and e.confusable_with]
     lines = [f"To see {together(effects)}: {advice}." for advice, effects in unseen.items()]
-    return [*lines, *(f"To tell {named_list([*v.values()])}: {k}" for k, v in alike.items())]
+    return [*lines, *_separating("tell", alike, lambda e: kind_words(e.kind))]
 
 
-def _uncapped(sentence: str) -> str:
-    return sentence[:1].lower() + sentence[1:]
+def _separating(
+    verb: str,
+    pairs: Iterable[tuple[EffectLocation, EffectLocation]],
+    words: Callable[[EffectLocation], str],
+) -> list[str]:
+    """Motions that tell pairs of effects apart, each motion and each pair once."""
+    found: dict[str, dict[frozenset[str], str]] = {}
+    for one, other in pairs:
+        advice = how_to_separate(one.kind, one.where, other.kind, other.where)
+        said = [words(one), words(other)]
+        own = found.setdefault(advice[:1].lower() + advice[1:], {})
+        own.setdefault(frozenset(said), " from ".join(said))
+    return [f"To {verb} {named_list([*v.values()])}: {advice}" for advice, v in found.items()]
 
 
 # Page
@@ -300,10 +311,9 @@ def write_gap_report(
     """
     try:
         return write_text(folder / "report.html", render_gap_page(solution))
-    except MissingExtra as error:
-        say(f"no report.html: {error}")
     except Exception as error:  # whatever a page fails by, model and result do not need it
-        say(f"no report.html: {type(error).__name__}: {error}")
+        kind = "" if isinstance(error, MissingExtra) else f"{type(error).__name__}: "
+        say(f"no report.html: {kind}{error}")
     folder.joinpath("report.html").unlink(missing_ok=True)
     return None
 
@@ -362,13 +372,8 @@ def gap_steps(result: GapResult) -> list[str]:
             "Apply the lines below to the simulation: MJCF has no means for "
             f"{together(apart) or 'them'}, so model.xml does not carry it."
         )
-    alike: dict[str, list[str]] = {}
-    for effect in result.effects:
-        for other in effect.ambiguous_with[:RIVALS]:
-            advice = how_to_separate(effect.kind, effect.where, other.kind, other.where)
-            names = [effect_words(each.kind, each.where) for each in (effect, other)]
-            alike.setdefault(_uncapped(advice), []).append(" from ".join(names))
-    steps += [f"To separate {named_list(names)}: {advice}" for advice, names in alike.items()]
+    alike = [(e, other) for e in result.effects for other in e.ambiguous_with[:RIVALS]]
+    steps += _separating("separate", alike, lambda e: effect_words(e.kind, e.where))
     for each in result.channels:
         if each.verdict in ("cannot tell", "unexplained") and each.advice:
             steps.append(f"{_reading(each.channel)}, {each.verdict}: {each.advice}")
@@ -395,47 +400,38 @@ def _effects_section(solution: GapSolution) -> Section:
     result = solution.result
 
     def cells(effect: NamedEffect) -> dict[str, str]:
+        rows = _effect_rows(effect)
+        name, likely, *_, others = rows[0]
         values = [
-            f"{name} {value} {f'({ends}) ' * bool(ends)}{unit}".rstrip()
-            for _, _, name, value, ends, unit, _ in _effect_rows(effect)
+            f"{parameter} {value} {f'({ends}) ' * bool(ends)}{unit}".rstrip()
+            for _, _, parameter, value, ends, unit, _ in rows
         ]
-        return {
-            "Missing effect": begun(effect_words(effect.kind, effect.where)),
-            "Parameters": "; ".join(values),
-            "Probability": _effect_rows(effect)[0][1] or "-",
-            "Confusable with": ", ".join(rivals_words(effect)) or "-",
-        }
+        row = [begun(name), "; ".join(values), likely or "-", others or "-"]
+        heads = ("Missing effect", "Parameters", "Probability", "Confusable with")
+        return dict(zip(heads, row, strict=True))
 
     note = (
         "In brackets: 95 % intervals, as wide as the fit is uncertain, or as the stretches of the "
         "recording disagree. Probability: that the machine has the effect, or one that is "
         "confusable with it, among the sets of effects that were compared."
     )
-    names, values = solution.parameters
+    coefficients, values = solution.parameters
+    names = [effect_words(*each.split(" ", 1)) for each in coefficients]
     pairs = [(values[i, k], names[i], names[k]) for i in range(len(names)) for k in range(i)]
     strong = sorted((p for p in pairs if abs(p[0]) >= _CORRELATED), key=lambda p: -abs(p[0]))
     if pairs and not strong:
         most = max(abs(p[0]) for p in pairs)
         note += f" No two of them are correlated by more than {most:.2f}."
     correlated = [
-        {"Parameter": _at(one), "And": _at(other), "Correlation": f"{value:.2f}"}
+        {"Parameter": one, "And": other, "Correlation": f"{value:.2f}"}
         for value, one, other in strong
     ]
     tables = [
-        Table(title=title, rows=[cells(effect) for effect in effects], note=note * (not title))
-        for title, effects in (
-            ("", result.effects),
-            (_DOUBTFUL, result.doubtful),
-        )
+        Table(rows=[cells(effect) for effect in result.effects], note=note),
+        Table(title=_DOUBTFUL, rows=[cells(effect) for effect in result.doubtful]),
+        Table(title="Correlated parameters", rows=correlated),
     ]
-    tables.append(Table(title="Correlated parameters", rows=correlated))
     return Section(heading="What the model lacks", tables=tables)
-
-
-def _at(parameter: str) -> str:
-    """A coefficient of an effect, "kind location axis", as one says it."""
-    kind, where = parameter.split(" ", 1)
-    return effect_words(kind, where)
 
 
 def _channels_section(result: GapResult) -> Section:
@@ -536,3 +532,67 @@ def _identifiability_section(found: Identifiability) -> Section:
         tables=[Table(title="Excitation", rows=excitation, note=note)],
         points=_wanted(found)[:_ADVICE],
     )
+
+
+# Figures
+
+
+def overlay_figure(
+    time: Array, measured: Array, nominal: Array, corrected: Array, *, unit: str
+) -> Figure:
+    """Measured, nominal and corrected values (N,) over time, and the residual of each model."""
+    figure, (top, low) = panels(2, 1.8)
+    top.plot(time, measured, ".", color=MUTED, markersize=3.2, label="measured")
+    for values, label, colour, line in (
+        (nominal, "nominal model", BEFORE, DASHED),
+        (corrected, "corrected model", AFTER, "-"),
+    ):
+        look: dict[str, Any] = {"color": colour, "linestyle": line, "linewidth": 1.4}
+        top.plot(time, values, label=label, **look)
+        low.plot(time, measured - values, **look)
+    for axes in (top, low):
+        axes.set_xlim(time[0], time[-1])
+    low.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
+    top.tick_params(labelbottom=False)
+    labels(top, above=f"[{unit}]")
+    labels(low, x="time [s]", above=f"measured less model [{unit}]")
+    low.title.set_position((0.12, 1.0))
+    legend(figure, top)
+    return figure
+
+
+def correlation_figure(given: Correlation) -> Figure:
+    """Autocorrelation and cross-correlation of a residual by lag, with a 95 % band."""
+    figure, axes = panels(2, 1.5)
+    interval, band = given.interval, given.band
+    parts = ((given.own, "with itself"), (given.other, f"with the speed of {given.joint}"))
+    for each, (values, words) in zip(axes, parts, strict=True):
+        lag = np.arange(len(values)) * interval
+        each.axhspan(-band, band, color=FAINT, alpha=0.6, linewidth=0)
+        each.vlines(lag, 0, values, color=AFTER, linewidth=1.6)
+        each.set_xlim(-0.5 * interval, lag[-1] + 0.5 * interval)
+        reach = max(1.2 * float(np.max(np.abs(values[1:]), initial=0.0)), 2.5 * band)
+        each.set_ylim(-min(reach, 1.05), min(reach, 1.05))
+        labels(each, above=words)
+    labels(axes[-1], x="lag [s]")
+    return figure
+
+
+def response_figure(frequency: Array, gains: Mapping[str, ComplexArray]) -> Figure:
+    """Gain and phase of a frequency response, measured and of both models."""
+    figure, (top, low) = panels(2, 1.7, grid="both")
+    looks: dict[str, dict[str, Any]] = {
+        "measured": {"color": INK, "marker": ".", "linestyle": "", "markersize": 4},
+        "nominal": {"color": BEFORE, "linestyle": DASHED, "linewidth": 1.4},
+        "corrected": {"color": AFTER, "linestyle": "-", "linewidth": 1.6},
+    }
+    for name, values in gains.items():
+        top.plot(frequency, np.abs(values), label=name, **looks[name])
+        low.plot(frequency, np.degrees(np.unwrap(np.angle(values))), **looks[name])
+    for axes in (top, low):
+        axes.set_xscale("log")
+        plain_log_ticks(axes, "x")
+    labels(top, above="gain")
+    labels(low, x="frequency [Hz]", above="phase [°]")
+    legend(figure, top)
+    return figure

@@ -8,59 +8,11 @@ import numpy as np
 
 from loose_env.arms import Arm
 from loose_env.errors import InvalidData
-from loose_env.gap import EffectLocation, NamedEffect, VisibleEffect
+from loose_env.gap import EffectLocation, NamedEffect, effect_words
 from loose_env.instrument import HEALTHY
 from loose_env.report.page import named_list
 
-_PLAIN = {
-    "viscous_friction": "viscous friction",
-    "coulomb_friction": "dry friction",
-    "stribeck_friction": "dry friction that grows near rest",
-    "quadratic_drag": "drag that grows with the square of the speed",
-    "joint_compliance": "a compliant drive",
-    "backlash": "backlash",
-    "structural_looseness": "a loose link",
-    "link_flexibility": "a flexible link",
-    "link_mass": "another mass",
-    "link_com": "another centre of mass",
-    "payload": "a payload",
-    "rotor_inertia": "more rotor inertia",
-    "actuator_gain": "another gain",
-    "actuator_lag": "a lag",
-    "command_delay": "late commands",
-    "encoder_offset": "an encoder whose zero is off",
-    "sensor_misalignment": "a sensor that is mounted askew",
-    "sensor_gain": "a sensor whose scale is off",
-    "sensor_bias": "a sensor with a bias",
-    "sensor_delay": "a late sensor",
-    "base_tilt": "a tilted base",
-    "torque_ripple": "torque ripple",
-    "joint_spring": "a spring",
-    "load_friction": "friction that grows with the load",
-    "asymmetric_friction": "dry friction that differs by direction",
-    "torque_limit": "a limit of the torque",
-    "voltage_limit": "a limit of the voltage",
-    "dead_zone": "a dead zone",
-    "gravity_compensation": "a weight that is carried",
-    "torque_constant": "another torque constant",
-    "base_compliance": "a compliant base",
-    "gear_eccentricity": "an eccentric gear",
-    "sensor_quantisation": "a coarse sensor",
-    "torque_offset": "a constant torque",
-    "command_interpolation": "interpolated commands",
-    "friction_behind_slack": "dry friction behind slack",
-}
-_PLACES = {
-    ("payload", "tool"): " at the tool",
-    ("base_tilt", "base"): "",
-    ("command_delay", "all"): " at all actuators",
-    ("base_compliance", "base"): "",
-    ("gravity_compensation", "all"): " of all links",
-}
-"""Locations that are no names of the model; a joint or a link may be called so, too."""
 RIVALS = 5  # confusable effects that are listed by name
-
-Located = NamedEffect | EffectLocation | VisibleEffect
 
 
 def joint_words(arm: Arm, joint: str) -> str:
@@ -150,23 +102,7 @@ def with_plain_names(words: str, names: Mapping[str, str]) -> str:
     return words
 
 
-def kind_words(kind: str) -> str:
-    """A kind of effect, as one says it."""
-    return _PLAIN.get(kind, kind.replace("_", " "))
-
-
-def effect_words(kind: str, where: str) -> str:
-    """An effect and its location, as one says it.
-
-    Examples
-    --------
-    >>> effect_words("coulomb_friction", "joint2")
-    'dry friction (joint2)'
-    """
-    return f"{kind_words(kind)}{_PLACES.get((kind, where), f' ({where})')}"
-
-
-def together(effects: Iterable[Located]) -> str:
+def together(effects: Iterable[EffectLocation]) -> str:
     """Effects in words, those of one kind together."""
     places: dict[str, list[str]] = {}
     for effect in effects:

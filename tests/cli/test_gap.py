@@ -113,7 +113,7 @@ def test_mistakes_end_in_one_line_and_write_nothing(
         (["gap", str(tmp_path / "none"), "--out", str(out)], "there is no folder"),
         (["gap", str(tmp_path / "none"), "--out", str(other)], "notes.txt"),
         (["gap", str(unread), "--out", str(out)], "'elbow' has no position reading"),
-        (words(recording, out, "--tolerances.mass", "0"), "tolerance mass"),
+        (words(recording, out, "--tolerances.mass", "nan"), "Tolerances.mass must be positive"),
         (words(recording, out, "--kinds", "rust"), "unknown effect 'rust'"),
         (words(recording, out, "--held-out", "run"), "none is left to fit to"),
         (words(recording, out, "--model", str(broken)), "broken.xml"),

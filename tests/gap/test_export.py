@@ -60,7 +60,7 @@ def test_the_file_compiles_and_keeps_its_names_step_and_integrator(
 def test_nominal_parameters_and_several_effects_stand_in_one_file(tmp_path: Path) -> None:
     machine = stepped("planar")
     nominal = NominalParameters(machine, tolerance=0.03)
-    figures = np.linspace(0.98, 1.02, len(nominal.parameters))
+    figures = np.linspace(0.98, 1.02, len(nominal.entries))
     wet = ViscousFriction(machine, "joint1"), np.array([1.5])
     others = JointCompliance(machine, "joint2"), CoulombFriction(machine, "joint3")
     corrected = Hypothesis(nominal=nominal, factors=figures).with_effects(

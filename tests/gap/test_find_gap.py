@@ -19,6 +19,7 @@ from loose_env.gap import (
     find_gap,
     solve_gap,
 )
+from loose_env.gap.core.residual import overlays
 from loose_env.recording import Recording, Run, read_recording, write_recording
 from tests.gap.cases.gap_case import (
     FEW,
@@ -185,13 +186,30 @@ def test_what_cannot_be_compared_is_said(recording: Recording, tmp_path: Path) -
     ):
         with pytest.raises(error, match=reason):
             find_gap(recording, settings)
-    for given, reason in (
-        ({"threads": -1}, "threads"),
-        ({"kinds": "rust"}, "kinds"),
-        ({"tolerances": Tolerances(mass=0.0)}, "tolerance mass"),
+    for settings, name, value in (
+        (GapSettings, "threads", -1),
+        (GapSettings, "kinds", "rust"),
+        (Tolerances, "mass", 0.0),
+        (Tolerances, "law", float("nan")),
     ):
-        with pytest.raises(InvalidSetting, match=reason):
-            GapSettings(**given)
+        with pytest.raises(InvalidSetting, match=f"{settings.__name__}.{name} must be"):
+            settings(**{name: value})
+
+
+def test_the_stretch_that_is_shown_of_a_joint_is_one_in_which_it_moves(
+    recording: Recording,
+) -> None:
+    still = recording.runs[0].sensors["encoder2"][:1] + 1e-5 * np.sin(1e3 * np.arange(800) ** 2)
+    runs = [
+        replace(run, sensors=run.sensors | {"encoder2": still}) if run.name != "run-02.csv" else run
+        for run in recording.runs
+    ]
+    selection = GapSession(replace(recording, runs=tuple(runs)), FEW).selection
+    balance = selection.evidence.balance
+    large, small = np.ones_like(balance.residual), np.zeros_like(balance.residual)
+    large[np.abs(balance.speed) < 0.01] = 100.0
+    shown = {each.channel: each.run for each in overlays(selection, large, small, 2)}
+    assert shown["elbow"] == "run-02.csv"
 
 
 def test_a_name_of_the_model_may_be_anything(tmp_path: Path) -> None:

@@ -42,8 +42,13 @@ from loose_env.report import (
     write_gap_report,
 )
 from loose_env.report import gap as gap_report
-from loose_env.report.gap import gap_steps, summary_words
-from loose_env.report.gap_figures import correlation_figure, overlay_figure, response_figure
+from loose_env.report.gap import (
+    correlation_figure,
+    gap_steps,
+    overlay_figure,
+    response_figure,
+    summary_words,
+)
 from tests.gap.cases.gap_case import record, solution_for
 from tests.report.page_checks import checked, words
 

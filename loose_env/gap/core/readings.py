@@ -7,6 +7,8 @@ measured.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -35,10 +37,9 @@ class Readings:
         self.names = tuple(
             column_of(n) + (f".{'xyz'[a]}" if a >= 0 else "") for n, a in motion.sensors
         )
-        self._states = tuple(
-            motion.stacked(name) for name in ("position", "derived", "acceleration")
-        )
-        self.foretold = self._along(model, *self._states) if motion.sensors else self.nothing
+        fields = ("position", "derived", "acceleration")
+        self._states = tuple(motion.stacked(name) for name in fields)
+        self.foretold = self.of(model, *self._states) if motion.sensors else self.nothing
         self._gains = self._sensitivity() if motion.sensors else np.zeros((3, 0, 1))
 
     @property
@@ -56,7 +57,7 @@ class Readings:
         if not self.motion.sensors:
             return self.nothing
         if model is not None and model.nv == self.model.nv and self._moved(model):
-            found = self._along(model, *self._states)
+            found = self.of(model, *self._states)
         if effect is not None and type(effect).read is not Effect.read:
             parts = zip(self.motion.runs, self.motion.split(found), strict=True)
             found = np.concatenate(
@@ -71,23 +72,28 @@ class Readings:
     def accelerated(self, more: Array) -> Array:
         """Change of the readings by more acceleration of the joints (T, R)."""
         position, speed, acceleration = self._states
-        return self._along(self.model, position, speed, acceleration + more) - self.foretold
+        return self.of(self.model, position, speed, acceleration + more) - self.foretold
 
     def of(self, model: mujoco.MjModel, q: Array, v: Array, a: Array) -> Array:
         """Readings of a model along a motion of all its joints (T, R)."""
-        return self._along(model, q, v, a)
+        data = mujoco.MjData(model)
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        rows = np.array(
+            [int(model.sensor(name).adr[0]) + max(axis, 0) for name, axis in self.motion.sensors]
+        )
+        found = np.empty((len(q), len(rows)))
+        for k in range(len(q)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
+            mujoco.mj_inverse(model, data)
+            found[k] = data.sensordata[rows]
+        return found
 
     def turned(self, joint: int, moved: list[Array]) -> Array:
         """Change of the readings by another motion of one joint, to first order (T, R)."""
         if not self.names:
             return self.nothing
         if joint not in self._turned:
-            slopes = []
-            for order in range(3):
-                states = [x.copy() for x in self._states]
-                states[order][:, joint] += _NUDGE
-                slopes.append((self._along(self.model, *states) - self.foretold) / _NUDGE)
-            self._turned[joint] = slopes
+            self._turned[joint] = self._slopes(self._states, self.foretold, joint)
         pairs = zip(self._turned[joint], moved, strict=True)
         return np.asarray(sum(slope * part[:, None] for slope, part in pairs))
 
@@ -109,33 +115,22 @@ class Readings:
         same = all(a.shape == b.shape and np.array_equal(a, b) for a, b in pairs)
         return not same or bool(np.any(model.opt.gravity != self.model.opt.gravity))
 
-    def _along(self, model: mujoco.MjModel, q: Array, v: Array, a: Array) -> Array:
-        """Readings along a motion (T, R)."""
-        data = mujoco.MjData(model)
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        rows = np.array(
-            [int(model.sensor(name).adr[0]) + max(axis, 0) for name, axis in self.motion.sensors]
-        )
-        found = np.empty((len(q), len(rows)))
-        for k in range(len(q)):
-            data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
-            mujoco.mj_inverse(model, data)
-            found[k] = data.sensordata[rows]
+    def _slopes(self, states: Sequence[Array], still: Array, joint: int) -> list[Array]:
+        """Change of the readings by position, speed and acceleration of a joint (3, T, R)."""
+        found = []
+        for order in range(3):
+            moved = [x.copy() for x in states]
+            moved[order][:, joint] += _NUDGE
+            found.append((self.of(self.model, *moved) - still) / _NUDGE)
         return found
 
     def _sensitivity(self) -> Array:
         """Root mean square change of each reading by each joint's motion (3, R, joints)."""
         rows = np.linspace(0, len(self._states[0]) - 1, _POSES).astype(int)
-        base = [x[rows] for x in self._states]
-        still = self._along(self.model, *base)
-        found = np.zeros((3, len(self.motion.sensors), base[0].shape[1]))
-        for order in range(3):
-            for joint in range(base[0].shape[1]):
-                moved = [x.copy() for x in base]
-                moved[order][:, joint] += _NUDGE
-                change = (self._along(self.model, *moved) - still) / _NUDGE
-                found[order, :, joint] = np.sqrt(np.mean(change**2, axis=0))
-        return found
+        states = [x[rows] for x in self._states]
+        still = self.of(self.model, *states)
+        slopes = [self._slopes(states, still, joint) for joint in range(states[0].shape[1])]
+        return np.asarray(np.sqrt(np.mean(np.square(slopes), axis=2))).transpose(1, 2, 0)
 
     def _read(self, time: Array, own: Array, effect: Effect, values: Array) -> Array:
         """Readings of one run with an effect on the sensors (T, R)."""

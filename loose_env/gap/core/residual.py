@@ -32,6 +32,8 @@ OVERLAY_S = 4.0
 """Length of the stretch that is shown of a channel [s]."""
 _EDGE_PERIODS = 2.0
 """Ends of a run that are not shown [periods of the end of the band]."""
+_MOVING = 0.1
+"""Speed over its root mean square above which a joint is shown moving."""
 _TAPER = 0.3
 """Share of a run that is faded, at both ends together, before its spectrum is divided."""
 _PLAYED_S = 60.0
@@ -175,7 +177,7 @@ def residual_tests(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overlay:
-    """The stretch of a channel in which the nominal model misses most."""
+    """The stretch of a channel in which the nominal model misses most of the motion."""
 
     channel: str
     """Joint, or reading with its axis."""
@@ -200,14 +202,17 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
     length = int(OVERLAY_S / balance.motion.step)
     found: list[tuple[float, Overlay]] = []
     for k in (channel.joint for channel in selection.evidence.channels):
+        at_joint = k < len(machine.joints)
         lost = weight_of(balance, k) * before[:, k] ** 2
+        if at_joint:  # at rest it is judged where it hardly moves, and there is nothing to see
+            speed = np.abs(balance.speed[:, k])
+            lost *= speed > _MOVING * np.sqrt(np.mean(speed**2))
         stretches = [
             (run, slice(first, min(first + length, inner.stop)))
             for run, inner in enumerate(_inner(balance))
             for first in range(inner.start, max(inner.stop - length // 2, inner.start + 1), length)
         ]
         run, rows = max(stretches, key=lambda own: float(np.mean(lost[own[1]])))
-        at_joint = k < len(machine.joints)
         measured = balance.drive[rows, k] if at_joint else readings[rows, k - len(machine.joints)]
         unit = "as recorded" if not at_joint else "N·m" if machine.turns(machine.joints[k]) else "N"
         overlay = Overlay(
@@ -266,18 +271,15 @@ def simulated(
 
 def _errors(exact: Exact, predicted: Sequence[Sequence[Array]]) -> dict[str, tuple[float, float]]:
     """Root mean square error by quantity of the nominal and of the corrected model."""
-    trials = exact.simulator.trials
     names = np.array([quantity_of(exact.balance.machine, c.column) for c in exact.channels])
-    count = sum(np.isfinite(trial.measured).sum(axis=0) for trial in trials)
-    squares = np.zeros((2, len(names)))
-    for own, shown in zip(squares, predicted, strict=True):
-        for trial, values in zip(trials, shown, strict=True):
-            off = np.where(np.isfinite(trial.measured), trial.measured - values, 0.0)
-            own += np.nan_to_num(np.sum(off**2, axis=0), nan=np.inf)
+    measured = np.concatenate([trial.measured for trial in exact.simulator.trials])
+    seen = np.isfinite(measured)
+    off = [np.where(seen, measured - np.concatenate(own), 0.0) for own in predicted]
+    squares = np.nan_to_num(np.sum(np.square(off), axis=1), nan=np.inf)
     found = {}
     for name in filter(None, dict.fromkeys(names.tolist())):
         of = names == name
-        nominal, corrected = np.sqrt(squares[:, of].sum(axis=1) / np.sum(count, where=of))
+        nominal, corrected = np.sqrt(squares[:, of].sum(axis=1) / seen[:, of].sum())
         found[name] = float(nominal), float(corrected)
     return found
 
@@ -299,23 +301,18 @@ def _beginnings(recording: Recording, motion: Motion, exact: Exact) -> Simulator
 def force_errors(answer: Answer, before: Array, after: Array) -> dict[str, tuple[float, float]]:
     """Root mean square force that is missing on held-out data, of hinges and of slides."""
     evidence = answer.selection.evidence
-    machine, found = evidence.balance.machine, {}
-    for turns, quantity in ((True, "joint torque [N·m]"), (False, "joint force [N]")):
-        own = [
-            c.joint
-            for c in evidence.channels
-            if c.joint < len(machine.joints) and machine.turns(machine.joints[c.joint]) == turns
-        ]
-        if own:
-            shown = np.zeros(len(before))
-            for inner in _inner(evidence.balance):
-                shown[inner] = 1.0
-            weight = np.stack([shown * weight_of(evidence.balance, k) for k in own], axis=1)
+    balance, joints = evidence.balance, evidence.balance.machine.joints
+    inner = np.concatenate([np.arange(s.start, s.stop) for s in _inner(balance)])
+    own = [c.joint for c in evidence.channels if c.joint < len(joints)]
+    turning = np.array([balance.machine.turns(joints[k]) for k in own])
+    found = {}
+    for quantity, of in (("joint torque [N·m]", turning), ("joint force [N]", ~turning)):
+        if of.any():
+            at = np.ix_(inner, np.array(own)[of])
+            weight = np.stack([weight_of(balance, k) for k in at[1][0]], axis=1)[inner]
             total = max(float(weight.sum()), 1e-300)
-            one, other = (
-                float(np.sqrt(np.sum(weight * x[:, own] ** 2) / total)) for x in (before, after)
-            )
-            found[quantity] = one, other
+            sides = (float(np.sqrt(np.sum(weight * x[at] ** 2) / total)) for x in (before, after))
+            found[quantity] = next(sides), next(sides)
     return found
 
 

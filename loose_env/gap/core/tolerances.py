@@ -15,6 +15,7 @@ import numpy as np
 
 from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.motion import rates
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.inertia import LinkMass, links_with_mass
 from loose_env.gap.model.effects.mjcf import (
     Inertial,
@@ -24,7 +25,9 @@ from loose_env.gap.model.effects.mjcf import (
     set_inertial,
 )
 from loose_env.gap.model.effects.sensors import EncoderOffset, SensorDelay
+from loose_env.gap.model.hypothesis import scale
 from loose_env.gap.model.nominal_model import NominalModel, link_ends
+from loose_env.io import Checked, Positive
 from loose_env.typing import Array
 
 Edit = Callable[[mujoco.MjSpec, float], None]
@@ -32,45 +35,45 @@ Edit = Callable[[mujoco.MjSpec, float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tolerances:
+class Tolerances(Checked):
     """Standard deviations of what a nominal model states."""
 
-    mass: float = 0.025
+    mass: Positive = 0.025
     """Mass of a link, with its inertia [share]: CAD against a weighed part."""
-    centre: float = 0.02
+    centre: Positive = 0.02
     """Centre of mass of a link [share of its length], at most `centre_m`: cables, screws."""
-    centre_m: float = 0.01
+    centre_m: Positive = 0.01
     """Largest tolerance of a centre of mass [m]."""
-    inertia: float = 0.1
+    inertia: Positive = 0.1
     """Each of the six components of a link's inertia [share of its mean moment]."""
-    armature: float = 0.1
+    armature: Positive = 0.1
     """Rotor inertia [share]: data sheets round, and gears add."""
-    torque: float = 0.025
+    torque: Positive = 0.025
     """Torque constant, or gain of a servo [share]."""
-    velocity_gain: float = 0.06
+    velocity_gain: Positive = 0.06
     """Velocity gain of a servo [share]: the same column as viscous friction."""
-    speed_feedback_s: float = 0.002
+    speed_feedback_s: Positive = 0.002
     """Time by which the speed is late that a servo feeds back [s]: two cycles of 1 ms, for a speed
     is a difference of filtered positions."""
-    damping: float = 0.06
+    damping: Positive = 0.06
     """Damping and dry friction that the model has [share]: they change with temperature."""
-    offset: float = 0.01
+    offset: Positive = 0.01
     """Constant torque of a joint [share of its typical torque]."""
-    offset_of_limit: float = 0.003
+    offset_of_limit: Positive = 0.003
     """The same as a share of the largest torque that the drive is built for, if that is more."""
-    zero: float = 0.001
+    zero: Positive = 0.001
     """Zero position of a joint [rad, m]: a calibrated encoder."""
-    shift_samples: float = 0.4
+    shift_samples: Positive = 0.4
     """Shift of commands or torques against the motion [intervals of the log], of either sign:
     held or interpolated commands, and the order of a logger's cycle."""
-    law: float = 0.05
+    law: Positive = 0.05
     """Force of an effect of a joint or a drive that its law misses [share of it]: oil thins with
     speed, springs stiffen, friction warms."""
-    sensor: float = 0.005
+    sensor: Positive = 0.005
     """Gain of a velocity or inertial sensor [share], and each angle of its axes [rad]."""
-    sensor_bias: float = 0.01
+    sensor_bias: Positive = 0.01
     """Constant of such a reading [share of its root mean square]."""
-    sensor_samples: float = 0.7
+    sensor_samples: Positive = 0.7
     """Shift of their readings against the positions [intervals of the log]."""
 
 
@@ -94,10 +97,6 @@ _STEP = 1e-3
 """Relative step of numerical derivatives."""
 
 
-def _nuisance(name: str, change: Array, operator: Array, **more: Any) -> Nuisance:
-    return Nuisance(name=name, change=Change(change), operator=operator, **more)
-
-
 def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
     """List the tolerances of a model that its recording can depend on."""
     return [
@@ -113,8 +112,14 @@ def _edited(name: str, edit: Edit, balance: Balance) -> Nuisance:
     spec = balance.machine.fresh()
     edit(spec, _STEP)
     forces = balance.edited(spec)
-    change = forces.with_contact(balance.directions[USUAL]) / _STEP
-    return _nuisance(name=name, change=change, operator=forces.operator / _STEP, edit=edit)
+    change = Change(forces.with_contact(balance.directions[USUAL]) / _STEP)
+    return Nuisance(name=name, change=change, operator=forces.operator / _STEP, edit=edit)
+
+
+def _shift(name: str, change: Array, balance: Balance, **more: Any) -> Nuisance:
+    """Tolerance that leaves the mean inertia, damping and stiffness as they are."""
+    nothing = np.zeros_like(balance.operator)
+    return Nuisance(name=name, change=Change(change), operator=nothing, **more)
 
 
 def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
@@ -123,7 +128,8 @@ def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for link in links_with_mass(machine):
         own = float(machine.model.body(link).mass[0])
         size = _size(machine, link)
-        yield _edited(f"mass of {link}", _heavier(machine, link, tolerances.mass * own), balance)
+        heavier = _sized(LinkMass(machine, link), tolerances.mass * own)
+        yield _edited(f"mass of {link}", heavier, balance)
         width = min(tolerances.centre * size, tolerances.centre_m)
         for k, axis in enumerate("xyz"):
             shift = _inertial(machine, link, width * np.eye(3)[k], np.zeros((3, 3)))
@@ -136,13 +142,9 @@ def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             yield _edited(f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", turned, balance)
 
 
-def _heavier(machine: NominalModel, link: str, mass: float) -> Edit:
-    """Edit that adds mass to a link, its inertia in proportion."""
-
-    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
-        LinkMass(machine, link).edit(spec, np.array([deviations * mass]))
-
-    return edit
+def _sized(effect: Effect, width: float) -> Edit:
+    """Edit of an effect of one parameter, of such a width."""
+    return lambda spec, deviations: effect.edit(spec, np.array([deviations * width]))
 
 
 def _inertial(machine: NominalModel, link: str, centre: Array, tensor: Array) -> Edit:
@@ -169,34 +171,29 @@ def _size(machine: NominalModel, link: str) -> float:
 def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Zero positions, rotor inertias, dampings, constant torques and shifts of torque readings."""
     machine, model = balance.machine, balance.machine.model
-    count = len(machine.joints)
     for joint, name in enumerate(machine.joints):
-        yield _edited(f"zero of {name}", _shifted_zero(machine, name, tolerances.zero), balance)
+        shifted = _sized(EncoderOffset(machine, name), tolerances.zero)
+        yield _edited(f"zero of {name}", shifted, balance)
         for field, width in (
             ("armature", tolerances.armature),
             ("damping", tolerances.damping),
             ("frictionloss", tolerances.damping),
         ):
             if float(getattr(model, f"dof_{field}")[int(model.joint(name).dofadr[0])]) > 0:
-                scaled = _scaled_joint(name, field, width)
-                yield _edited(f"{field} of {name}", scaled, balance)
-        one, nothing = np.eye(count)[joint], np.zeros((3, count, count))
+                yield _edited(f"{field} of {name}", _scaled(field, name, width), balance)
+        one = np.eye(len(machine.joints))[joint]
         size = max(
             tolerances.offset * float(machine.load_scales[joint]),
             tolerances.offset_of_limit * _limit(machine, name),
         )
-        yield _nuisance(
-            name=f"constant torque at {name}",
-            change=np.tile(size * one, (len(balance.drive), 1)),
-            operator=nothing,
-            edit=_constant(name, -size),
-        )
+        change = np.tile(size * one, (len(balance.drive), 1))
+        yield _shift(f"constant torque at {name}", change, balance, edit=_constant(name, -size))
         inverse = (balance.forms == "inverse") & balance.seen[:, joint]
         if inverse.any():
             gain = np.where(inverse, balance.needed[:, joint], 0.0)[:, None] * one
-            yield _nuisance(
+            yield Nuisance(
                 name=f"torque constant of {name}",
-                change=tolerances.torque * gain,
+                change=Change(tolerances.torque * gain),
                 operator=tolerances.torque * balance.operator * one[:, None],
             )
             log_step = balance.motion.runs[0].log_step
@@ -206,10 +203,7 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 rate = np.concatenate([rates(own, balance.motion.step, order) for own in parts])
                 width = (tolerances.shift_samples * log_step) ** order / order
                 change = np.where(inverse, np.nan_to_num(rate), 0.0)[:, None] * one
-                yield _nuisance(
-                    name=f"{what} of the torque of {name}", change=width * change,
-                    operator=nothing,
-                )  # fmt: skip
+                yield _shift(f"{what} of the torque of {name}", width * change, balance)
 
 
 def _limit(machine: NominalModel, joint: str) -> float:
@@ -224,48 +218,16 @@ def _limit(machine: NominalModel, joint: str) -> float:
     return float(min(limits, default=0.0))
 
 
-def _shifted_zero(machine: NominalModel, joint: str, width: float) -> Edit:
-    """Edit that shifts the zero of an encoder."""
-
-    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
-        EncoderOffset(machine, joint).edit(spec, np.array([deviations * width]))
-
-    return edit
-
-
-def _scaled_joint(joint: str, field: str, width: float) -> Edit:
-    """Edit that scales a property of a joint."""
-
-    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
-        own = spec.joint(joint)
-        setattr(own, field, np.asarray(getattr(own, field)) * max(1 + deviations * width, 0.0))
-
-    return edit
+def _scaled(name: str, of: str, width: float) -> Edit:
+    """Edit that scales a property of a joint or the gains of a drive."""
+    return lambda spec, deviations: scale(spec, name, of, max(1 + deviations * width, 0.0))
 
 
 def _constant(joint: str, torque: float) -> Edit:
     """Edit that adds a constant torque at a joint."""
-
-    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
-        name = added_name(spec, joint, "tolerance")
-        add_constant(spec, joint, name, deviations * torque)
-
-    return edit
-
-
-def _scaled_drive(actuator: str, width: float, *, velocity: bool) -> Edit:
-    """Edit that scales the gains of a drive, or its velocity gain alone."""
-
-    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
-        own, factor = spec.actuator(actuator), max(1 + deviations * width, 0.0)
-        bias, gain = np.array(own.biasprm), np.array(own.gainprm)
-        if velocity:
-            bias[2] *= factor
-        else:
-            bias, gain = factor * bias, factor * gain
-        own.biasprm, own.gainprm = bias, gain
-
-    return edit
+    return lambda spec, deviations: add_constant(
+        spec, joint, added_name(spec, joint, "tolerance"), deviations * torque
+    )
 
 
 def _late_speed(machine: NominalModel, actuator: str, late: float) -> Edit:
@@ -288,61 +250,47 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         return
     for number, name in enumerate(machine.actuators):
         if machine.affine_actuators[number]:
-            gain = _scaled_drive(name, tolerances.torque, velocity=False)
+            gain = _scaled("all_gains", name, tolerances.torque)
             yield _edited(f"gain of {name}", gain, balance)
             if machine.model.actuator_biasprm[number, 2] != 0:
-                rate = _scaled_drive(name, tolerances.velocity_gain, velocity=True)
+                rate = _scaled("velocity_gain", name, tolerances.velocity_gain)
                 yield _edited(f"velocity gain of {name}", rate, balance)
                 late = _late_speed(machine, name, tolerances.speed_feedback_s)
                 yield _edited(f"speed feedback of {name}", late, balance)
         width = tolerances.shift_samples * balance.motion.runs[0].log_step
-        yield _nuisance(
-            name=f"shift of the commands of {name}",
-            change=width * balance.late(number, 1),
-            operator=np.zeros_like(balance.operator),
-            late=(number, width),
-        )
-        yield _nuisance(
-            name=f"smear of the commands of {name}",
-            change=-(width**2) / 2 * balance.late(number, 2),
-            operator=np.zeros_like(balance.operator),
-        )
+        change = width * balance.late(number, 1)
+        yield _shift(f"shift of the commands of {name}", change, balance, late=(number, width))
+        change = -(width**2) / 2 * balance.late(number, 2)
+        yield _shift(f"smear of the commands of {name}", change, balance)
 
 
 def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Gain, alignment and timing of velocity and inertial sensors."""
     motion, joints = balance.motion, len(balance.machine.joints)
-    foretold, nothing = balance.readings.foretold, np.zeros_like(balance.operator)
+    foretold = balance.readings.foretold
     if motion.sensors and not balance.released.all():
         # read right before or right after a command steps, or anywhere between
         seen = balance.readings.accelerated(balance.stepped_acceleration())
         change = np.hstack([np.zeros((len(seen), joints)), seen])
-        yield _nuisance(name="steps of commands in readings", change=change, operator=nothing)
+        yield _shift("steps of commands in readings", change, balance)
     step = motion.runs[0].log_step
     for name in balance.encoders:
         forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
-        change = np.hstack([forces.smooth, forces.readings])
-        yield _nuisance(
-            name=f"timing of {name}", change=10 * tolerances.sensor_samples * change,
-            operator=nothing,
-        )  # fmt: skip
+        change = 10 * tolerances.sensor_samples * np.hstack([forces.smooth, forces.readings])
+        yield _shift(f"timing of {name}", change, balance)
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
-        change = np.zeros((len(foretold), joints + len(motion.sensors)))
-        slopes = [rates(run, motion.step) for run in motion.split(foretold[:, at])]
-        width = tolerances.sensor_samples * motion.runs[0].log_step
-        change[:, joints + np.array(at)] = -width * np.concatenate(slopes)
-        yield _nuisance(name=f"timing of {name}", change=change, operator=nothing)
-        change = np.zeros_like(change)
-        change[:, joints + np.array(at)] = tolerances.sensor * foretold[:, at]
-        yield _nuisance(name=f"gain of {name}", change=change, operator=nothing)
-        for k in at:
-            change = np.zeros_like(change)
-            size = float(np.sqrt(np.mean(foretold[:, at] ** 2)))
-            change[:, joints + k] = tolerances.sensor_bias * size
-            yield _nuisance(name=f"zero of {name}", change=change, operator=nothing)
-        for axis in np.eye(3) if len(at) == 3 else ():
-            change = np.zeros_like(change)
-            turned = np.cross(foretold[:, at], axis)
-            change[:, joints + np.array(at)] = tolerances.sensor * turned
-            yield _nuisance(name=f"alignment of {name}", change=change, operator=nothing)
+        shown = foretold[:, at]
+        late = np.concatenate([rates(run, motion.step) for run in motion.split(shown)])
+        size = float(np.sqrt(np.mean(shown**2)))
+        changes = [("timing", -tolerances.sensor_samples * step * late)]
+        changes += [("gain", tolerances.sensor * shown)]
+        axes = np.eye(len(at))
+        changes += [("zero", tolerances.sensor_bias * size * axis + 0 * shown) for axis in axes]
+        if len(at) == 3:
+            turned = (np.cross(shown, axis) for axis in axes)
+            changes += [("alignment", tolerances.sensor * each) for each in turned]
+        for what, own in changes:
+            change = np.zeros((len(foretold), joints + len(motion.sensors)))
+            change[:, joints + np.array(at)] = own
+            yield _shift(f"{what} of {name}", change, balance)

@@ -10,16 +10,13 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from loose_env.gap.model.effect import Effect, Parameter
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.nominal_model import NominalModel, set_step
 from loose_env.typing import Array
 
 _FORCE = "loose_env force of "
 _OFF = 30
 """Group of actuators that are switched off."""
-_BEYOND = 1.02
-"""Largest deviation of a parameter, as a share of the tolerance; above 1, so that a true value at
-the end of the tolerance is no bound. With more room, servo gains absorb a friction."""
 _SPREAD = 0.6
 """Prior standard deviation, as a share of the tolerance (of a uniform distribution: 0.58)."""
 _JOINT = ("damping", "armature", "frictionloss")
@@ -51,31 +48,36 @@ class NominalParameters:
                 found.append(("velocity_gain", actuator))
         return tuple(found)
 
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters: one scale factor each."""
-        wide = _BEYOND * self.tolerance
-        return tuple(
-            Parameter(
-                name=f"{name}.{of}", unit="", low=1 - wide, high=1 + wide, scale=self.tolerance,
-                spread=_SPREAD,
-            )
-            for name, of in self.entries
-        )  # fmt: skip
+    @property
+    def deviation(self) -> float:
+        """Prior standard deviation of each factor."""
+        return self.tolerance * _SPREAD
 
     def edit(self, spec: mujoco.MjSpec, factors: Array) -> None:
         """Scale the nominal parameters by factors (P,)."""
         for (name, of), factor in zip(self.entries, factors, strict=True):
-            if name in ("gain", "velocity_gain"):
-                actuator = spec.actuator(of)
-                gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
-                if name == "gain":
-                    gain[0] *= factor
-                bias[slice(2) if name == "gain" else 2] *= factor
-                actuator.gainprm, actuator.biasprm = gain, bias
-            else:
-                own = spec.joint(of) if name in _JOINT else spec.body(of)
-                setattr(own, name, np.asarray(getattr(own, name)) * factor)
+            scale(spec, name, of, factor)
+
+
+_GAINS = {
+    "gain": (slice(1), slice(2)),
+    "velocity_gain": (slice(0), slice(2, 3)),
+    "all_gains": (slice(None), slice(None)),
+}
+"""Entries of an actuator's gain and bias that are scaled together."""
+
+
+def scale(spec: mujoco.MjSpec, name: str, of: str, factor: float) -> None:
+    """Scale an attribute of a joint or a link, or gains of an actuator."""
+    if name in _GAINS:
+        actuator = spec.actuator(of)
+        gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
+        for values, own in zip((gain, bias), _GAINS[name], strict=True):
+            values[own] *= factor
+        actuator.gainprm, actuator.biasprm = gain, bias
+    else:
+        element = spec.joint(of) if name in _JOINT else spec.body(of)
+        setattr(element, name, np.asarray(getattr(element, name)) * factor)
 
 
 @dataclass(frozen=True, eq=False)

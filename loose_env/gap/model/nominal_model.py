@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, count
+from itertools import count
 from math import ceil
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
 
-_MOVING = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+_MOVING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _AFFINE_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _AFFINE_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -43,18 +42,16 @@ class NominalModel:
             raise InvalidData(
                 "the model has no joints; it needs some, all of them hinges or slides"
             )
-        others = np.flatnonzero(~np.isin(model.jnt_type, [int(k) for k in _MOVING]))
-        if len(others):
-            said = _joint_words(model, int(others[0]))
-            raise InvalidData(
-                f"{said} is no hinge and no slide; fix that body in its place, or take it out of "
-                "the model"
-            )
-        unnamed = [k for k in range(model.njnt) if not model.joint(k).name]
-        if unnamed:
-            raise InvalidData(
-                f"every joint of the model needs a name; {_joint_words(model, unnamed[0])} has none"
-            )
+        for k in range(model.njnt):
+            name, body = model.joint(k).name, model.body(int(model.jnt_bodyid[k])).name
+            said = f"joint {repr(name) if name else k} of body {body!r}"
+            if model.jnt_type[k] not in _MOVING:
+                raise InvalidData(
+                    f"{said} is no hinge and no slide; fix that body in its place, or take it out "
+                    "of the model"
+                )
+            if not name:
+                raise InvalidData(f"every joint of the model needs a name; {said} has none")
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -107,17 +104,12 @@ class NominalModel:
 
     def gears(self, joint: str) -> Array:
         """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
-        return np.asarray(self._gears[self.joint_number(joint)])
-
-    @cached_property
-    def _gears(self) -> Array:
-        """Torque on each joint per force of each actuator, at the zero (joints, actuators)."""
-        model, data = self.model, self.at_zero
-        dense = np.zeros((len(data.moment_rownnz), model.nv))
+        data = self.at_zero
+        dense = np.zeros((len(data.moment_rownnz), self.model.nv))
         mujoco.mju_sparse2dense(
             dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
         )
-        return np.asarray(dense[: len(self.actuators)].T)
+        return np.asarray(dense[: len(self.actuators), self.joint_number(joint)])
 
     @cached_property
     def at_zero(self) -> mujoco.MjData:
@@ -168,16 +160,14 @@ class NominalModel:
     @cached_property
     def load_scales(self) -> Array:
         """Typical torque [N·m] or force [N] of each joint (joints,)."""
-        if self.loads is not None:
-            return np.asarray(np.maximum(self.loads, 1e-9), dtype=float)
-        return np.asarray(np.abs(self.at_zero.qfrc_bias) + 2.0 * self.inertias)
+        usual = np.abs(self.at_zero.qfrc_bias) + 2.0 * self.inertias
+        return np.asarray(usual if self.loads is None else np.maximum(self.loads, 1e-9), float)
 
     @cached_property
     def speed_scales(self) -> Array:
         """Typical speed of each joint [rad/s, m/s] (joints,)."""
-        if self.speeds is not None:
-            return np.asarray(np.maximum(self.speeds, 1e-9), dtype=float)
-        return np.ones(len(self.joints))
+        speeds = np.ones(len(self.joints)) if self.speeds is None else self.speeds
+        return np.asarray(np.maximum(speeds, 1e-9), float)
 
     def load(self, joint: str) -> float:
         """Typical torque [N·m] or force [N] of one joint."""
@@ -216,12 +206,6 @@ def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
     return mass
-
-
-def _joint_words(model: mujoco.MjModel, joint: int) -> str:
-    """Say which joint of which body one is."""
-    name, body = model.joint(joint).name, model.body(int(model.jnt_bodyid[joint])).name
-    return f"joint {repr(name) if name else joint} of body {body!r}"
 
 
 def set_step(spec: mujoco.MjSpec, step: float) -> None:
@@ -268,9 +252,14 @@ def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
     A link, the body that a joint moves, is named after its first joint; others by their index.
     """
     spec = given.copy()
-    _name(spec.bodies[1:], "body", spec.bodies)
-    _name(spec.sites, "site", spec.sites)
-    _name(spec.actuators, "actuator", spec.actuators)
+    for noun in ("body", "site", "actuator"):
+        every = spec.bodies if noun == "body" else getattr(spec, f"{noun}s")
+        taken = {element.name for element in every}
+        for number, element in enumerate(every[1:] if noun == "body" else every):
+            joint = element.joints[0].name if noun == "body" and element.joints else ""
+            if not element.name:
+                element.name = unused(f"{joint}_link" if joint else f"{noun}_{number}", taken)
+                taken.add(element.name)
     return spec
 
 
@@ -287,20 +276,9 @@ def naming_notes(given: mujoco.MjSpec) -> list[str]:
     ]
 
 
-def _name(elements: Iterable[Any], noun: str, every: Iterable[Any]) -> None:
-    taken = {element.name for element in every}
-    for number, element in enumerate(elements):
-        if element.name:
-            continue
-        joint = element.joints[0].name if noun == "body" and element.joints else ""
-        element.name = unused(f"{joint}_link" if joint else f"{noun}_{number}", taken)
-        taken.add(element.name)
-
-
 def unused(name: str, taken: Container[str]) -> str:
     """The name, or where it is taken the first with a number behind it that is not."""
-    names = chain([name], (f"{name}_{number}" for number in count(2)))
-    return next(each for each in names if each not in taken)
+    return next(n for k in count(1) if (n := name if k == 1 else f"{name}_{k}") not in taken)
 
 
 def normal_of(machine: NominalModel) -> Array | None:

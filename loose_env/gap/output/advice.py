@@ -1,4 +1,4 @@
-"""Advice in words on motions and sensors that make an effect visible, or tell two apart."""
+"""Effects in words, and motions and sensors that make one visible, or tell two apart."""
 
 from __future__ import annotations
 
@@ -54,3 +54,20 @@ def how_to_see(kind: str) -> str:
     """
     general = _found("otherwise", "any").rstrip(".")
     return _found("see", kind) or general[0].lower() + general[1:]
+
+
+def kind_words(kind: str) -> str:
+    """A kind of effect, as one says it."""
+    return _found("name", kind) or kind.replace("_", " ")
+
+
+def effect_words(kind: str, where: str) -> str:
+    """An effect and its location, as one says it.
+
+    Examples
+    --------
+    >>> effect_words("coulomb_friction", "joint2")
+    'dry friction (joint2)'
+    """
+    place = _words()["location"].get(f"{kind} {where}", f"({where})")
+    return f"{kind_words(kind)} {place}".rstrip()

@@ -5,14 +5,13 @@ The file loads in any MuJoCo without this package, and lists at its head what wa
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from loose_env.arms import files_of
+from loose_env.arms import copy_files, files_of
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import DrivenEffect
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -201,17 +200,12 @@ def _comment(note: str) -> str:
 
 def _copy_assets(source: Path, folder: Path, xml: str) -> list[Path]:
     """Copy files a model refers to; includes only if the new model still has them."""
-    copied = []
-    for file in sorted(files_of(source) - {source}):
-        if file.suffix.lower() in (".xml", ".mjcf") and file.name not in xml:
-            continue
-        target = folder / file.relative_to(source.parent)
-        if target == file:
-            continue
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(file, target)
-        copied.append(target)
-    return copied
+    needed = {
+        file
+        for file in files_of(source) - {source}
+        if file.suffix.lower() not in (".xml", ".mjcf") or file.name in xml
+    }
+    return copy_files(needed, source.parent, folder)
 
 
 def _check_columns(nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:

@@ -32,13 +32,9 @@ class EffectLocation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NamedEffect:
+class NamedEffect(EffectLocation):
     """An effect that the model lacks."""
 
-    kind: str
-    """Identifier of the catalogue."""
-    where: str
-    """The model's own name of the joint, body, actuator or sensor; "tool", "base" or "all"."""
     parameters: Mapping[str, float]
     """Fitted values."""
     interval_95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -174,13 +170,9 @@ class JointExcitation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VisibleEffect:
+class VisibleEffect(EffectLocation):
     """The smallest size of an effect that a recording shows."""
 
-    kind: str
-    """Identifier of the catalogue."""
-    where: str
-    """Location of the effect."""
     smallest: Mapping[str, float]
     """Smallest visible change of each parameter, beyond the tolerances."""
     units: Mapping[str, str]
@@ -247,8 +239,7 @@ class GapResult:
 
     def to_json(self) -> str:
         """Format as ``result.json``; numbers that are not finite become null."""
-        whole = {"format": self.format, **asdict(self)}
-        return json_text(whole)
+        return json_text({"format": self.format, **asdict(self)})
 
     @classmethod
     def from_json(cls, text: str) -> GapResult:
@@ -266,8 +257,7 @@ class GapResult:
         ...
         loose_env.errors.InvalidData: a result of the format 'loose-gap/1' is needed, ...
         """
-        whole = whole_of(text, format=FORMAT, noun="result")
-        return restored(cls, whole, "result")
+        return restored(cls, whole_of(text, format=FORMAT, noun="result"), "result")
 
     def write(self, path: str | Path) -> Path:
         """Write ``result.json`` atomically, by renaming a temporary file."""

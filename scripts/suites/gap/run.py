@@ -38,7 +38,7 @@ from typing import Any
 import loose_env
 from loose_env.cli.command import command
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.io import write_text
+from loose_env.io import Checked, Count, Positive, write_text
 from scripts.suites.gap import ablation
 from scripts.suites.gap.cases import TOLERANCES, made, name_of, numbers_of
 from scripts.suites.gap.effects import CATALOGUE, KINDS
@@ -178,7 +178,7 @@ def make(numbers: Sequence[int], phrase: str, folder: Path) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings:
+class RunSettings(Checked):
     """Which cases, which tool, where."""
 
     numbers: tuple[str, ...] = ("0-59",)
@@ -205,11 +205,11 @@ class RunSettings:
     ablate: tuple[str, ...] | None = None
     """Run the cases again with one thing changed at a time; with words, only the variants that
     begin so, such as without or core.decision."""
-    most_seconds: float = LONGEST
+    most_seconds: Positive = LONGEST
     """Of --ablate, cases whose CPU time as shipped was no more [s]."""
     afresh: bool = False
     """Remove kept rows first."""
-    workers: int = 1
+    workers: Count = 1
     """Processes side by side."""
 
 

@@ -149,6 +149,9 @@ def test_cases_are_graded_kept_and_go_on(blind: Path, capsys: pytest.CaptureFixt
         run(settings(0))
     with pytest.raises(InvalidSetting, match="no tool 'other'"):
         tool_of("other")
+    for name, value in (("most_seconds", -1.0), ("most_seconds", float("nan")), ("workers", 0)):
+        with pytest.raises(InvalidSetting, match=f"RunSettings.{name} must be"):
+            RunSettings(**{name: value})
     assert not failed(truth("none"))["right"]
 
 
