@@ -240,6 +240,10 @@ class Selection:
         slack = 1e-3 * np.maximum(np.abs(low), 1e-9)
         allowed = bool(np.all((values[effects] >= low - slack) & (values[effects] <= high)))
         allowed &= bool(np.isfinite(cost))
+        for term in terms:
+            if term.effect.axes:  # a mass of nothing weighs nothing, wherever it is
+                x = values[np.searchsorted(numbers, evidence.columns_of(term))]
+                allowed &= bool(np.any(term.values(x) != term.effect.null_values))
         return SetFit(
             terms, numbers, values, *levels, curvature, cost, cost + self.prior(terms), allowed
         )

@@ -422,6 +422,29 @@ class AdditiveEffect(Effect):
         self.null_values = (0.0,) * len(self.parameters)  # type: ignore[misc]
 
 
+class WeightedEffect(Effect):
+    """An effect whose forces add up by its first parameter, each where it acts.
+
+    Masses beside a tool, or springs at rest at several angles. The first of its axes acts at zero,
+    each other one beside it along one coordinate.
+    """
+
+    def combined(self, shares: Array) -> tuple[float, ...]:
+        """Size and place of the weighted axes; nothing where the size would be negative."""
+        axes = np.array(self.axes)
+        sizes = shares * axes[:, 0]
+        size = float(sizes.sum())
+        if size <= 0.0:
+            return (0.0,) * len(self.parameters)
+        return (size, *(sizes @ axes[:, 1:] / size).tolist())
+
+    def shares_of(self, values: Array) -> Array:
+        """Shares of the axes: moments by those beside zero, the rest of the size at it."""
+        axes = np.array(self.axes)
+        beside = values[0] * values[1:] / (axes[0, 0] * np.diag(axes[1:, 1:]))
+        return np.append(values[0] / axes[0, 0] - beside.sum(), beside)
+
+
 class DrivenEffect(Effect):
     """An effect that depends on commands or drive torques, applied step by step.
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.effect import AdditiveEffect, Effect, Parameter
+from loose_env.gap.model.effect import AdditiveEffect, Effect, Parameter, WeightedEffect
 from loose_env.gap.model.effects.mjcf import (
     Inertial,
     added_name,
@@ -118,7 +118,7 @@ _LIGHT = 0.05
 """Light payload from which fits start, over the mass that the machine moves at a joint."""
 
 
-class Payload(Effect):
+class Payload(WeightedEffect):
     """Payload: a small body at the tool's site, or at the end of the last link.
 
     Its centre of mass lies there, or in the variant "centre" where the motion says.
@@ -164,21 +164,6 @@ class Payload(Effect):
             return ()
         beside = np.vstack([np.zeros(3), self._off * np.eye(3)])
         return tuple((0.1 * self._moved, *row) for row in beside.tolist())
-
-    def combined(self, shares: Array) -> tuple[float, ...]:
-        """Mass and centre of the weighted axes; nothing where the mass would be negative."""
-        axes = np.array(self.axes)
-        masses = shares * axes[:, 0]
-        mass = float(masses.sum())
-        if mass <= 0.0:
-            return (0.0,) * len(self.parameters)
-        return (mass, *(masses @ axes[:, 1:] / mass).tolist())
-
-    def shares_of(self, values: Array) -> Array:
-        """Shares of the axes: moments by those beside the tool, the rest of the mass at it."""
-        axes = np.array(self.axes)
-        beside = values[0] * values[1:] / (axes[0, 0] * np.diag(axes[1:, 1:]))
-        return np.append(values[0] / axes[0, 0] - beside.sum(), beside)
 
     @property
     def _moved(self) -> float:

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from scipy.signal import lombscargle
 
-from loose_env.gap.model.effect import DrivenEffect, JointEffect, Parameter
+from loose_env.gap.model.effect import DrivenEffect, JointEffect, Parameter, WeightedEffect
 from loose_env.gap.model.effects.mjcf import (
     add_constant,
     add_friction,
@@ -391,11 +391,10 @@ class TorqueRipple(JointEffect):
         return tuple(found)
 
 
-class JointSpring(JointEffect):
+class JointSpring(WeightedEffect, JointEffect):
     """Joint spring -k (q - q0), combined exactly with the joint's existing spring."""
 
     kind = "joint_spring"
-    proportional = 0
     null_values = (0.0, 0.0)
 
     @classmethod
@@ -419,6 +418,13 @@ class JointSpring(JointEffect):
         )  # fmt: skip
 
     @property
+    def axes(self) -> tuple[tuple[float, ...], ...]:
+        """A spring that rests at zero, and one beside it: torques add up by stiffness."""
+        low, high = self._range
+        usual = 0.5 * self.load / min(high - low, pi)
+        return ((usual, 0.0), (usual, 0.5 * (high - low)))
+
+    @property
     def _range(self) -> tuple[float, float]:
         """Range of the joint [rad or m], or half a turn about its zero."""
         number = self.number
@@ -440,18 +446,6 @@ class JointSpring(JointEffect):
         rests = (stiffness[0] * joint.springref * unit + added * rest) / both
         stiffness[0] = both
         joint.stiffness, joint.springref = stiffness, rests / unit
-
-    def propose(
-        self, angle: Array, speed: Array, acceleration: Array, torque: Array
-    ) -> tuple[tuple[float, ...], ...]:
-        """Propose a start by regression of torque on angle; its zero is the equilibrium."""
-        if len(angle) < 3 or not np.ptp(angle):
-            return ()
-        rate, at_zero = np.polyfit(angle, torque, 1)
-        if rate <= 0:
-            return ()
-        stiffness, reference = self.parameters
-        return ((stiffness.clipped(rate), reference.clipped(-at_zero / rate)),)
 
 
 class TorqueOffset(JointEffect):
