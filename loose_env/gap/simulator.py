@@ -196,7 +196,7 @@ class _Stepped:
             found[own, :count] = _fed(driven, command[own, :count], position[own], speed[own])
         return found
 
-    def _set_friction(self, forces: tuple[Array, Array], speed: Array) -> None:
+    def _set_friction(self, forces: Sequence[Array], speed: Array) -> None:
         """Set the dry friction by the forces of `_LOADS` and the speed (sims, joints)."""
         drive, bias = forces
         friction = self._base.copy()

@@ -188,7 +188,8 @@ class Balance:
         """Position sensor that reads otherwise by an effect than its joint moves; "" if none."""
         if type(effect).read is Effect.read:
             return ""
-        still = {column_of(name): np.zeros(2) for name in self.encoders}
+        sizes = zip(self.machine.sensors, self.machine.model.sensor_dim, strict=True)
+        still = {column_of(n): np.zeros((2, size) if size > 1 else 2) for n, size in sizes}
         shown = effect.read(np.arange(2.0), still, values)
         return next((n for n in self.encoders if shown[c := column_of(n)] is not still[c]), "")
 
