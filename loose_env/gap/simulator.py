@@ -15,15 +15,15 @@ friction that depends on the drives' torques is set before each step from those 
 
 from __future__ import annotations
 
-import copy
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import attrgetter
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch, SimulationError
+from mujoco.batch import MODEL_FIELDS, Batch, SimulationError
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
@@ -41,6 +41,10 @@ State = tuple[Array, Array]
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
 _STATES = ("qpos", "qvel", "act")
 """State of a simulation: positions, speeds and activations."""
+_WRITTEN = ("qpos", "qvel", "ctrl", "qfrc_applied")
+"""What effects and the middle of a step are read from or written to."""
+_LOADS = ("qfrc_actuator", "qfrc_bias")
+"""Forces of the drives, and of gravity and inertial coupling."""
 _PARTS = 2
 """Parts of a step where commands change within it: a mean moves the speed rightly, and the place
 only as far as the change lies in the middle."""
@@ -115,25 +119,17 @@ class _Stepped:
 
     def __init__(self, batch: Batch, joints: Sequence[str], slots: Sequence[_Slot]) -> None:
         self.batch, hypotheses = batch, [slot.hypothesis for slot in slots]
-        self._places, self._dofs = _addresses(slots[0].model, joints)
-        self._option, self._own_models = slots[0].model.opt, list[mujoco.MjModel]()
-        self._terms = [
-            (hypotheses[own.argmax()], own)
-            for own in _groups([id(h) if _has_torque(h) else None for h in hypotheses])
-        ]
-        self._driven: list[tuple[_Driven, NDArray[np.bool_]]] = []
-        each = [_driven(hypothesis) for hypothesis in hypotheses]
-        for own in _groups([tuple(id(effect) for effect, _ in pairs) for pairs in each]):
-            members = zip(*(each[k] for k in np.flatnonzero(own)), strict=True)
-            stacked = [(m[0][0], np.stack([values for _, values in m], axis=-1)) for m in members]
-            self._driven.append((stacked, own))
-        driven = [effect for pairs, _ in self._driven for effect, _ in pairs]
+        self._places, self._dofs = map(_slice, _addresses(slots[0].model, joints))
+        self._rows, self._groups = _rows(hypotheses), _groups(hypotheses)
+        self._option = slots[0].model.opt
+        driven = [effect for own, _ in self._groups for effect, _ in own]
         self._feeds = any(effect.overrides("feedback") for effect in driven)
-        if any(effect.overrides("dry_friction") for effect in driven):
+        self._rubs = any(effect.overrides("dry_friction") for effect in driven)
+        if self._rubs:
             # each simulation has its own friction
-            self._own_models = [copy.deepcopy(slot.model) for slot in slots]
-            batch.set_models(self._own_models)
-            self._base = np.array([m.dof_frictionloss[self._dofs] for m in self._own_models])
+            _expand(batch, [slot.model for slot in slots])
+            self._friction = batch.expand("dof_frictionloss")
+            self._base = self._friction[:, self._dofs].copy()
 
     def rollout(self, count: int, control: Array, *, record: Sequence[str]) -> dict[str, Array]:
         """Advance the simulations, as `mujoco.batch.Batch.rollout` does.
@@ -142,80 +138,129 @@ class _Stepped:
         simulation with a MuJoCo warning is NaN from the beginning, since a term may make it
         diverge.
         """
-        batch = self.batch
+        batch, places, dofs = self.batch, self._places, self._dofs
         # requested first: a field is computed from the next call on
-        needed = (*record, "qpos", "qvel", "qacc", "qfrc_actuator", "qfrc_bias")
-        fields = {name: batch.bind(name) for name in needed}
-        commands, applied = batch.bind("ctrl"), batch.bind("qfrc_applied")
-        found = {name: np.empty((len(control), count, fields[name].shape[1])) for name in record}
+        loads = _LOADS if self._rubs else ()
+        fields = {name: batch.bind(name) for name in (*record, "qacc", *loads)}
+        qpos, qvel, commands, applied = (batch.bind(name) for name in _WRITTEN)
+        found = {name: np.empty((count, *batch.bind(name).shape)) for name in record}
         read = [name for name in record if name not in _STATES]
         warned = np.array(batch.warning)
         step = float(self._option.timestep)
         looks_ahead = int(self._option.integrator) == _RUNGE_KUTTA
-        if self._own_models and not looks_ahead:
-            batch.forward()  # drive torques of the first step
-        rate = np.zeros((len(control), len(self._dofs)))  # not known beforehand by other methods
+        rate = np.zeros_like(qvel[:, dofs])
+        half_way = [np.zeros_like(rate) for _ in loads]
         for k in range(count):
-            now = fields["qpos"][:, self._places], fields["qvel"][:, self._dofs]
-            commands[:] = self._commands(control[:, k], now)
-            if self._terms:
-                applied[:, self._dofs] = self._torque(now)
+            now = qpos[:, places], qvel[:, dofs]
             if looks_ahead:
+                commands[:] = self._commands(control[:, k], now)
+                if self._rows:
+                    applied[:, dofs] = _terms(self._rows, now)
                 batch.forward()
                 for name in read:
-                    found[name][:, k] = fields[name]
-                rate = fields["qacc"][:, self._dofs]
+                    found[name][k] = fields[name]
+                rate = fields["qacc"][:, dofs]
+            begun = [fields[name][:, dofs].copy() for name in loads]
             middle = _ahead(now, rate, 0.5 * step)
-            if looks_ahead and self._terms:
-                applied[:, self._dofs] = self._torque(middle)
+            if self._rows:
+                applied[:, dofs] = _terms(self._rows, middle if looks_ahead else now)
             commands[:] = self._commands(control[:, k], middle)
-            if self._own_models:
-                drive, bias = (fields[n][:, self._dofs] for n in ("qfrc_actuator", "qfrc_bias"))
-                self._set_friction(drive, -bias, now[1])
+            if looks_ahead and loads:
+                # forces change as in the step before, at whose end they are known
+                self._set_friction([a + b for a, b in zip(begun, half_way, strict=True)], middle[1])
+            elif loads:
+                before = qpos.copy(), qvel.copy()
+                qpos[:, places], qvel[:, dofs] = middle
+                batch.forward()
+                self._set_friction([fields[name][:, dofs] for name in loads], middle[1])
+                qpos[:], qvel[:] = before
             batch.step()
+            half_way = [0.5 * (fields[n][:, dofs] - a) for n, a in zip(loads, begun, strict=True)]
+            rate = fields["qacc"][:, dofs]
             for name in record:
                 if not (looks_ahead and name in read):
-                    found[name][:, k] = fields[name]
+                    found[name][k] = fields[name]
         applied[:] = 0.0
         diverged = (batch.warning != warned).any(axis=(1, 2))
         for values in found.values():
-            values[diverged] = np.nan
-        return found
+            values[:, diverged] = np.nan
+        return {name: values.swapaxes(0, 1) for name, values in found.items()}
 
     def _commands(self, command: Array, state: State) -> Array:
         """Commands (sims, actuators) that reach the actuators in a state."""
         if not self._feeds:
             return command
         found, (position, speed) = command.copy(), state
-        for driven, own in self._driven:
+        for driven, own in self._groups:
             count = len(driven[0][0].machine.actuators)
             found[own, :count] = _fed(driven, command[own, :count], position[own], speed[own])
         return found
 
-    def _torque(self, state: State) -> Array:
-        """Torque terms in a state (sims, joints)."""
-        position, speed = state
-        found = np.zeros(position.shape)
-        for hypothesis, own in self._terms:
-            found[own] = _torque_terms(hypothesis, position[own], speed[own])
-        return found
-
-    def _set_friction(self, drive: Array, load: Array, speed: Array) -> None:
-        """Set the dry friction of the simulations from drive, load and speed (sims, joints)."""
+    def _set_friction(self, forces: Sequence[Array], speed: Array) -> None:
+        """Set the dry friction by the forces of `_LOADS` and the speed (sims, joints)."""
+        drive, bias = forces
         friction = self._base.copy()
-        for driven, own in self._driven:
+        for driven, own in self._groups:
             for effect, values in driven:
-                friction[own] += effect.dry_friction(drive[own], load[own], speed[own], values)
-        for model, row in zip(self._own_models, friction, strict=True):
-            model.dof_frictionloss[self._dofs] = row
-        self.batch.set_models(self._own_models)
+                friction[own] += effect.dry_friction(drive[own], -bias[own], speed[own], values)
+        self._friction[:, self._dofs] = friction
 
 
-def _groups(keys: Sequence[object]) -> Iterator[NDArray[np.bool_]]:
-    """Members of each group of the same key; empty keys are in none."""
-    for key in dict.fromkeys(keys):
-        if key:
-            yield np.array([other == key for other in keys])
+def _slice(at: IndexArray) -> IndexArray | slice:
+    """Indices as a slice where they follow each other."""
+    first = int(at[0])
+    return slice(first, first + len(at)) if np.all(np.diff(at) == 1) else at
+
+
+def _expand(batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
+    """Give each simulation of a batch the values of its own model, which then can be written."""
+    batch.set_models(None)
+    several = {id(model): model for model in models}
+    for name in MODEL_FIELDS:
+        own = {key: np.asarray(attrgetter(name)(model)) for key, model in several.items()}
+        if len({values.tobytes() for values in own.values()}) > 1:
+            batch.expand(name)[:] = np.stack([own[id(model)] for model in models])
+
+
+_Own = NDArray[np.bool_] | slice
+_Rows = Sequence[tuple[Hypothesis, _Own]]
+"""Hypotheses, and which simulations have them."""
+_Groups = Sequence[tuple[_Driven, _Own]]
+"""Driven effects, and which simulations have them."""
+
+
+def _rows(each: Sequence[Hypothesis]) -> _Rows:
+    """Hypotheses with torque terms, and their simulations."""
+    known = {id(hypothesis): hypothesis for hypothesis in each if _has_torque(hypothesis)}
+    return [(h, _those([other is h for other in each])) for h in known.values()]
+
+
+def _those(own: Sequence[bool]) -> _Own:
+    """Mask of simulations, or a slice of all of them."""
+    return slice(None) if all(own) else np.array(own)
+
+
+def _groups(each: Sequence[Hypothesis]) -> _Groups:
+    """Driven effects with the values of all simulations that have them."""
+    keys = [tuple(id(effect) for effect, _ in _driven(hypothesis)) for hypothesis in each]
+    found = []
+    for key in dict.fromkeys(key for key in keys if key):
+        own = [other == key for other in keys]
+        members = zip(
+            *(_driven(h) for h, with_it in zip(each, own, strict=True) if with_it), strict=True
+        )
+        stacked = [(m[0][0], np.stack([values for _, values in m], axis=-1)) for m in members]
+        found.append((stacked, _those(own)))
+    return found
+
+
+def _terms(rows: _Rows, state: State) -> Array:
+    """Torque terms in a state (sims, joints)."""
+    position, speed = state
+    found = np.zeros(position.shape)
+    for hypothesis, own in rows:
+        found[own] = _torque_terms(hypothesis, position[own], speed[own])
+    return found
 
 
 def _ahead(now: State, rate: Array, time: float) -> State:

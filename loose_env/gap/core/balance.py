@@ -43,6 +43,9 @@ _SPRINGS, _DAMPINGS = 90, (0.02, 0.06, 0.2)
 """Stiffnesses and damping ratios that are tried for an added spring."""
 _STIFFEST = 4.0
 """Highest frequency of such a mode over the end of the band: beyond, it only gives way."""
+_ROUNDS, _CONVERGED = 12, 0.02
+"""Rounds of the motion of an added joint whose inertia varies, at most, and the share of its
+acceleration that may be left."""
 _RESONANCES = 3
 """Springs that are started from."""
 
@@ -174,18 +177,31 @@ class Balance:
                     for run in self.motion.runs
                 ]
             )
+        encoder = self._misread(effect, values)
+        if encoder:
+            return self._read_otherwise(encoder, commands, effect, values)
         if isinstance(effect, DrivenEffect):
             commands = effect.feedback(commands, self.position, self.speed, values)
-        if effect.part == "sensor" and effect.where in self.encoders:
-            return self._read_otherwise(effect, values)
         return self._change(model, commands, effect, values)
 
-    def _read_otherwise(self, effect: Effect, values: Array) -> Forces:
+    def _misread(self, effect: Effect, values: Array) -> str:
+        """Position sensor that reads otherwise by an effect than its joint moves; "" if none."""
+        if type(effect).read is Effect.read:
+            return ""
+        sizes = zip(self.machine.sensors, self.machine.model.sensor_dim, strict=True)
+        still = {column_of(n): np.zeros((2, size) if size > 1 else 2) for n, size in sizes}
+        shown = effect.read(np.arange(2.0), still, values)
+        return next((n for n in self.encoders if shown[c := column_of(n)] is not still[c]), "")
+
+    def _read_otherwise(
+        self, encoder: str, commands: Array, effect: Effect, values: Array
+    ) -> Forces:
         """Change by a position sensor that reads otherwise than the joint moves.
 
-        The balance along the motion that the joint then made; its drive knew that motion.
+        The balance along the motion that the joint then made. Its drive knew that motion, or by the
+        effect's feedback what the sensor showed.
         """
-        joint, column = self.encoders[effect.where], column_of(effect.where)
+        joint, column = self.encoders[encoder], column_of(encoder)
         parts, shares = [], []
         for run, q in zip(self.motion.runs, self.motion.split(self.position), strict=True):
             own = q[:, joint]
@@ -195,7 +211,7 @@ class Balance:
                 ahead = np.exp(1j * turn * values[0]) - 1
                 wave = ahead * np.fft.rfft(mirrored - own.mean())
             else:
-                off = own - effect.read(run.time, {column: own}, values)[column]
+                off = self._unread(run, own, column, effect, values)
                 wave = np.fft.rfft(np.concatenate([off, off[::-1]]))
             parts.append([np.fft.irfft((1j * turn) ** k * wave)[: len(own)] for k in range(3)])
             swing = own - own.mean()
@@ -205,20 +221,39 @@ class Balance:
         for known, more in zip((self.position, self.speed, self.acceleration), moved, strict=True):
             states.append(known.copy())
             states[-1][:, joint] += more
-        needed, given = self._forces(
-            self._nominal, self.commands, (states[0], states[1], states[2])
-        )
+        if isinstance(effect, DrivenEffect):
+            commands = effect.feedback(commands, states[0], states[1], values)
+        needed, given = self._forces(self._nominal, commands, (states[0], states[1], states[2]))
         # the noise of a joint that moves less than is read is less, too
         more, whole = np.sum(shares, axis=0)
         operator = np.zeros_like(self.operator)
         if not effect.is_time_shift:
             operator[..., joint] = more / (whole + 1e-300) * self.operator[..., joint]
+        turned = self.readings.turned(joint, moved)
         return Forces(
             smooth=needed - given - (self.needed - self.given),
             dry=np.zeros_like(needed),
-            readings=self.readings.turned(joint, moved),
+            readings=self.readings.change(
+                None, effect, values, turned=turned, positions={column: states[0][:, joint]}
+            ),
             operator=operator,
         )
+
+    def _unread(
+        self, run: RunMotion, own: Array, column: str, effect: Effect, values: Array
+    ) -> Array:
+        """Way of a joint beyond what a sensor shows of it, in the band of the motion (T,)."""
+        shown = finer(own[:, None])[:, 0]
+        time = np.arange(len(shown)) * run.step / FINER
+
+        def left(off: Array) -> Array:
+            return np.asarray(shown - effect.read(time, {column: shown + off}, values)[column])
+
+        off = left(np.zeros_like(shown))
+        better = off + left(off)
+        if np.linalg.norm(left(better)) < np.linalg.norm(left(off)) / 2:  # no rounding
+            off = better
+        return low_passed(off[:, None], self.motion.band, run.step / FINER)[::FINER, 0]
 
     def edited(self, spec: mujoco.MjSpec) -> Forces:
         """Change of the balance by an edit of the spec alone."""
@@ -281,16 +316,19 @@ class Balance:
     def _loads(self, effect: DrivenEffect, values: Array) -> Array:
         """Drive torques that carry a friction by load beside what the model needs (T, joints).
 
-        Not the drive's own torque, which contains all other friction as well.
+        Where they were measured, those; not those of commands, which need not come when they
+        should.
         """
         none, one = (
             effect.dry_friction(np.full_like(self.needed, load), self.bias, self.speed, values)
             for load in (0.0, 1.0)
         )
         share, direction = np.minimum(one - none, _MOST_LOAD), self.directions[USUAL]
-        carried = self.needed + direction * none
+        carried = self.needed + direction * (none + self.dry)
         driven = carried / (1 - share * np.sign(carried) * direction)
-        return np.where((self.forms == "free")[:, None], 0.0, driven)
+        driven[self.forms == "free"] = 0.0
+        inverse = (self.forms == "inverse")[:, None]
+        return np.where(inverse & np.isfinite(self.torques), self.torques, driven)
 
     def _dofs(self, model: mujoco.MjModel) -> Array:
         """Degree of freedom of each of the machine's joints in an edited model."""
@@ -344,18 +382,18 @@ class Balance:
         """
         ahead = self.given_by(self.motion.stacked("sampled")) - self.given
         model = self._nominal
-        mass = self._masses(model)
+        mass = self._masses(model, self.position)
         rows = np.repeat(np.arange(model.nv), model.M_rownnz)
         dense = np.zeros((len(mass), model.nv, model.nv))
         dense[:, rows, model.M_colind] = mass
         dense[:, model.M_colind, rows] = mass
         return np.asarray(np.linalg.solve(dense, ahead[..., None])[..., 0])
 
-    def _masses(self, model: mujoco.MjModel) -> Array:
-        """Packed mass matrices along the motion (T, nC)."""
-        batch, (mass, *_) = self._batch(model, len(self.position))
+    def _masses(self, model: mujoco.MjModel, position: Array) -> Array:
+        """Packed mass matrices at some positions (T, nC)."""
+        batch, (mass, *_) = self._batch(model, len(position))
         batch.set_models(model)
-        batch.qpos[:], batch.qvel[:] = self.position, self.speed
+        batch.qpos[:] = position
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
         return mass.copy()
 
@@ -400,25 +438,42 @@ class Balance:
     ) -> tuple[Array, Array, Array]:
         """Forces and readings of a model with one more joint, which moves as its spring lets it.
 
-        The joint's own motion is the response of its mean inertia, damping and stiffness to the
-        force that the measured motion puts on it, run by run in the frequency domain.
+        The joint's own motion is its response to the force that the measured motion puts on it,
+        with an inertia that varies with the pose, by generalised conjugate residuals (Eisenstat,
+        Elman and Schultz, SIAM J. Numer. Anal. 20, 1983) from the response of the mean.
         """
         hidden = self._hidden(model, commands)
+        zero = np.zeros(len(self.position))
+        mass = self._masses(model, hidden.states(zero, zero, zero)[0])
+        packed = model.M_rowadr[hidden.number] + model.M_rownnz[hidden.number] - 1
+        varied = mass[:, packed] - hidden.own[0]
+        moved, rest = np.zeros((3, len(zero))), self._response(hidden, hidden.force)
+        known: list[tuple[Array, Array]] = []
+        for _ in range(_ROUNDS):
+            way, reply = rest, rest - self._response(hidden, varied * rest[2])
+            for earlier, gave in known:
+                share = gave[2] @ reply[2] / (gave[2] @ gave[2])
+                way, reply = way - share * earlier, reply - share * gave
+            known.append((way, reply))
+            share = reply[2] @ rest[2] / (reply[2] @ reply[2] + 1e-300)
+            moved, rest = moved + share * way, rest - share * reply
+            if np.linalg.norm(rest[2]) <= _CONVERGED * np.linalg.norm(moved[2]):
+                break
+        needed, given = self._forces(model, commands, hidden.states(*moved))
+        seen = self._hidden_readings(model, effect, hidden, list(moved))
+        return needed[:, hidden.seen].copy(), given[:, hidden.seen].copy(), seen
+
+    def _response(self, hidden: _Hidden, force: Array) -> Array:
+        """Motion of a joint of the mean inertia, damping and stiffness under a force (3, T)."""
+        inertia, damping, stiffness = hidden.own
         parts = []
-        for turn, force in self._spectra(hidden.force[:, None]):
-            inertia, damping, stiffness = hidden.own
-            moved = -force[:, 0] / (
+        for run, (turn, own) in zip(self.motion.runs, self._spectra(force[:, None]), strict=True):
+            wave = -own[:, 0] / (
                 stiffness + 1j * turn * damping - inertia * turn**2 + 1e-12 * abs(stiffness)
             )
-            parts.append([np.fft.irfft((1j * turn) ** k * moved) for k in (0, 1, 2)])
-        sizes = [len(run.position) for run in self.motion.runs]
-        moved_ = [
-            np.concatenate([p[k][:size] for p, size in zip(parts, sizes, strict=True)])
-            for k in range(3)
-        ]
-        needed, given = self._forces(model, commands, hidden.states(*moved_))
-        seen = self._hidden_readings(model, effect, hidden, moved_)
-        return needed[:, hidden.seen].copy(), given[:, hidden.seen].copy(), seen
+            size = len(run.position)
+            parts.append([np.fft.irfft((1j * turn) ** k * wave)[:size] for k in (0, 1, 2)])
+        return np.concatenate(parts, axis=1)
 
     def _hidden_readings(
         self, model: mujoco.MjModel, effect: Effect | None, hidden: _Hidden, moved: list[Array]

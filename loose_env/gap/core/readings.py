@@ -7,12 +7,13 @@ measured.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
 
-from loose_env.gap.core.motion import FINER, Motion, finer
+from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passed
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.sensors import column_of, delayed
 from loose_env.typing import Array
@@ -51,22 +52,33 @@ class Readings:
         """Whether a sensor is among them."""
         return any(name == sensor for name, _ in self.motion.sensors)
 
-    def change(self, model: mujoco.MjModel | None, effect: Effect | None, values: Array) -> Array:
-        """Change of the readings by an edited model, and by an effect on the sensors (T, R)."""
-        found = self.foretold
+    def change(
+        self,
+        model: mujoco.MjModel | None,
+        effect: Effect | None,
+        values: Array,
+        *,
+        turned: Array | float = 0.0,
+        positions: Mapping[str, Array] = MappingProxyType({}),
+    ) -> Array:
+        """Change of the readings by an edited model, and by an effect on the sensors (T, R).
+
+        Of a joint that moves otherwise than is read with the change by that motion, and the
+        positions (T,) by column.
+        """
+        found = self.foretold + turned
         if not self.motion.sensors:
             return self.nothing
         if model is not None and model.nv == self.model.nv and self._moved(model):
             found = self.of(model, *self._states)
         if effect is not None and type(effect).read is not Effect.read:
-            parts = zip(self.motion.runs, self.motion.split(found), strict=True)
-            found = np.concatenate(
+            columns = np.column_stack([found, *positions.values()])
+            found = found + np.concatenate(
                 [
-                    self._read(np.arange(FINER * len(own)) * run.step / FINER, finer(own), effect,
-                               values)[::FINER]
-                    for run, own in parts
+                    self._read(run, own, effect, values, tuple(positions))
+                    for run, own in zip(self.motion.runs, self.motion.split(columns), strict=True)
                 ]
-            )  # fmt: skip
+            )
         return found - self.foretold
 
     def accelerated(self, more: Array) -> Array:
@@ -132,9 +144,14 @@ class Readings:
         slopes = [self._slopes(states, still, joint) for joint in range(states[0].shape[1])]
         return np.asarray(np.sqrt(np.mean(np.square(slopes), axis=2))).transpose(1, 2, 0)
 
-    def _read(self, time: Array, own: Array, effect: Effect, values: Array) -> Array:
-        """Readings of one run with an effect on the sensors (T, R)."""
-        columns = {
+    def _read(
+        self, run: RunMotion, own: Array, effect: Effect, values: Array, beside: Sequence[str]
+    ) -> Array:
+        """Change of one run's readings, and of more columns, by an effect on sensors (T, R)."""
+        own = finer(own)
+        time, count = np.arange(len(own)) * run.step / FINER, len(self.names)
+        columns = dict(zip(beside, own[:, count:].T, strict=True))
+        columns |= {
             column_of(name): own[:, at] if len(at) > 1 else own[:, at[0]]
             for name, at in self._sensors
         }
@@ -143,7 +160,7 @@ class Readings:
             column = column_of(late[0])
             columns[column] = delayed(time, columns[column], late[1], axis=0)
         columns = effect.read(time, columns, values)
-        found = np.empty_like(own)
+        found = np.empty((len(own), count))
         for name, at in self._sensors:
-            found[:, at] = columns[column_of(name)].reshape(len(own), len(at))
-        return found
+            found[:, at] = columns[column_of(name)].reshape(len(own), len(at)) - own[:, at]
+        return low_passed(found, self.motion.band, run.step / FINER)[::FINER]

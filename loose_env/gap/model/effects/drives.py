@@ -95,13 +95,13 @@ class ActuatorGain(Effect):
             actuator.forcerange = gain * np.array(actuator.forcerange)
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
-        """Convert torque to measured torque: a stronger drive shows less for the same.
+        """Convert torque to measured torque: a stronger motor shows less for the same.
 
         Not where it is one of several at the joint: a joint torque alone does not give each one's
-        share.
+        share. Gains of a servo and of its command do not change what a current means.
         """
         machine = self.machine
-        if self.variant == "command" or machine.actuated_joint.get(self.where) != joint:
+        if self.variant or machine.actuated_joint.get(self.where) != joint:
             return torque
         alone = np.count_nonzero(machine.gears(joint)) == 1
         return torque / float(values[0]) if alone else torque
@@ -246,10 +246,11 @@ class CommandInterpolation(Effect):
         return (Parameter(name="share", unit="", low=0.0, high=1.0, starts=(1.0,)),)
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
-        """Draw lines between the steps of the commands."""
+        """Draw lines between the steps of the commands: means over each step."""
         steps = np.flatnonzero(np.any(np.diff(controls, axis=0) != 0, axis=1)) + 1
         at = np.concatenate([[0], steps, [len(time) - 1]])
-        lines = np.array([np.interp(time, time[at], column[at]) for column in controls.T]).T
+        middle = time + 0.5 * (time[-1] - time[0]) / max(len(time) - 1, 1)
+        lines = np.array([np.interp(middle, time[at], column[at]) for column in controls.T]).T
         return np.asarray(controls + values[0] * (lines - controls))
 
 

@@ -24,6 +24,7 @@ from loose_env.gap.model.effect import (
 from loose_env.gap.model.effects.drives import DELAY, delay_by, held_delay
 from loose_env.gap.model.effects.mjcf import added_name, angle_unit, site_pose
 from loose_env.gap.model.nominal_model import NominalModel, named
+from loose_env.recording import joint_sensors
 from loose_env.typing import Array
 
 _S = mujoco.mjtSensor
@@ -333,14 +334,13 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return hinges with an encoder."""
-        joints = enumerate(machine.joints)
-        return tuple(n for k, n in joints if machine.turns(n) and _names(machine, k, _POSITION))
+        sensors = joint_sensors(machine.model)
+        return tuple(n for n in machine.joints if machine.turns(n) and sensors[n].position)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        self._encoders = _names(machine, self.number, _POSITION)
-        self._rates = _names(machine, self.number, _SPEED)
-        model = machine.model
+        model, own = machine.model, joint_sensors(machine.model)[where]
+        self._encoders, self._rates = own.position, own.velocity
         self._servos: list[tuple[int, float, float, float]] = [
             (k, float(model.actuator_gear[k, 0]), *self._gains(k))
             for k, name in enumerate(machine.actuators)
@@ -395,16 +395,6 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
         rates = (f"data.sensor({name!r}).data *= 1 + {slope}" for name in self._rates)
         angles = (f"data.sensor({name!r}).data += {error}" for name in self._encoders)
         return "\n".join([shown, *rates, *angles])
-
-
-_POSITION, _SPEED = int(_S.mjSENS_JOINTPOS), int(_S.mjSENS_JOINTVEL)
-
-
-def _names(machine: NominalModel, joint: int, kind: int) -> list[str]:
-    """Names of the sensors of a kind at a joint."""
-    model = machine.model
-    own = np.flatnonzero((model.sensor_type == kind) & (model.sensor_objid == joint))
-    return [machine.sensors[k] for k in own]
 
 
 def _eccentric(angle: Array, values: Array) -> tuple[Array, Array]:
