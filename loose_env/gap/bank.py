@@ -30,7 +30,7 @@ from loose_env.gap.core.motion import RunMotion, low_passed, rates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.motions import Motion, battery, check_motion, wear_of
+from loose_env.gap.motions import Motion, battery, check_motion
 from loose_env.gap.servo_arm import ServoArm
 from loose_env.typing import Array, IndexArray
 
@@ -332,7 +332,7 @@ def _played(arm: ServoArm, commands: Array, readings: Array) -> dict[Form, Measu
 def _shapes_of(arm: ServoArm, motions: Sequence[Motion], kinds: Sequence[str]) -> list[Shape]:
     """Shapes of all candidates, with the priors that they have along some motions."""
     runs = [
-        _played(arm, commands, arm.simulate([Hypothesis()], commands)[0])["commands"]
+        _played(arm, commands, arm.simulate(Hypothesis(), commands))["commands"]
         for commands in (motion.commands(arm) for motion in motions)
     ]
     measured = replace(runs[0], runs=tuple(run for each in runs for run in each.runs))
@@ -467,7 +467,7 @@ def _evidence(
     """Play a motion with the nominal model, and whiten the columns of all shapes along it."""
     say(f"columns of {len(shaped)} shapes along {words}: {motion.description}")
     planned, _ = check_motion(motion, arm)
-    along = Along(arm, motion, arm.simulate([Hypothesis()], motion.commands(arm))[0])
+    along = Along(arm, motion, arm.simulate(Hypothesis(), motion.commands(arm)))
     nominal, windows, scales = along.residuals(), [], []
     for form in ("commands", "torques"):
         balance = along.balance if form == "commands" else Balance(
@@ -481,7 +481,8 @@ def _evidence(
     series = np.stack([*map(along.tolerances, own), *along.columns(terms)], axis=1)
     found = MotionEvidence(
         np.empty((0, 0), np.float32), nominal, np.stack(windows), np.stack(scales),
-        len(planned.time) / arm.sensing.rate, wear_of(planned, arm),
+        len(planned.desired) * planned.interval,
+        float(np.sum((planned.torque / arm.torque_limits) ** 2)) * planned.interval,
     )  # fmt: skip
     return replace(found, rows=found.whitened(series).T.astype(np.float32))
 

@@ -25,14 +25,13 @@ from loose_env.gap import (
     next_motion,
     next_motion_lines,
     read_next_motion,
-    summary_of,
     write_next_motion,
 )
 from loose_env.gap.core.decision import decide
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.next_motion import NOTHING, open_pairs
-from loose_env.gap.planned_motion import MotionLimits, Player, drive_of, limits_of
+from loose_env.gap.next_motion import NOTHING, Player, drive_of, limits_of, open_pairs
+from loose_env.gap.planned_motion import MotionLimits
 from loose_env.recording import Recording, Run, read_recording, write_recording
 from loose_env.typing import Array
 
@@ -112,7 +111,7 @@ def answer(recording: Recording) -> Answer:
 
 
 @pytest.fixture(scope="module")
-def chosen(answer: Answer) -> NextMotion:
+def chosen(answer: Answer) -> tuple[NextMotion, Run]:
     found = choose_next(answer, Hypothesis(), motions=LIBRARY)
     assert found is not None
     return found
@@ -127,14 +126,15 @@ def player_of(recording: Recording, model: str = MODEL) -> tuple[Player, MotionL
 
 
 def test_the_chosen_motion_shows_what_the_runs_left_open(
-    recording: Recording, answer: Answer, chosen: NextMotion
+    recording: Recording, answer: Answer, chosen: tuple[NextMotion, Run]
 ) -> None:
     assert not any(f.named for f in answer.decision.findings)
     (pair,) = open_pairs(answer)
     assert pair.effect is None and pair.rival.words == "coulomb_friction at elbow"
-    (gain,) = chosen.gains.pairs
+    motion, run = chosen
+    (gain,) = motion.pairs
     assert gain.effect == NOTHING and gain.nats > 5 and abs(gain.so_far_nats) < 5
-    commands = np.stack([chosen.run.controls[name] for name in ("one", "two")], axis=1)
+    commands = np.stack([run.controls[name] for name in ("one", "two")], axis=1)
     runs = (*recording.runs, *(recorded(f"{'next' * k}.csv", commands) for k in (1, 2)))
     after = find_gap(replace(recording, runs=runs), KINDS)
     (found,) = [f for f in after.decision.findings if f.named]
@@ -144,7 +144,7 @@ def test_the_chosen_motion_shows_what_the_runs_left_open(
         after, Hypothesis((found.term.effect,), (found.values,)), motions=LIBRARY[1:2]
     )
     if narrower is not None:
-        assert not narrower.gains.pairs and narrower.gains.narrowed[0].share < 0.7
+        assert not narrower[0].pairs and narrower[0].narrowed[0].share < 0.7
 
 
 def test_a_rival_is_separated_by_what_it_cannot_do(
@@ -161,9 +161,9 @@ def test_a_rival_is_separated_by_what_it_cannot_do(
     named = Hypothesis((term.effect,), (finding.values,))
     found = choose_next(likely, named, motions=LIBRARY[1:2])
     assert found is not None
-    gain = next(g for g in found.gains.pairs if g.rival == "viscous_friction at elbow")
+    gain = next(g for g in found[0].pairs if g.rival == "viscous_friction at elbow")
     assert gain.if_effect_nats > 1 and gain.if_rival_nats >= 0
-    assert any("from viscous_friction" in line for line in next_motion_lines(summary_of(found)))
+    assert any("from viscous_friction" in line for line in next_motion_lines(found[0]))
 
 
 @pytest.mark.parametrize(
@@ -184,9 +184,11 @@ def test_a_motion_beyond_a_limit_is_refused(
     assert reason in limits.refusal(player.play(way(4.2, 3.6, np.array(pose))))
 
 
-def test_the_files_read_as_a_run_of_the_recording(chosen: NextMotion, tmp_path: Path) -> None:
-    csv, parquet, described = write_next_motion(tmp_path, chosen)
-    again, summary = read_next_motion(described), summary_of(chosen)
+def test_the_files_read_as_a_run_of_the_recording(
+    chosen: tuple[NextMotion, Run], tmp_path: Path
+) -> None:
+    csv, parquet, described = write_next_motion(tmp_path, *chosen)
+    again, (summary, planned) = read_next_motion(described), chosen
     assert again.words == summary.words and again.refused == summary.refused
     assert again.pairs[0].nats == pytest.approx(summary.pairs[0].nats, rel=1e-5)
     assert {p.name for p in (csv, parquet)} == {f"{NEXT_MOTION}.csv", f"{NEXT_MOTION}.parquet"}
@@ -197,7 +199,7 @@ def test_the_files_read_as_a_run_of_the_recording(chosen: NextMotion, tmp_path: 
         (tmp_path / "recording.json").write_text(text % file.name)
         (run,) = read_recording(tmp_path).runs
         assert run.comparison == "forward"
-        assert np.array_equal(run.controls["two"], chosen.planned.controls[:, 1])
+        assert np.array_equal(run.controls["two"], planned.controls["two"])
         found.append(run)
     assert np.array_equal(found[0].sensors["q1"], found[1].sensors["q1"])
     assert summary.settings == asdict(NextMotionSettings())
