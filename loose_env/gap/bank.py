@@ -184,10 +184,34 @@ class MotionBank:
         return len(self.arm.nominal.entries)
 
     @cached_property
+    def _coefficients(self) -> Array:
+        """Precision, centre, low and high of each coefficient, and of none (4, V + 1)."""
+        columns = [column for shape in self.shapes for column in shape.term.columns]
+        known = [(c.spread**-2, c.centre, c.low, c.high) for c in columns]
+        none = (1.0, 0.0, -np.inf, np.inf)
+        return np.array([none] * self.nuisances + known + [none]).T
+
+    @property
     def precision(self) -> Array:
         """Prior precisions of all coefficients (V,)."""
-        columns = [column for shape in self.shapes for column in shape.term.columns]
-        return np.array([1.0] * self.nuisances + [column.spread**-2 for column in columns])
+        return np.asarray(self._coefficients[0, :-1])
+
+    @property
+    def centre(self) -> Array:
+        """Prior means of all coefficients (V,)."""
+        return np.asarray(self._coefficients[1, :-1])
+
+    @cached_property
+    def padded(self) -> IndexArray:
+        """Columns of every shape, those of narrower ones filled up by none (H, Q)."""
+        width = max(len(shape.at) for shape in self.shapes)
+        none = self._coefficients.shape[1] - 1
+        return np.array([[*s.at, *[none] * (width - len(s.at))] for s in self.shapes])
+
+    @cached_property
+    def priors(self) -> Array:
+        """Precision, centre, low and high of the coefficients of every shape (4, H, Q)."""
+        return np.asarray(self._coefficients[:, self.padded])
 
     @cached_property
     def beyond(self) -> Array:
@@ -481,8 +505,8 @@ def _evidence(
     series = np.stack([*map(along.tolerances, own), *along.columns(terms)], axis=1)
     found = MotionEvidence(
         np.empty((0, 0), np.float32), nominal, np.stack(windows), np.stack(scales),
-        len(planned.desired) * planned.interval,
-        float(np.sum((planned.torque / arm.torque_limits) ** 2)) * planned.interval,
+        len(planned.desired) / arm.sensing.rate,
+        float(np.sum((planned.torque / arm.torque_limits) ** 2)) / arm.sensing.rate,
     )  # fmt: skip
     return replace(found, rows=found.whitened(series).T.astype(np.float32))
 

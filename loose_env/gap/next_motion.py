@@ -218,7 +218,7 @@ class Side:
     @property
     def words(self) -> str:
         """Kind and location."""
-        return _words(self.term)
+        return "{} at {}".format(*self.term.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,10 +233,6 @@ class OpenPair:
     """Effects that both sets have."""
     nats: float
     """Log evidence of the first over the second so far."""
-
-
-def _words(term: Term) -> str:
-    return "{} at {}".format(*term.name)
 
 
 def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
@@ -456,9 +452,8 @@ class _Asked:
         for term in named:
             own = np.isin(wanted, self.columns((term,)))
             if own.any():
-                found.append(
-                    Narrowing(effect=_words(term), share=float(np.exp(shares[own].mean())))
-                )
+                words, share = "{} at {}".format(*term.name), float(np.exp(shares[own].mean()))
+                found.append(Narrowing(effect=words, share=share))
         nats = 0.5 * (log_determinant(before) - log_determinant(after))
         return _Gains(narrowed=tuple(found), nats=float(nats))
 
@@ -607,7 +602,7 @@ class Player:
             else:
                 data.qfrc_applied[dofs] = effort
 
-        return followed(model, data, desired, self._interval, (at, dofs), command, self._sensors)
+        return followed(model, data, desired, self._interval, (at, dofs), command)
 
     def run(self, name: str, motion: PlannedMotion, *, noise: bool = False) -> Run:
         """Motion in the recording's columns, if wanted with the noise of its sensors."""
@@ -616,7 +611,11 @@ class Player:
         def read(values: Array, sd: Array | float) -> Array:
             return values + noise * sd * rng.standard_normal(values.shape)
 
-        sensors = {key: read(own, self._noise[key]) for key, own in motion.readings.items()}
+        sensors = dict[str, Array]()
+        for sensor in map(self._model.sensor, self._sensors):
+            own = motion.readings[:, int(sensor.adr[0]) :][:, : int(sensor.dim[0])]
+            own = own[:, 0] if own.shape[1] == 1 else own
+            sensors[sensor.name] = read(own, self._noise[sensor.name])
         controls, torques = dict[str, Array](), dict[str, Array]()
         if self.drive == "none":
             torques = {
@@ -722,9 +721,11 @@ def _played(
     wanted: Sequence[Motion] | None,
 ) -> tuple[list[tuple[Motion, PlannedMotion]], tuple[tuple[str, str], ...]]:
     """Motions that keep the limits under the corrected model, and the reasons of the others."""
+    unit = limits.unit
+    fast = replace(limits, speed=unit * np.max(limits.speed / unit))  # slower ones are reduced
 
     def checked(motion: Motion) -> tuple[PlannedMotion | None, str]:
-        desired = motion.commands(limits)
+        desired = motion.commands(fast)
         if len(desired) > settings.next_seconds * player.rate + 1:
             return None, f"it takes longer than {settings.next_seconds:g} s"
         planned = player.play(desired)

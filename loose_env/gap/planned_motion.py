@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -35,8 +35,8 @@ class PlannedMotion:
     """Joint speeds of the model [rad/s, m/s] (T, joints)."""
     torque: Array
     """Torque of the drives on the joints [N·m, N] (T, joints)."""
-    readings: Mapping[str, Array]
-    """Readings of sensors (T,) or (T, 3)."""
+    readings: Array
+    """Readings of all sensors of the model (T, sensordata)."""
     contacts: tuple[tuple[str, str], ...]
     """Pairs of bodies that touch and do not at the beginning."""
     saturated: tuple[str, ...]
@@ -129,7 +129,6 @@ def followed(
     interval: float,
     where: tuple[IndexArray, IndexArray],
     command: Callable[[int], None],
-    sensors: Sequence[str] = (),
 ) -> PlannedMotion:
     """Simulate a motion from a state, with a command at each sample, contacts included."""
     at, dofs = where
@@ -139,7 +138,7 @@ def followed(
     position, speed, torque = np.zeros((3, *desired.shape))
     controls = np.zeros((len(desired), model.nu))
     limited = np.flatnonzero(model.actuator_forcelimited)
-    seen: dict[str, list[Array]] = {name: [] for name in sensors}
+    readings = np.zeros((len(desired), model.nsensordata))
     for row in range(len(desired)):
         for _ in range(round(interval / model.opt.timestep) if row else 0):
             mujoco.mj_step(model, data)
@@ -147,8 +146,7 @@ def followed(
         mujoco.mj_forward(model, data)
         position[row], speed[row] = data.qpos[at], data.qvel[dofs]
         torque[row] = data.qfrc_actuator[dofs]
-        for name, values in seen.items():
-            values.append(np.array(data.sensor(name).data))
+        readings[row] = data.sensordata
         for k in limited:
             low, high = model.actuator_forcerange[k]
             if not low < data.actuator_force[k] < high:
@@ -158,16 +156,14 @@ def followed(
         torque[row] += data.qfrc_applied[dofs]
     return PlannedMotion(
         desired=desired, interval=interval, controls=controls, position=position, speed=speed,
-        torque=torque,
-        readings={name: np.squeeze(np.stack(values)) for name, values in seen.items()},
-        contacts=tuple(met), saturated=tuple(saturated),
+        torque=torque, readings=readings, contacts=tuple(met), saturated=tuple(saturated),
     )  # fmt: skip
 
 
 def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
     """Pairs of bodies in contact."""
     found = set()
-    for contact in data.contact[: data.ncon]:
+    for contact in map(data.contact.__getitem__, range(data.ncon)):
         if contact.dist <= 0:
             one, two = (model.body(int(model.geom_bodyid[g])).name for g in contact.geom)
             found.add((min(one, two), max(one, two)))
