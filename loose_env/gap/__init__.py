@@ -1,6 +1,6 @@
 """Model error: find, identify and correct the physical effects that a simulation lacks.
 
-Data flow: model -> runs -> simulator -> core -> output -> motions -> planned_motion -> next_motion
+Data flow: model -> runs -> simulator -> core -> output -> servo_arm -> motions -> next_motion
 -> explain, session; bank and belief use the core's columns for `Gap-v0`.
 """
 

@@ -9,7 +9,7 @@ that these columns explain.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,7 +24,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import Balance, Forces, scaled
 from loose_env.gap.core.catalogue import Term, shapes, terms_of
 from loose_env.gap.core.evidence import weight_of
-from loose_env.gap.core.find import silent
+from loose_env.gap.core.find import Say, silent
 from loose_env.gap.core.motion import Motion as Measured
 from loose_env.gap.core.motion import RunMotion, low_passed, rates
 from loose_env.gap.model.effect import Effect
@@ -76,7 +76,6 @@ _FORMAT = "gap evidence 1"
 """Version of what is stored; a change of the computation changes it."""
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +174,7 @@ class MotionBank:
     @cached_property
     def candidate(self) -> IndexArray:
         """Index of the candidate of each shape (H,)."""
-        index = {name: k for k, name in enumerate(self.names)}
-        return np.array([index[shape.name] for shape in self.shapes], dtype=np.intp)
+        return np.array([self.names.index(shape.name) for shape in self.shapes], dtype=np.intp)
 
     @property
     def nuisances(self) -> int:
@@ -492,19 +490,16 @@ def _evidence(
     say(f"columns of {len(shaped)} shapes along {words}: {motion.description}")
     planned, _ = check_motion(motion, arm)
     along = Along(arm, motion, arm.simulate(Hypothesis(), motion.commands(arm)))
-    nominal, windows, scales = along.residuals(), [], []
-    for form in ("commands", "torques"):
-        balance = along.balance if form == "commands" else Balance(
-            arm.machine, along.motions[form]
-        )  # fmt: skip
+    nominal, whitening = along.residuals(), []
+    for balance in (along.balance, Balance(arm.machine, along.motions["torques"])):
         balance.residual[:] = 0.0  # what the nominal model leaves is no knock
-        window, scale = zip(*(_whitening(balance, int(j)) for j in arm.driven), strict=True)
-        windows.append(np.stack(window, axis=1))
-        scales.append(np.stack(scale, axis=1))
+        parts = zip(*(_whitening(balance, int(j)) for j in arm.driven), strict=True)
+        whitening.append([np.stack(part, axis=1) for part in parts])
+    window, scale = (np.stack(each) for each in zip(*whitening, strict=True))
     own, terms = np.eye(len(arm.nominal.entries)), (shape.term for shape in shaped)
     series = np.stack([*map(along.tolerances, own), *along.columns(terms)], axis=1)
     found = MotionEvidence(
-        np.empty((0, 0), np.float32), nominal, np.stack(windows), np.stack(scales),
+        np.empty((0, 0), np.float32), nominal, window, scale,
         len(planned.desired) / arm.sensing.rate,
         float(np.sum((planned.torque / arm.torque_limits) ** 2)) / arm.sensing.rate,
     )  # fmt: skip

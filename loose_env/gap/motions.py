@@ -12,8 +12,7 @@ import numpy as np
 from annotated_types import Gt
 
 from loose_env.errors import InvalidSetting
-from loose_env.gap.planned_motion import MotionLimits, PlannedMotion, followed
-from loose_env.gap.servo_arm import ServoArm
+from loose_env.gap.servo_arm import MotionLimits, PlannedMotion, ServoArm, followed
 from loose_env.io import Checked, NonNegativeCount, Positive, Rule
 from loose_env.typing import Array, IndexArray
 

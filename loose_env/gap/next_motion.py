@@ -7,7 +7,7 @@ the predictions of two sets of effects apart, with all tolerances fitted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import ceil
 from pathlib import Path
@@ -21,7 +21,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import Balance
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import Channel, Evidence, whiten
-from loose_env.gap.core.find import Answer, silent
+from loose_env.gap.core.find import Answer, Say, silent
 from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.motion import Motion as Measured
 from loose_env.gap.core.motion import smooth
@@ -31,7 +31,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.motions import Motion, loaded_poses, long_motions, scaled_until
 from loose_env.gap.output.corrected_model import step_for
-from loose_env.gap.planned_motion import SLIDE, MotionLimits, PlannedMotion, followed
+from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed, force_limits
 from loose_env.inference import log_determinant
 from loose_env.io import (
     Checked,
@@ -47,7 +47,6 @@ from loose_env.recording import Recording, Run, table_of, write_csv, write_parqu
 from loose_env.statistics import noise_floor
 from loose_env.typing import Array, IndexArray
 
-Say = Callable[[str], None]
 CommandMode = Literal["position", "speed", "torque", "none"]
 """What commands of the recording's actuators are; "none" where runs have no commands."""
 NEXT_MOTION = "next_motion"
@@ -209,10 +208,11 @@ class _Gains:
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One member of a pair: the effect with its values, and the shapes in which it is fitted."""
+    """One member of a pair: the effect as it was fitted, and the shapes in which it is fitted."""
 
     term: Term
-    values: Array
+    coefficients: Array
+    """Of its columns."""
     shapes: tuple[Term, ...]
 
     @property
@@ -246,7 +246,7 @@ def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
     machine, form = selection.evidence.balance.machine, selection.whole(fit.powers, fit)
     found, beside = [], {(kind, where) for _, kind, where in decision.rivals}
     rests = {t: tuple(o for o in fit.terms if o is not t) for t in fit.terms}
-    sides = {f.term: Side(f.term, f.values, (f.term,)) for f in decision.findings}
+    sides = {f.term: _side(selection, fit, f.term, (f.term,)) for f in decision.findings}
     for own in decision.findings:
         near = neighbours(machine, own.term.effect.where)
         likely = {name for name in beside if name[1] in near} | set(own.confusable)
@@ -280,8 +280,12 @@ def _fitted(
     if not fits:
         return None
     best, term = min(fits, key=lambda pair: pair[0].total)
-    own = np.searchsorted(best.numbers, selection.evidence.columns_of(term))
-    return Side(term, term.values(best.values[own]), shapes), best
+    return _side(selection, best, term, shapes), best
+
+
+def _side(selection: Selection, fit: SetFit, term: Term, shapes: Set) -> Side:
+    """Effect of a fitted set."""
+    return Side(term, fit.values[fit.places(selection.evidence.columns_of(term))], shapes)
 
 
 class Questions:
@@ -289,19 +293,18 @@ class Questions:
 
     def __init__(self, answer: Answer, pairs: Sequence[OpenPair], player: Player) -> None:
         self.answer, self.pairs, self.player = answer, tuple(pairs), player
-        findings = answer.decision.findings
-        self._named = tuple(f.term for f in findings if f.named)
-        self._found = [Side(f.term, f.values, (f.term,)) for f in findings]
-        more = [s for pair in self.pairs for s in (pair.effect, pair.rival) if s is not None]
-        self._sides = [*self._found, *more]
-        terms = [*answer.decision.fit.terms, *(t for side in more for t in side.shapes)]
+        selection, decision = answer.selection, answer.decision
+        self._named = tuple(f.term for f in decision.findings if f.named)
+        self._found = [_side(selection, decision.fit, f.term, ()) for f in decision.findings]
+        sides = [s for pair in self.pairs for s in (pair.effect, pair.rival) if s is not None]
+        terms = [*decision.fit.terms, *(t for s in sides for t in (s.term, *s.shapes))]
         self._terms = {id(term): term for term in terms}
 
     def gains(self, motions: Sequence[PlannedMotion]) -> list[_Gains]:
         """Expected gains of motions, as many together as memory holds."""
         evidence = self.answer.selection.evidence
         thin = round(evidence.balance.motion.step * self.player.rate)
-        columns = len(evidence.nuisances) + len(self._terms) + len(self._sides)
+        columns = len(evidence.nuisances) + sum(len(t.columns) for t in self._terms.values())
         longest = max(len(motion.desired) for motion in motions) // thin
         most = max(_MEMORY // (columns * len(evidence.balance.channels) * longest), 1)
         groups = (motions[k : k + most] for k in range(0, len(motions), most))
@@ -315,18 +318,15 @@ class Questions:
         more = (self.player.run(n, m, noise=True) for n, m in zip(names, motions, strict=True))
         motion = smooth(replace(recording, runs=(*recording.runs, *more)), machine)
         balance = Balance(machine, motion)
-        again = {key: _along(balance, t, t.axes, t.law) for key, t in self._terms.items()}
-        at_values = {
-            id(s): _along(balance, s.term, (tuple(map(float, s.values)),), True)
-            for s in self._sides
+        again = {
+            key: own
+            for key, t in self._terms.items()
+            for own in terms_of(balance, t.effect, t.axes, t.law, (t.contact,))
+            if len(own.columns) == len(t.columns)  # else the motion does not show it
         }
-        terms = [t for t in (*again.values(), *at_values.values()) if t is not None]
-        evidence = whiten(balance, terms, nuisances(balance, tolerances), law=tolerances.law)
-
-        def columns(known: Mapping[int, Term | None]) -> dict[int, tuple[int, ...]]:
-            return {k: evidence.columns_of(t) if t is not None else () for k, t in known.items()}
-
-        asked = _Asked(evidence, columns(again), columns(at_values))
+        found = nuisances(balance, tolerances)
+        evidence = whiten(balance, list(again.values()), found, law=tolerances.law)
+        asked = _Asked(evidence, {key: evidence.columns_of(own) for key, own in again.items()})
         grams = self._grams(asked)
         run_of = {run.name: k for k, run in enumerate(motion.runs)}
         new = [run_of[name] for name in names]
@@ -340,12 +340,14 @@ class Questions:
         """
         evidence = asked.evidence
         found = np.zeros((len(evidence.balance.motion.runs), *2 * [len(evidence.centre)]))
-        own = [k for side in self._found for k in asked.at_values[id(side)]]
+        force = np.zeros(len(evidence.centre))
+        for side in self._found:
+            if id(side.term) in asked.columns:
+                force[list(asked.columns[id(side.term)])] = side.coefficients
         for channel in evidence.channels:
             at, weight = channel.columns, self._weight(channel)
-            among = np.flatnonzero(np.isin(at, own))
-            missed = evidence.inexact[at[among]] ** 2 * channel.square[:, among]
-            weight = weight * channel.count / (channel.count + missed.sum(axis=1))
+            missed = channel.square @ (evidence.inexact[at] * force[at]) ** 2
+            weight = weight * channel.count / (channel.count + missed)
             every = np.arange(len(at))
             for run in _moving(evidence.balance, channel):
                 own_cells = weight * (channel.run == run)
@@ -390,30 +392,23 @@ def _moving(balance: Balance, channel: Channel) -> list[int]:
     return [int(run) for run in np.flatnonzero(speeds > _STANDS * speeds.max())]
 
 
-def _along(
-    balance: Balance, term: Term, axes: tuple[tuple[float, ...], ...], law: bool
-) -> Term | None:
-    """An effect with its columns along another motion; None if that does not show it."""
-    return next(iter(terms_of(balance, term.effect, axes, law, (term.contact,))), None)
-
-
 @dataclass(frozen=True, eq=False)
 class _Asked:
     """Effects in question in the evidence of recorded and planned runs."""
 
     evidence: Evidence
-    again: Mapping[int, tuple[int, ...]]
-    """Columns of each term, by its identity."""
-    at_values: Mapping[int, tuple[int, ...]]
-    """Column of the force of each side at its values, by its identity."""
+    columns: Mapping[int, tuple[int, ...]]
+    """Columns of each term that shows, by its identity."""
 
-    def columns(self, terms: Sequence[Term]) -> IndexArray:
+    def of(self, terms: Sequence[Term]) -> IndexArray:
         """Columns of some effects."""
-        return np.array(sorted({k for t in terms for k in self.again[id(t)]}), dtype=np.intp)
+        found = {k for term in terms for k in self.columns.get(id(term), ())}
+        return np.array(sorted(found), dtype=np.intp)
 
-    def _beside(self, terms: Sequence[Term]) -> IndexArray:
-        """The same, those of the tolerances first."""
-        return np.concatenate([np.arange(self.evidence.tolerances), self.columns(terms)])
+    def beside(self, terms: Sequence[Term]) -> tuple[IndexArray, Array]:
+        """Columns of the tolerances and of some effects, and their prior precision (K, K)."""
+        numbers = np.concatenate([np.arange(self.evidence.tolerances), self.of(terms)])
+        return numbers, np.diag(self.evidence.precision[numbers])
 
     def apart(
         self, true: Side | None, other: Side | None, rest: Set, old: Array, joint: Array
@@ -423,34 +418,35 @@ class _Asked:
         Of what one effect does, in noise standard deviations, beyond the other effect in any of
         its shapes, the common effects and all tolerances.
         """
-        if true is None or not self.at_values[id(true)]:
+        at = [] if true is None else list(self.columns.get(id(true.term), ()))
+        if true is None or not at:
             return 0.0
-        at = self.at_values[id(true)][0]
         shapes: list[Set] = [()] if other is None else [(shape,) for shape in other.shapes]
-        ends = [min(self._left(gram, at, rest, shape) for shape in shapes) for gram in (old, joint)]
+        force, ends = true.coefficients, []
+        for gram in (old, joint):
+            square, cross = force @ gram[np.ix_(at, at)] @ force, gram[:, at] @ force
+            ends.append(min(self._left(gram, square, cross, rest, shape) for shape in shapes))
         return 0.5 * max(ends[1] - ends[0], 0.0)
 
-    def _left(self, gram: Array, at: int, rest: Set, shape: Set) -> float:
-        """Squared distance of a column from what a set of effects can do, and what that costs."""
-        numbers = self._beside((*rest, *shape))
-        precision = np.diag(self.evidence.precision[numbers])
+    def _left(self, gram: Array, square: float, cross: Array, rest: Set, shape: Set) -> float:
+        """Squared distance of a force from what a set of effects can do, and what that costs."""
+        numbers, precision = self.beside((*rest, *shape))
         # common effects may change by their priors; a law begins at its size
-        own = np.isin(numbers, self.columns(shape))
+        own = np.isin(numbers, self.of(shape))
         centre = np.where(own, self.evidence.centre[numbers], 0.0)
-        normal, cross = gram[np.ix_(numbers, numbers)], gram[numbers, at][:, None]
-        return float(unexplained(gram[at, [at]], cross, normal, precision, centre)[0])
+        normal, slope = gram[np.ix_(numbers, numbers)], cross[numbers][:, None]
+        return float(unexplained(np.array([square]), slope, normal, precision, centre)[0])
 
     def narrowing(self, named: Set, terms: Set, old: Array, joint: Array) -> _Gains:
         """Fall of the covariance of named effects beside all others and the tolerances."""
-        numbers, wanted = self._beside(terms), self.columns(named)
+        (numbers, prior), wanted = self.beside(terms), self.of(named)
         inner = np.searchsorted(numbers, wanted)
-        prior = np.diag(self.evidence.precision[numbers])
         wholes = (np.linalg.inv(gram[np.ix_(numbers, numbers)] + prior) for gram in (old, joint))
         before, after = (np.asarray(whole[np.ix_(inner, inner)], float) for whole in wholes)
         shares = 0.5 * np.log(np.diag(after) / np.diag(before))
         found = []
         for term in named:
-            own = np.isin(wanted, self.columns((term,)))
+            own = np.isin(wanted, self.of((term,)))
             if own.any():
                 words, share = "{} at {}".format(*term.name), float(np.exp(shares[own].mean()))
                 found.append(Narrowing(effect=words, share=share))
@@ -479,10 +475,8 @@ def limits_of(
         seen, of_speed = np.abs(motion.stacked("speed")).max(axis=0), "the fastest of the runs"
         # a joint that never moved may move as fast as others
         speed = np.where(seen > 0.05 * seen.max(), seen, max(float(seen.max()), 0.1))
-    strength = np.abs(model.actuator_forcerange).min(axis=1)
-    strength[model.actuator_forcelimited == 0] = np.inf
     gears = np.abs(_gears(machine))
-    torque = (gears * np.where(gears > 0, strength, 0.0)).sum(axis=1)
+    torque = (gears * np.where(gears > 0, force_limits(model), 0.0)).sum(axis=1)
     torque[torque == 0] = np.inf
     of_joint = np.abs(model.jnt_actfrcrange).min(axis=1)
     torque = np.minimum(torque, np.where(model.jnt_actfrclimited, of_joint, np.inf))
@@ -556,6 +550,7 @@ class Player:
             )
         self.drive: CommandMode = drive_of(machine) if "forward" in forms else "none"
         self._interval = _interval(motion)
+        self.rate = 1.0 / self._interval
         step = min(machine.time_step, step_for(machine, corrected))
         parts = ceil(self._interval / step - 1e-9)
         self._model = corrected.model(
@@ -568,11 +563,6 @@ class Player:
         self._sensors = [name for name in machine.sensors if name in common]
         self._noise = _noise([run.sensors for run in recording.runs])
         self._torque_noise = _noise([run.torques for run in recording.runs])
-
-    @property
-    def rate(self) -> float:
-        """Sample rate [1/s]."""
-        return 1.0 / self._interval
 
     def play(self, desired: Array) -> PlannedMotion:
         """Play desired joint positions (T, joints), sampled as the recording, on the model."""
@@ -695,17 +685,13 @@ def choose_next(
         say("next motion: none tells more than the same runs once more")
         return None
     run = player.run(NEXT_MOTION, planned)
-    shown = {
-        "first_pose": limits.home, "low": limits.low, "high": limits.high, "speed": limits.speed,
-        "torque": limits.torque,
-    }  # fmt: skip
     chosen = NextMotion(
         words=motion.described(limits.joints), seconds=float(planned.time[-1]), pairs=gains.pairs,
         narrowed=gains.narrowed, checked=limits.notes(planned), motion=asdict(motion),
         limits={
-            "joints": list(limits.joints),
-            **{name: [float(v) if np.isfinite(v) else None for v in values]
-               for name, values in shown.items()},
+            "joints": list(limits.joints), "first_pose": limits.home.tolist(),
+            "low": limits.low.tolist(), "high": limits.high.tolist(),
+            "speed": limits.speed.tolist(), "torque": limits.torque.tolist(),
             "sources": dict(zip(("position", "speed", "torque"), limits.sources, strict=True)),
         },
         settings=asdict(settings), considered=len(fitting), refused=refused,

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap import (
     NEXT_MOTION,
@@ -31,7 +32,7 @@ from loose_env.gap.core.decision import decide
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.next_motion import NOTHING, Player, drive_of, limits_of, open_pairs
-from loose_env.gap.planned_motion import MotionLimits
+from loose_env.gap.servo_arm import MotionLimits
 from loose_env.recording import Recording, Run, read_recording, write_recording
 from loose_env.typing import Array
 
@@ -71,16 +72,19 @@ LIBRARY = (
 )
 
 
-def way(seconds: float, moves: float, to: Array) -> Array:
-    """Commands from home to a pose and to rest (T, 2)."""
+def way(seconds: float, moves: float, to: Array, home: Array = HOME) -> Array:
+    """Commands from home to a pose and to rest (T, joints)."""
     s = np.clip((np.arange(round(seconds * RATE)) / RATE - 0.3) / moves, 0, 1)[:, None]
-    return np.asarray(HOME + s**3 * (10 - 15 * s + 6 * s**2) * (to - HOME))
+    return np.asarray(home + s**3 * (10 - 15 * s + 6 * s**2) * (to - home))
 
 
-def recorded(name: str, commands: Array) -> Run:
-    """A run of the arm with dry friction at the elbow."""
-    spec = mujoco.MjSpec.from_string(MODEL)
-    spec.joint("elbow").frictionloss = FRICTION
+def recorded(
+    name: str, commands: Array, spec: mujoco.MjSpec | None = None, at: str = "elbow"
+) -> Run:
+    """A run of an arm with dry friction at a joint, the elbow of the two joints."""
+    spec = mujoco.MjSpec.from_string(MODEL) if spec is None else spec.copy()
+    spec.joint(at).frictionloss = FRICTION
+    spec.option.timestep = 1 / RATE
     model, rng = spec.compile(), np.random.default_rng(len(name))
     data, shown = mujoco.MjData(model), np.zeros_like(commands)
     data.qpos[:], data.ctrl[:] = commands[0], commands[0]
@@ -92,8 +96,8 @@ def recorded(name: str, commands: Array) -> Run:
     shown += rng.normal(0, 2e-5, shown.shape)
     return Run(
         name=name, time=np.arange(len(commands)) / RATE,
-        controls={"one": commands[:, 0], "two": commands[:, 1]},
-        sensors={"q1": shown[:, 0], "q2": shown[:, 1]},
+        controls={model.actuator(k).name: own for k, own in enumerate(commands.T)},
+        sensors={model.sensor(k).name: own for k, own in enumerate(shown.T)},
     )  # fmt: skip
 
 
@@ -243,3 +247,32 @@ def test_torque_commands_and_torque_logs_follow_the_desired_positions(
     run = player.run("log", played, noise=True)
     assert np.abs(played.position - played.desired).max() < 0.05
     assert run.comparison == "inverse" and set(run.torques) == {"shoulder", "elbow"}
+
+
+@pytest.mark.slow
+def test_the_library_of_a_six_joint_arm_has_a_motion_that_shows_what_is_open(
+    tmp_path: Path,
+) -> None:
+    spec = mujoco.MjSpec.from_file(str(SIX_AXIS_SERVO_ARM))
+    names = [joint.name for joint in spec.joints]
+    for name in names:
+        spec.add_sensor(
+            name=f"{name}_pos", type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name,
+        )  # fmt: skip
+    home = np.array(spec.keys[0].qpos)
+    ends = home + 0.2 * np.array([[1, -1, 1, -1, 1, -1], [-1, -1, 1, 1, 1.2, 1]])
+    runs = [
+        recorded(f"{'a' * k}.csv", way(3, 2.4, end, home), spec, at="joint5")
+        for k, end in enumerate(ends, 1)
+    ]
+    found = find_gap(write_recording(tmp_path, model_xml=spec.to_xml(), runs=runs), KINDS)
+    named = [f for f in found.decision.findings if f.named]
+    corrected = Hypothesis(tuple(f.term.effect for f in named), tuple(f.values for f in named))
+    chosen = choose_next(found, corrected)
+    assert chosen is not None
+    motion, run = chosen
+    assert motion.considered > 20 and "joint5" in motion.words
+    assert set(run.controls) == {f"motor{k}" for k in range(1, 7)}
+    gains = [pair.nats for pair in motion.pairs if pair.separates]
+    assert gains or min(each.share for each in motion.narrowed) < 0.7
