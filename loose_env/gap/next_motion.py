@@ -424,18 +424,19 @@ class _Asked:
         shapes: list[Set] = [()] if other is None else [(shape,) for shape in other.shapes]
         force, ends = true.coefficients, []
         for gram in (old, joint):
-            square, cross = force @ gram[np.ix_(at, at)] @ force, gram[:, at] @ force
+            cross = gram[:, at] @ force
+            square = np.array([force @ cross[at]])
             ends.append(min(self._left(gram, square, cross, rest, shape) for shape in shapes))
         return 0.5 * max(ends[1] - ends[0], 0.0)
 
-    def _left(self, gram: Array, square: float, cross: Array, rest: Set, shape: Set) -> float:
+    def _left(self, gram: Array, square: Array, cross: Array, rest: Set, shape: Set) -> float:
         """Squared distance of a force from what a set of effects can do, and what that costs."""
         numbers, precision = self.beside((*rest, *shape))
         # common effects may change by their priors; a law begins at its size
         own = np.isin(numbers, self.of(shape))
         centre = np.where(own, self.evidence.centre[numbers], 0.0)
         normal, slope = gram[np.ix_(numbers, numbers)], cross[numbers][:, None]
-        return float(unexplained(np.array([square]), slope, normal, precision, centre)[0])
+        return float(unexplained(square, slope, normal, precision, centre)[0])
 
     def narrowing(self, named: Set, terms: Set, old: Array, joint: Array) -> _Gains:
         """Fall of the covariance of named effects beside all others and the tolerances."""
