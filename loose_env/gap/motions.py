@@ -76,11 +76,13 @@ class Motion(Checked):
     @property
     def description(self) -> str:
         """Kind, joints and size of the motion."""
-        return self.described([f"joint {k + 1}" for k in range(max(self.joints) + 1)])
+        # one name more: whether these are all joints is not known
+        return self.described([f"joint {k + 1}" for k in range(max(self.joints) + 2)])
 
     def described(self, names: Sequence[str]) -> str:
         """Kind, joints by their names, and size of the motion."""
-        which = ", ".join(names[j] for j in self.joints)
+        every = len(self.joints) == len(names) > 1
+        which = "all joints" if every else ", ".join(names[j] for j in self.joints)
         size = f"{self.amplitude:.2f} rad at {self.speed:.2f} rad/s"
         pose = ", ".join(f"{value:.2f}" for value in self.centre or ())
         where = f" about ({pose})" if pose else ""
