@@ -31,11 +31,11 @@ from loose_env.gap import (
     read_effects,
     read_source,
     solve_gap,
-    summary_of,
     write_export,
     write_gap,
 )
 from loose_env.io import json_text
+from loose_env.recording import Run
 from loose_env.report import (
     check_text,
     gap_text,
@@ -182,7 +182,7 @@ class Gap(GapSettings, OnRecording):
 
 def _next(
     found: GapSolution, settings: NextMotionSettings, console: Console
-) -> tuple[GapSolution, NextMotion | None, list[str]]:
+) -> tuple[GapSolution, tuple[NextMotion, Run] | None, list[str]]:
     """Choose the next motion, and say why there is none; the result does not depend on it."""
     try:
         motion = choose_next(found.answer, found.corrected, settings, say=console.say)
@@ -192,7 +192,7 @@ def _next(
         return found, None, ["next motion: none, for the reason in the warnings"]
     if motion is None:
         return found, None, ["next motion: none; nothing is left that a motion would tell"]
-    return found, motion, next_motion_lines(summary_of(motion))
+    return found, motion, next_motion_lines(motion[0])
 
 
 def _check_rerun(file: Path | None) -> None:

@@ -106,7 +106,7 @@ class HiddenMachine:
         """Measure a motion of the library: readings with noise (n, C); NaN if it diverged."""
         arm = self.bank.arm
         commands = self.bank.library[motion].commands(arm)
-        return arm.measured(arm.simulate([self.hypothesis], commands)[0], rng)
+        return arm.measured(arm.simulate(self.hypothesis, commands), rng)
 
 
 @dataclass(frozen=True, kw_only=True)

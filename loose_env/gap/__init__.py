@@ -1,6 +1,6 @@
 """Model error: find, identify and correct the physical effects that a simulation lacks.
 
-Data flow: model -> runs -> simulator -> core -> output -> motions -> planned_motion -> next_motion
+Data flow: model -> runs -> simulator -> core -> output -> servo_arm -> motions -> next_motion
 -> explain, session; bank and belief use the core's columns for `Gap-v0`.
 """
 
@@ -32,11 +32,10 @@ from loose_env.gap.motions import (
 from loose_env.gap.next_motion import (
     NEXT_MOTION,
     NextMotion,
-    NextMotionSummary,
+    NextMotionSettings,
     choose_next,
     next_motion_lines,
     read_next_motion,
-    summary_of,
     write_next_motion,
 )
 from loose_env.gap.output.advice import effect_words, how_to_see, how_to_separate, kind_words
@@ -62,7 +61,6 @@ from loose_env.gap.output.result import (
     VisibleEffect,
     read_result,
 )
-from loose_env.gap.planned_motion import NextMotionSettings
 from loose_env.gap.servo_arm import ServoArm, read_servo_arm
 from loose_env.gap.session import GapSession
 from loose_env.gap.settings import GapSettings
@@ -96,7 +94,6 @@ __all__ = [
     "NamedEffect",
     "NextMotion",
     "NextMotionSettings",
-    "NextMotionSummary",
     "Outlook",
     "Parameter",
     "Played",
@@ -135,7 +132,6 @@ __all__ = [
     "register",
     "scaled_to_fit",
     "solve_gap",
-    "summary_of",
     "write_export",
     "write_gap",
     "write_model",

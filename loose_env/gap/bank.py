@@ -9,7 +9,7 @@ that these columns explain.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,13 +24,13 @@ from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import Balance, Forces, scaled
 from loose_env.gap.core.catalogue import Term, shapes, terms_of
 from loose_env.gap.core.evidence import weight_of
-from loose_env.gap.core.find import silent
+from loose_env.gap.core.find import Say, silent
 from loose_env.gap.core.motion import Motion as Measured
 from loose_env.gap.core.motion import RunMotion, low_passed, rates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.motions import Motion, battery, check_motion, wear_of
+from loose_env.gap.motions import Motion, battery, check_motion
 from loose_env.gap.servo_arm import ServoArm
 from loose_env.typing import Array, IndexArray
 
@@ -76,7 +76,6 @@ _FORMAT = "gap evidence 1"
 """Version of what is stored; a change of the computation changes it."""
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +174,7 @@ class MotionBank:
     @cached_property
     def candidate(self) -> IndexArray:
         """Index of the candidate of each shape (H,)."""
-        index = {name: k for k, name in enumerate(self.names)}
-        return np.array([index[shape.name] for shape in self.shapes], dtype=np.intp)
+        return np.array([self.names.index(shape.name) for shape in self.shapes], dtype=np.intp)
 
     @property
     def nuisances(self) -> int:
@@ -184,10 +182,34 @@ class MotionBank:
         return len(self.arm.nominal.entries)
 
     @cached_property
+    def _coefficients(self) -> Array:
+        """Precision, centre, low and high of each coefficient, and of none (4, V + 1)."""
+        columns = [column for shape in self.shapes for column in shape.term.columns]
+        known = [(c.spread**-2, c.centre, c.low, c.high) for c in columns]
+        none = (1.0, 0.0, -np.inf, np.inf)
+        return np.array([none] * self.nuisances + known + [none]).T
+
+    @property
     def precision(self) -> Array:
         """Prior precisions of all coefficients (V,)."""
-        columns = [column for shape in self.shapes for column in shape.term.columns]
-        return np.array([1.0] * self.nuisances + [column.spread**-2 for column in columns])
+        return np.asarray(self._coefficients[0, :-1])
+
+    @property
+    def centre(self) -> Array:
+        """Prior means of all coefficients (V,)."""
+        return np.asarray(self._coefficients[1, :-1])
+
+    @cached_property
+    def padded(self) -> IndexArray:
+        """Columns of every shape, those of narrower ones filled up by none (H, Q)."""
+        width = max(len(shape.at) for shape in self.shapes)
+        none = self._coefficients.shape[1] - 1
+        return np.array([[*s.at, *[none] * (width - len(s.at))] for s in self.shapes])
+
+    @cached_property
+    def priors(self) -> Array:
+        """Precision, centre, low and high of the coefficients of every shape (4, H, Q)."""
+        return np.asarray(self._coefficients[:, self.padded])
 
     @cached_property
     def beyond(self) -> Array:
@@ -332,7 +354,7 @@ def _played(arm: ServoArm, commands: Array, readings: Array) -> dict[Form, Measu
 def _shapes_of(arm: ServoArm, motions: Sequence[Motion], kinds: Sequence[str]) -> list[Shape]:
     """Shapes of all candidates, with the priors that they have along some motions."""
     runs = [
-        _played(arm, commands, arm.simulate([Hypothesis()], commands)[0])["commands"]
+        _played(arm, commands, arm.simulate(Hypothesis(), commands))["commands"]
         for commands in (motion.commands(arm) for motion in motions)
     ]
     measured = replace(runs[0], runs=tuple(run for each in runs for run in each.runs))
@@ -466,21 +488,19 @@ def _evidence(
     """Play a motion with the nominal model, and whiten the columns of all shapes along it."""
     say(f"columns of {len(shaped)} shapes along {words}: {motion.description}")
     planned, _ = check_motion(motion, arm)
-    along = Along(arm, motion, arm.simulate([Hypothesis()], motion.commands(arm))[0])
-    nominal, windows, scales = along.residuals(), [], []
-    for form in ("commands", "torques"):
-        balance = along.balance if form == "commands" else Balance(
-            arm.machine, along.motions[form]
-        )  # fmt: skip
+    along = Along(arm, motion, arm.simulate(Hypothesis(), motion.commands(arm)))
+    nominal, whitening = along.residuals(), []
+    for balance in (along.balance, Balance(arm.machine, along.motions["torques"])):
         balance.residual[:] = 0.0  # what the nominal model leaves is no knock
-        window, scale = zip(*(_whitening(balance, int(j)) for j in arm.driven), strict=True)
-        windows.append(np.stack(window, axis=1))
-        scales.append(np.stack(scale, axis=1))
+        parts = zip(*(_whitening(balance, int(j)) for j in arm.driven), strict=True)
+        whitening.append([np.stack(part, axis=1) for part in parts])
+    window, scale = (np.stack(each) for each in zip(*whitening, strict=True))
     own, terms = np.eye(len(arm.nominal.entries)), (shape.term for shape in shaped)
     series = np.stack([*map(along.tolerances, own), *along.columns(terms)], axis=1)
     found = MotionEvidence(
-        np.empty((0, 0), np.float32), nominal, np.stack(windows), np.stack(scales),
-        len(planned.time) / arm.sensing.rate, wear_of(planned, arm),
+        np.empty((0, 0), np.float32), nominal, window, scale,
+        len(planned.desired) / arm.sensing.rate,
+        float(np.sum((planned.torque / arm.torque_limits) ** 2)) / arm.sensing.rate,
     )  # fmt: skip
     return replace(found, rows=found.whitened(series).T.astype(np.float32))
 

@@ -16,15 +16,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Lt
 
 from loose_env.errors import InvalidSetting
-from loose_env.gap.bank import VISIBLE, Along, MotionBank, MotionEvidence, Shape, beyond
+from loose_env.gap.bank import VISIBLE, Along, MotionBank, MotionEvidence, beyond
 from loose_env.gap.core.find import silent
 from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.tolerances import Tolerances
 from loose_env.inference import information_bound
+from loose_env.io import Checked, Probability, Rule
 from loose_env.typing import Array, IndexArray
 
 _FIRST, _SWAPS = 24, 10
@@ -44,7 +47,7 @@ _OUT = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class BeliefSettings:
+class BeliefSettings(Checked):
     """Priors and errors of the belief.
 
     Examples
@@ -55,22 +58,21 @@ class BeliefSettings:
     loose_env.errors.InvalidSetting: none and single are probabilities of at most 1 in all, ...
     """
 
-    none: float = 0.2
+    none: Probability = 0.2
     """Prior probability that no effect is missing."""
-    single: float = 0.5
+    single: Probability = 0.5
     """Prior probability that one is; two otherwise."""
-    linearisation: float = 0.02
+    linearisation: Annotated[float, Rule("a share from 0 to below 1", (Ge(0), Lt(1)))] = 0.02
     """Error of the columns over the length of the residual that they explain [1]."""
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if not (self.none > 0 and self.single > 0 and self.none + self.single <= 1):
+        super().__post_init__()
+        if self.none + self.single > 1:
             raise InvalidSetting(
-                "none and single are probabilities of at most 1 in all, above 0 each, got "
+                "none and single are probabilities of at most 1 in all, got "
                 f"{self.none!r} and {self.single!r}"
             )
-        if not 0 <= self.linearisation < 1:
-            raise InvalidSetting(f"linearisation is a share below 1, got {self.linearisation!r}")
 
     def log_prior(self, count: int, candidates: int) -> float:
         """Log prior probability of one set of some number of effects."""
@@ -115,8 +117,6 @@ class Posterior:
 
     sets: tuple[HypothesisSet, ...]
     """By decreasing probability."""
-    names: tuple[str, ...]
-    """All candidates."""
     marginal: Array
     """Probability that each candidate is among the missing effects (names,)."""
     log_evidence: Array
@@ -145,29 +145,6 @@ class _Fit:
     chi2: float
 
 
-class _Shapes:
-    """Columns of all shapes of a bank in one array, those of narrower ones filled up."""
-
-    def __init__(self, bank: MotionBank) -> None:
-        self.bank, self.count = bank, len(bank.shapes)
-        width = max(len(shape.at) for shape in bank.shapes)
-        self.at = np.full((self.count, width), len(bank.precision), dtype=np.intp)
-        self.centre, self.precision = np.zeros((self.count, width)), np.ones((self.count, width))
-        self.low = np.full((self.count, width), -np.inf)
-        self.high = -self.low
-        for h, shape in enumerate(bank.shapes):
-            own = slice(0, len(shape.at))
-            self.at[h, own], self.centre[h, own] = shape.at, shape.centre
-            self.precision[h, own] = bank.precision[list(shape.at)]
-            self.low[h, own] = [column.low for column in shape.term.columns]
-            self.high[h, own] = [column.high for column in shape.term.columns]
-        counts = np.bincount(bank.candidate, minlength=len(bank.names))
-        self.log_prior = -np.log(counts[bank.candidate])
-        self.prior_centre = np.zeros(len(bank.precision))
-        for shape in bank.shapes:
-            self.prior_centre[list(shape.at)] = shape.centre
-
-
 class Belief:
     """Belief about one machine, updated by measured motions.
 
@@ -181,7 +158,6 @@ class Belief:
 
     def __init__(self, bank: MotionBank, settings: BeliefSettings | None = None) -> None:
         self.bank, self.settings = bank, settings or BeliefSettings()
-        self.shapes = _shapes_of(bank)
         self.sums: dict[int, Array] = {}
         """Motion -> sum of the residuals of its repetitions (R,)."""
         self.counts: dict[int, int] = {}
@@ -204,7 +180,7 @@ class Belief:
 
     def _set(self, motion: int, total: Array) -> None:
         self.sums[motion] = total
-        for name in ("evidence", "posterior"):
+        for name in ("products", "posterior"):
             self.__dict__.pop(name, None)
 
     def _bent(self, found: MotionEvidence, measured: Along) -> Array:
@@ -213,7 +189,7 @@ class Belief:
         The machine moves a little otherwise, and its forces with it.
         """
         own = self.posterior.best.shapes
-        fit, free = self.evidence.fit(own), self.bank.nuisances
+        fit, free = self.products.fit(own), self.bank.nuisances
         terms = [self.bank.shapes[h].term for h in own]
         moved = measured.tolerances(fit.values[:free])
         for value, column in zip(fit.values[free:], measured.columns(terms), strict=True):
@@ -221,27 +197,32 @@ class Belief:
         return found.whitened(moved) - found.rows[:, fit.at] @ fit.values
 
     @cached_property
-    def evidence(self) -> Evidence:
-        """Products of all columns and residuals of the motions so far."""
-        return Evidence.of(self)
+    def products(self) -> Products:
+        """Products of all columns and residuals, motions weighted by their errors."""
+        count = len(self.bank.precision)
+        gram, right, power, dof = np.zeros((count, count)), np.zeros(count), 0.0, 0
+        for motion, total in self.sums.items():
+            own, repeated = self.bank.evidence[motion], self.counts[motion]
+            mean = total / repeated
+            square = float(mean @ mean)
+            weight = 1 / (1 / repeated + self.settings.linearisation**2 * square / _DIRECTIONS)
+            gram += weight * own.gram
+            right += weight * (mean @ own.rows)
+            power += weight * square
+            dof += len(mean)
+        return Products(self.bank, gram, right, power, dof)
 
     @cached_property
     def posterior(self) -> Posterior:
         """Posterior over sets of effects, given all motions so far."""
-        return _posterior(self.evidence, self.settings)
-
-
-@cache
-def _shapes_of(bank: MotionBank) -> _Shapes:
-    """Shapes of a bank, in arrays."""
-    return _Shapes(bank)
+        return _posterior(self.products, self.settings)
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Products:
     """Products of all columns and residuals of the measured motions."""
 
-    shapes: _Shapes
+    bank: MotionBank
     gram: Array
     """Of the columns (V, V)."""
     right: Array
@@ -251,27 +232,11 @@ class Evidence:
     dof: int
     """Numbers in all residuals."""
 
-    @classmethod
-    def of(cls, belief: Belief) -> Evidence:
-        """Sum them over the motions, each by its noise and the error of its columns."""
-        count = len(belief.bank.precision)
-        gram, right, power, dof = np.zeros((count, count)), np.zeros(count), 0.0, 0
-        for motion, total in belief.sums.items():
-            own, repeated = belief.bank.evidence[motion], belief.counts[motion]
-            mean = total / repeated
-            square = float(mean @ mean)
-            weight = 1 / (1 / repeated + belief.settings.linearisation**2 * square / _DIRECTIONS)
-            gram += weight * own.gram
-            right += weight * (mean @ own.rows)
-            power += weight * square
-            dof += len(mean)
-        return cls(belief.shapes, gram, right, power, dof)
-
     def fit(self, own: Sequence[int] = ()) -> _Fit:
         """Nominal parameters, then the columns of some shapes."""
-        bank, shapes = self.shapes.bank, self.shapes
+        bank = self.bank
         at = np.array([*range(bank.nuisances), *(k for h in own for k in bank.shapes[h].at)])
-        precision, centre = bank.precision[at], shapes.prior_centre[at]
+        precision, centre = bank.precision[at], bank.centre[at]
         covariance = np.asarray(np.linalg.inv(self.gram[np.ix_(at, at)] + np.diag(precision)))
         slope = self.right[at] + precision * centre
         values = covariance @ slope
@@ -286,7 +251,7 @@ class Evidence:
     @cached_property
     def _beyond(self) -> tuple[Array, Array]:
         """Products that nominal parameters cannot explain, padded by a column of nothing."""
-        free = self.shapes.bank.nuisances
+        free = self.bank.nuisances
         gram = beyond(self.gram, free)
         right = self.right - self.gram[:, :free] @ self.nominal.values
         return np.pad(gram, ((0, 1), (0, 1))), np.pad(right, (0, 1))
@@ -295,13 +260,13 @@ class Evidence:
     def alone(self) -> tuple[Array, Array, Array, Array]:
         """χ² (H,), half log determinant (H,), coefficients (H, Q) and covariances of one shape."""
         gram, right = self._beyond
-        at = self.shapes.at
+        at = self.bank.padded
         return self._solved(gram[at[:, :, None], at[:, None, :]], right[at], self.nominal.chi2)
 
     def beside(self, first: int) -> tuple[Array, Array]:
         """χ² and half log determinant of every shape beside a given one (H,)."""
         gram, right = self._beyond
-        at, chi2, half, found, covariance = self.shapes.at, *self.alone
+        at, (chi2, half, found, covariance) = self.bank.padded, self.alone
         own = at[first]
         inner = covariance[first]
         across = gram[own[:, None, None], at[None]].transpose(1, 0, 2)
@@ -314,8 +279,7 @@ class Evidence:
         self, inner: Array, right: Array, total: float
     ) -> tuple[Array, Array, Array, Array]:
         """Every shape in products that others are eliminated from; none beyond its bounds."""
-        shapes = self.shapes
-        prior, centre = shapes.precision, shapes.centre
+        prior, centre, low, high = self.bank.priors
         precision = inner + prior[:, :, None] * np.eye(prior.shape[1])
         # columns of very different size: determinants of the scaled matrix
         scale = 1 / np.sqrt(np.diagonal(precision, axis1=1, axis2=2))
@@ -326,12 +290,12 @@ class Evidence:
         chi2 = total + np.sum(prior * centre**2 - slope * found, axis=1)
         half = 0.5 * np.linalg.slogdet(unit)[1] - np.sum(np.log(scale * np.sqrt(prior)), axis=1)
         sd = _OUT * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-        out = np.any((found + sd < shapes.low) | (found - sd > shapes.high), axis=1)
+        out = np.any((found + sd < low) | (found - sd > high), axis=1)
         return np.where(out, np.inf, chi2), half, found, np.asarray(covariance)
 
     def estimates(self, own: Sequence[int], misfit: float) -> tuple[EffectEstimate, ...]:
         """Estimates of the effects of some shapes."""
-        bank, fit, found = self.shapes.bank, self.fit(own), []
+        bank, fit, found = self.bank, self.fit(own), []
         first = bank.nuisances
         for h in own:
             shape = bank.shapes[h]
@@ -351,51 +315,49 @@ class Evidence:
         return tuple(sorted(found, key=lambda each: each.name))
 
 
-def _posterior(evidence: Evidence, settings: BeliefSettings) -> Posterior:
+def _posterior(products: Products, settings: BeliefSettings) -> Posterior:
     """Posterior over sets of at most two effects about the nominal model.
 
     Singles are all evaluated. Pairs are those of any effect beside one of the best singles, then
     beside one of the second members of the best pairs.
     """
-    shapes, bank = evidence.shapes, evidence.shapes.bank
-    candidate, count, every = bank.candidate, len(bank.names), np.arange(evidence.shapes.count)
-    chi2, half, coefficients, covariances = evidence.alone
-    none = np.full(1, -1)
-    first, second = [none, every], [none, np.full(shapes.count, -1)]
-    fits = [np.array([evidence.nominal.chi2]), chi2]
-    others = [
-        np.array([settings.log_prior(0, count)]),
-        settings.log_prior(1, count) + shapes.log_prior - half,
+    bank = products.bank
+    candidate, count, shapes = bank.candidate, len(bank.names), len(bank.shapes)
+    chi2, half, _, _ = products.alone
+    every, none = np.arange(shapes), np.full(shapes, -1)
+    alike = -np.log(np.bincount(candidate, minlength=count)[candidate])
+    nothing = np.array([products.nominal.chi2]), np.array([settings.log_prior(0, count)])
+    # members, fit, and log prior less half the log determinant
+    rows = [
+        (none[:1], none[:1], *nothing),
+        (every, none, chi2, settings.log_prior(1, count) + alike - half),
     ]
 
     def pair_up(which: Sequence[int]) -> None:
         for h in which:
-            fit, size = evidence.beside(h)
-            first.append(np.full(shapes.count, h))
-            second.append(every)
-            fits.append(np.where(candidate == candidate[h], np.inf, fit))
-            prior = settings.log_prior(2, count) + shapes.log_prior + shapes.log_prior[h]
-            others.append(prior - size)
+            fit, size = products.beside(h)
+            fit = np.where(candidate == candidate[h], np.inf, fit)
+            prior = settings.log_prior(2, count) + alike + alike[h]
+            rows.append((np.full(shapes, h), every, fit, prior - size))
 
     if count > 1:
-        tried = _leading(others[1] - chi2 / 2, candidate, _FIRST)
+        tried = _leading(rows[1][3] - chi2 / 2, candidate, _FIRST)
         pair_up(tried)
-        score = np.concatenate(others[2:]) - np.concatenate(fits[2:]) / 2
-        seconds = np.concatenate(second[2:])
-        best = [int(h) for h in seconds[np.argsort(-score)[: 40 * _SWAPS]]]
+        _, seconds, fits, others = map(np.concatenate, zip(*rows[2:], strict=True))
+        best = seconds[np.argsort(-(others - fits / 2))[: 40 * _SWAPS]].tolist()
         pair_up([h for h in dict.fromkeys(best) if h not in set(tried)][:_SWAPS])
-    a, b, fit = np.concatenate(first), np.concatenate(second), np.concatenate(fits)
-    misfit = max(float(np.min(fit)) / max(evidence.dof, 1), 1.0)
+    a, b, fit, other = map(np.concatenate, zip(*rows, strict=True))
+    misfit = max(float(np.min(fit)) / max(products.dof, 1), 1.0)
     # the same pair may have been reached from either side
     low, high = np.minimum(a, b), np.maximum(a, b)
-    _, unique = np.unique(high * (shapes.count + 1) + low, return_index=True)
-    score = (np.concatenate(others) - fit / 2 / misfit)[unique]
+    _, unique = np.unique(high * (shapes + 1) + low, return_index=True)
+    score = (other - fit / 2 / misfit)[unique]
     order = np.argsort(-score, kind="stable")[:_CANDIDATES]
     order = order[np.isfinite(score[order])]
+    pairs = np.stack([a, b], axis=1)[unique[order]]
     members: dict[tuple[int, ...], list[int]] = {}
-    for k, (one, other) in enumerate(zip(a[unique[order]], b[unique[order]], strict=True)):
-        own = sorted(int(candidate[h]) for h in (one, other) if h >= 0)
-        members.setdefault(tuple(own), []).append(k)
+    for k, pair in enumerate(pairs):
+        members.setdefault(tuple(sorted(candidate[pair[pair >= 0]].tolist())), []).append(k)
     totals = {own: np.logaddexp.reduce(score[order][rows]) for own, rows in members.items()}
     whole = np.logaddexp.reduce(list(totals.values()))
     marginal = np.zeros(count)
@@ -404,50 +366,35 @@ def _posterior(evidence: Evidence, settings: BeliefSettings) -> Posterior:
         share = float(np.exp(totals[which] - whole))
         marginal[list(which)] += share
         if len(sets) < _SETS:
-            row = unique[order[members[which][0]]]
-            best_shapes = tuple(int(h) for h in (a[row], b[row]) if h >= 0)
-            known = len(sets) < _ESTIMATED
-            sets.append(
-                HypothesisSet(
-                    names=tuple(sorted(bank.names[m] for m in which)), probability=share,
-                    effects=evidence.estimates(best_shapes, misfit)
-                    if known else (),
-                    shapes=best_shapes,
-                )
-            )  # fmt: skip
-    alone = (evidence.nominal.chi2 - chi2) / 2 / misfit - half
-    best_of = _best_of(alone, candidate, count)
-    seen, sds = np.zeros((2, count))
-    for k, h in enumerate(best_of):
+            own = tuple(h for h in pairs[members[which][0]].tolist() if h >= 0)
+            known = products.estimates(own, misfit) if len(sets) < _ESTIMATED else ()
+            names = tuple(sorted(bank.names[m] for m in which))
+            sets.append(HypothesisSet(names, share, known, own))
+    return Posterior(tuple(sets), marginal, *_alone(products, misfit), misfit)
+
+
+def _alone(products: Products, misfit: float) -> tuple[Array, Array, Array]:
+    """Log evidence, log10 of the visibility and its deviation of each candidate alone (N,)."""
+    bank, (chi2, half, coefficients, covariances) = products.bank, products.alone
+    score = (products.nominal.chi2 - chi2) / 2 / misfit - half
+    best, order = np.empty(len(bank.names), dtype=np.intp), np.argsort(score, kind="stable")
+    best[bank.candidate[order]] = order  # the last one written has most
+    seen, sds = np.zeros((2, len(best)))
+    for k, h in enumerate(best):
         shape, width = bank.shapes[h], len(bank.shapes[h].at)
-        own_values = coefficients[h, :width]
-        seen[k] = max(bank.visibility(shape, own_values), 1e-3)
+        seen[k] = max(bank.visibility(shape, coefficients[h, :width]), 1e-3)
         spread = bank.visibility(shape, np.sqrt(np.diag(covariances[h, :width, :width]) * misfit))
         sds[k] = spread / np.hypot(seen[k], spread) / np.log(10)
-    evidence_alone = np.where(np.isfinite(alone[best_of]), alone[best_of], -1e6)
-    return Posterior(tuple(sets), bank.names, marginal, evidence_alone, np.log10(seen), sds, misfit)
-
-
-def _best_of(score: Array, candidate: IndexArray, count: int) -> IndexArray:
-    """Shape of each candidate with the largest score (N,)."""
-    best = np.empty(count, dtype=np.intp)
-    order = np.argsort(score, kind="stable")
-    best[candidate[order]] = order  # the last one written has most
-    return best
+    return np.where(np.isfinite(score[best]), score[best], -1e6), np.log10(seen), sds
 
 
 def _leading(score: Array, candidate: IndexArray, most: int) -> list[int]:
     """Shapes by decreasing score, two of a candidate at most."""
     found: list[int] = []
-    seen: dict[int, int] = {}
-    for h in np.argsort(-score):
-        own = int(candidate[h])
-        if seen.get(own, 0) < 2 and np.isfinite(score[h]):
-            seen[own] = seen.get(own, 0) + 1
-            found.append(int(h))
-        if len(found) == most:
-            break
-    return found
+    for h in np.argsort(-score).tolist():
+        if np.isfinite(score[h]) and np.sum(candidate[found] == candidate[h]) < 2:
+            found.append(h)
+    return found[:most]
 
 
 @dataclass(frozen=True, eq=False)
@@ -545,34 +492,25 @@ def _predictions(belief: Belief) -> tuple[Array, list[tuple[str, ...]], list[_Fi
     best = belief.posterior.best.probability
     sets = [s for s in belief.posterior.sets[:_OPEN] if s.probability > _LEAST * best]
     weights = np.array([each.probability for each in sets])
-    fits = [belief.evidence.fit(each.shapes) for each in sets]
+    fits = [belief.products.fit(each.shapes) for each in sets]
     return weights / weights.sum(), [each.names for each in sets], fits
 
 
 def _prior_predictions(belief: Belief) -> tuple[Array, list[tuple[str, ...]], list[_Fit]]:
     """Before any motion: no effect, and each candidate at a middle visibility."""
-    bank, settings = belief.bank, belief.settings
+    bank, settings, free = belief.bank, belief.settings, belief.bank.nuisances
     middle = float(np.sqrt(VISIBLE[0] * VISIBLE[1]))
-    fits = [_prior_fit(bank, None, 0.0)]
+    fits = [_Fit(np.arange(free), np.zeros(free), np.eye(free), 0.0)]
     for number in range(len(bank.names)):
         own = [bank.shapes[h] for h in np.flatnonzero(bank.candidate == number)]
         seen = [bank.visibility(s, s.centre) if s.term.law else middle for s in own]
-        fits.append(_prior_fit(bank, own[int(np.argmin(np.abs(np.log(seen) - np.log(middle))))],
-                               middle))  # fmt: skip
+        shape = own[int(np.argmin(np.abs(np.log(seen) - np.log(middle))))]
+        mean = shape.centre
+        if not shape.term.law:
+            mean = middle * bank.unit(shape, 0) * np.eye(len(shape.at))[0]
+        sds = np.append(np.ones(free), np.full(len(mean), 0.45 * np.abs(mean).max()))
+        at = np.array([*range(free), *shape.at])
+        fits.append(_Fit(at, np.append(np.zeros(free), mean), np.diag(sds**2), 0.0))
     weights = np.full(len(fits), settings.single / max(len(fits) - 1, 1))
     weights[0] = settings.none
     return weights / weights.sum(), [(), *((name,) for name in bank.names)], fits
-
-
-def _prior_fit(bank: MotionBank, shape: Shape | None, visibility: float) -> _Fit:
-    """Nominal parameters, and one effect of some visibility, as uncertain as its size."""
-    own = () if shape is None else shape.at
-    at = np.array([*range(bank.nuisances), *own])
-    values, sds = np.zeros(len(at)), np.ones(len(at))
-    if shape is not None:
-        mean = shape.centre
-        if not shape.term.law:
-            mean = visibility * bank.unit(shape, 0) * np.eye(len(own))[0]
-        values[bank.nuisances :] = mean
-        sds[bank.nuisances :] = 0.45 * np.abs(mean).max()
-    return _Fit(at, values, np.diag(sds**2), 0.0)

@@ -49,7 +49,7 @@ from loose_env.gap.output.result import (
 )
 from loose_env.gap.runs import measured_runs
 from loose_env.gap.settings import GapSettings
-from loose_env.recording import Recording
+from loose_env.recording import Recording, Run
 from loose_env.typing import Array
 
 PULLED = 2.0
@@ -231,7 +231,7 @@ def write_gap(
     solution: GapSolution,
     *,
     report: Report = lambda *_: None,
-    next_motion: NextMotion | None = None,
+    next_motion: tuple[NextMotion, Run] | None = None,
     say: Say = lambda _: None,
 ) -> list[Path]:
     """Write ``model.xml``, the files it needs, a report and ``result.json``, the result last.
@@ -244,8 +244,8 @@ def write_gap(
         The finished comparison.
     report : callable
         Writes the report (`loose_env.report.write_gap_report`); none by default.
-    next_motion : NextMotion, optional
-        Written as ``next_motion.csv``, ``.parquet`` and ``.json``.
+    next_motion : NextMotion and Run, optional
+        Result of `choose_next`, written as ``next_motion.csv``, ``.parquet`` and ``.json``.
     say : callable
         Receives progress messages, line by line.
 
@@ -274,7 +274,7 @@ def write_gap(
         notes=model_notes(result.effects, pulled_words(result)),
     )
     page = report(place, solution)
-    motions = [] if next_motion is None else write_next_motion(place, next_motion)
+    motions = [] if next_motion is None else write_next_motion(place, *next_motion)
     file = result.write(place / "result.json")
     return [*models, *([] if page is None else [page]), *motions, file]
 

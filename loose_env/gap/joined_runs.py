@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from loose_env.errors import InvalidData
 from loose_env.gap.output.result import read_result
-from loose_env.io import json_text, whole_of, write_text
+from loose_env.io import json_text, restored, whole_of, write_text
 from loose_env.recording import Recording, Run, read_recording, write_recording
 
 _NOTE = "source.json"
@@ -16,6 +16,14 @@ _NOTE = "source.json"
 _FORMAT = "loose-gap-source/1"
 _JOINED = "recording"
 """Folder there with the runs of several recordings."""
+
+
+@dataclass(frozen=True)
+class _Source:
+    """Recording of a result, and the model that took the place of its own."""
+
+    recording: str
+    model: str | None = None
 
 
 def read_source(path: Path, kept: str, *, model: Path | None = None) -> Recording:
@@ -47,18 +55,15 @@ def read_source(path: Path, kept: str, *, model: Path | None = None) -> Recordin
             "version); give the recording in its place"
         )
     whole = whole_of(note.read_text(encoding="utf-8"), format=_FORMAT, noun="note of the recording")
-    folder = whole.get("recording")
-    if not isinstance(folder, str):
-        raise InvalidData(f"{note}: recording is a path; run the comparison again")
-    place = (note.parent / folder).resolve()
+    source = restored(_Source, whole, str(note))
+    place = (note.parent / source.recording).resolve()
     if not place.is_dir():
         raise InvalidData(
             f"{path} is the result of the recording {place}, which is gone; give the recording "
             "from where it is now"
         )
-    own = whole.get("model")
-    if model is None and isinstance(own, str):
-        model = Path(own)
+    if model is None and source.model is not None:
+        model = Path(source.model)
     return read_recording(place, model=model)
 
 
@@ -66,10 +71,8 @@ def note_source(kept: Path, recording: Recording, model: Path | None) -> None:
     """Note in a folder of checkpoints which recording a result is of."""
     folder = recording.folder
     shown = folder.name if folder.parent == kept.resolve() else str(folder)
-    whole = {"format": _FORMAT, "recording": shown}
-    if model is not None:
-        whole["model"] = str(model.resolve())
-    write_text(kept / _NOTE, json_text(whole))
+    source = _Source(shown, None if model is None else str(model.resolve()))
+    write_text(kept / _NOTE, json_text({"format": _FORMAT, **asdict(source)}))
 
 
 def join_recordings(kept: Path, recordings: Sequence[Recording]) -> Recording:
@@ -102,17 +105,12 @@ def join_recordings(kept: Path, recordings: Sequence[Recording]) -> Recording:
                 f"the models of {first.folder} and {own.folder} differ; several recordings are "
                 "compared with one model: give it as --model"
             )
-        stem = _free(f"next{number}", {run.name for run in runs})
+        stem = f"next{number}"
+        while any(run.name.startswith(f"{stem}-") for run in runs):
+            stem += "a"
         runs += [replace(run, name=f"{stem}-{run.name}") for run in own.runs]
     folder = kept / _JOINED
     return write_recording(
         folder, model_xml=first.model_path, runs=runs, file_format="parquet",
         overwrite=folder.exists(),
     )  # fmt: skip
-
-
-def _free(stem: str, names: set[str]) -> str:
-    """A beginning of names that none has."""
-    while any(name.startswith(f"{stem}-") for name in names):
-        stem += "a"
-    return stem

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, TypeVar, get_args
+from typing import Annotated, Literal, TypeVar
 
 import mujoco
 import numpy as np
+from annotated_types import Gt
 
-from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.gap.planned_motion import MotionLimits, PlannedMotion, followed
-from loose_env.gap.servo_arm import ServoArm
-from loose_env.typing import Array
+from loose_env.errors import InvalidSetting
+from loose_env.gap.servo_arm import MotionLimits, PlannedMotion, ServoArm, followed
+from loose_env.io import Checked, NonNegativeCount, Positive, Rule
+from loose_env.typing import Array, IndexArray
 
 T = TypeVar("T")
 MotionKind = Literal[
@@ -28,10 +29,15 @@ _LOWEST = 0.5
 """Lowest frequency of a chirp and of a multisine [Hz]."""
 _PHASES = 2.399963
 """Phase between joints that move together [rad], the golden angle: no two stay in step."""
+_SHRINK = 0.7
+"""Factor on amplitude and speed of a motion that does not fit."""
+_POSES = 400
+"""Random poses among which those of small and of large load are chosen."""
+_ABOVE_LOWEST = Rule(f"above {_LOWEST:g} Hz, the lowest frequency", (Gt(_LOWEST),))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class Motion(Checked):
     """One motion: an excitation of some joints about a centre pose.
 
     It begins and ends at rest in the arm's home pose, so that motions can follow one another.
@@ -44,54 +50,45 @@ class Motion:
 
     kind: MotionKind
     """Excitation."""
-    joints: tuple[int, ...]
+    joints: tuple[NonNegativeCount, ...]
     """Indices of the joints that are excited, among the arm's driven ones."""
-    amplitude: float
+    amplitude: Positive
     """Largest deviation from the centre pose [rad; slides: 0.2 m]."""
-    speed: float
+    speed: Positive
     """Speed of the excitation [rad/s; slides: 0.2 m/s]; fades add to it, up to the arm's limit."""
-    seconds: float = 4.0
+    seconds: Positive = 4.0
     """Length of the excitation [s], without the ways from home and back."""
-    highest: float = 8.0
+    highest: Annotated[float, _ABOVE_LOWEST] = 8.0
     """Highest frequency of chirps, multisines and random excitation [Hz]."""
     centre: tuple[float, ...] | None = None
     """Pose about which it moves [rad, m] (J,); None for home. It sets the load by gravity."""
-    pause: float = 0.3
+    pause: Positive = 0.3
     """Rest at home, and in the centre pose, before and after [s]."""
     seed: int = 0
     """Seed of a random excitation and of poses that are held."""
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.kind not in get_args(MotionKind):
-            raise UnknownName(f"kind is one of {list(get_args(MotionKind))}, got {self.kind!r}")
-        if not self.joints or len(set(self.joints)) != len(self.joints) or min(self.joints) < 0:
+        super().__post_init__()
+        if not self.joints or len(set(self.joints)) != len(self.joints):
             raise InvalidSetting(f"joints are distinct indices from 0, got {self.joints!r}")
-        for name, unit in (
-            ("amplitude", "rad"),
-            ("speed", "rad/s"),
-            ("seconds", "s"),
-            ("highest", "Hz"),
-            ("pause", "s"),
-        ):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InvalidSetting(f"{name} is above 0 {unit}, got {value!r}")
-        if self.highest <= _LOWEST:
-            raise InvalidSetting(
-                f"highest is above {_LOWEST:g} Hz, the lowest frequency, got {self.highest!r}"
-            )
 
     @property
     def description(self) -> str:
         """Kind, joints and size of the motion."""
-        which = ", ".join(str(j + 1) for j in self.joints)
-        plural = "s" if len(self.joints) > 1 else ""
-        size = f"{self.amplitude:.2f} rad at {self.speed:.2f} rad/s"
-        where = "" if self.centre is None else ", about another pose"
-        return f"{self.kind.replace('_', ' ')} of joint{plural} {which}, {size}{where}"
+        # one name more: whether these are all joints is not known
+        return self.described([f"joint {k + 1}" for k in range(max(self.joints) + 2)])
 
-    def commands(self, arm: ServoArm) -> Array:
+    def described(self, names: Sequence[str]) -> str:
+        """Kind, joints by their names, and size of the motion."""
+        every = len(self.joints) == len(names) > 1
+        which = "all joints" if every else ", ".join(names[j] for j in self.joints)
+        size = f"{self.amplitude:.2f} rad at {self.speed:.2f} rad/s"
+        pose = ", ".join(f"{value:.2f}" for value in self.centre or ())
+        where = f" about ({pose})" if pose else ""
+        return f"{self.kind.replace('_', ' ')} of {which}, {size}{where}"
+
+    def commands(self, arm: ServoArm | MotionLimits) -> Array:
         """Desired positions of the arm's driven joints at its samples (n, J) [rad, m].
 
         Within the ranges of the joints and the speed limits; torque and collisions are
@@ -103,36 +100,33 @@ class Motion:
             If the joints or the centre pose are not those of the arm, or the motion leaves a
             joint's range.
         """
-        count, rate = len(arm.joints), arm.sensing.rate
+        limits = arm.limits if isinstance(arm, ServoArm) else arm
+        count, rate, unit = len(limits.joints), limits.rate, limits.unit
         if max(self.joints) >= count:
             raise InvalidSetting(f"the arm drives {count} joints, got {self.joints!r}")
         if self.centre is not None and len(self.centre) != count:
             raise InvalidSetting(f"centre has a position for each of {count} joints")
-        centre = arm.home if self.centre is None else np.array(self.centre, dtype=float)
-        unit = np.where(arm.turning, 1.0, 0.2)
-        speed = np.minimum(self.speed * unit, arm.speed_limits)
+        centre = limits.home if self.centre is None else np.array(self.centre, dtype=float)
+        speed = np.minimum(self.speed * unit, limits.speed)
         excited = np.tile(centre, (max(round(self.seconds * rate), 2), 1))
         time = np.arange(len(excited)) / rate
         for number, joint in enumerate(self.joints):
             shape = _SHAPES[self.kind](self, time, number, float(speed[joint] / unit[joint]))
             off = unit[joint] * shape
             fastest = float(np.max(np.abs(np.diff(off)))) * rate
-            excited[:, joint] += off * min(1.0, arm.speed_limits[joint] / max(fastest, 1e-12))
-        pause = round(self.pause * rate)
-        parts = [np.tile(arm.home, (pause, 1))]
+            excited[:, joint] += off * min(1.0, limits.speed[joint] / max(fastest, 1e-12))
+        rest = [np.tile(pose, (round(self.pause * rate), 1)) for pose in (limits.home, centre)]
+        there, back = [rest[0]], [rest[0]]
         if self.centre is not None:
-            there = _way(arm.home, centre, arm.speed_limits, rate)
-            parts += [there, np.tile(centre, (pause, 1)), excited, np.tile(centre, (pause, 1))]
-            parts += [there[::-1], np.tile(arm.home, (pause, 1))]
-        else:
-            parts += [excited, np.tile(arm.home, (pause, 1))]
-        found = np.concatenate(parts)
-        low, high = arm.ranges
-        for k, name in enumerate(arm.joints):
-            if found[:, k].min() < low[k] or found[:, k].max() > high[k]:
+            way = _way(limits.home, centre, limits.speed, rate)
+            there, back = [rest[0], way, rest[1]], [rest[1], way[::-1], rest[0]]
+        found = np.concatenate([*there, excited, *back])
+        for k, name in enumerate(limits.joints):
+            if found[:, k].min() < limits.low[k] or found[:, k].max() > limits.high[k]:
                 raise InvalidSetting(
                     f"{self.description} takes {name} to {found[:, k].min():.2f} and "
-                    f"{found[:, k].max():.2f}; its range is {low[k]:.2f} to {high[k]:.2f}"
+                    f"{found[:, k].max():.2f}; its range is {limits.low[k]:.2f} to "
+                    f"{limits.high[k]:.2f}"
                 )
         return found
 
@@ -190,18 +184,13 @@ def _constant_speed(motion: Motion, time: Array, number: int, speed: float) -> A
     return np.asarray(np.convolve(found, kernel / kernel.sum(), "same") * _faded(motion, time))
 
 
-def _sine_height(motion: Motion, frequency: Array | float, speed: float) -> Array:
-    """Amplitude at a frequency, within amplitude and speed."""
-    return np.minimum(motion.amplitude, speed / (2 * np.pi * np.asarray(frequency)))
-
-
 def _chirp(motion: Motion, time: Array, number: int, speed: float) -> Array:
     """Logarithmic sweep of frequency at the largest amplitude that the speed allows (n,)."""
     ratio = motion.highest / _LOWEST
     share = time / motion.seconds
     frequency = _LOWEST * ratio**share
     phase = 2 * np.pi * _LOWEST * motion.seconds / np.log(ratio) * (ratio**share - 1)
-    height = _sine_height(motion, frequency, speed)
+    height = np.minimum(motion.amplitude, speed / (2 * np.pi * frequency))
     return np.asarray(height * np.sin(phase + number * _PHASES) * _faded(motion, time))
 
 
@@ -239,29 +228,25 @@ def _steps(motion: Motion, time: Array, number: int, speed: float) -> Array:
     heights[-1] = 0.0
     if number % 2:
         heights[:-1] = -heights[:-1]
-    largest = motion.amplitude * 2
-    fast = max(_STEP_S, 1.875 * largest / speed)
-    found, before = np.zeros_like(time), 0.0
-    for k, height in enumerate(heights):
-        begin = k * motion.seconds / count + 0.02 * number
-        found += (height - before) * _smooth((time - begin) / fast)
-        before = float(height)
-    return np.asarray(found)
+    way = max(_STEP_S, 1.875 * (motion.amplitude * 2) / speed)
+    return _levels(motion, time, heights, np.full(count, way), late=0.02 * number)
 
 
 def _holds(motion: Motion, time: Array, number: int, speed: float) -> Array:
     """Poses held one after the other, ways of least jerk between them (n,)."""
     count = max(round(motion.seconds / 1.0), 2)
     rng = np.random.default_rng([motion.seed, number, 7])
-    levels = np.linspace(-1.0, 1.0, count - 1)
-    heights = np.append(motion.amplitude * rng.permutation(levels), 0.0)
-    found, before = np.zeros_like(time), 0.0
-    for k, height in enumerate(heights):
-        slot = motion.seconds / count
-        way = min(max(1.875 * abs(height - before) / speed, 0.1), slot)
-        found += (height - before) * _smooth((time - k * slot) / way)
-        before = float(height)
-    return np.asarray(found)
+    levels = rng.permutation(np.linspace(-1.0, 1.0, count - 1))
+    heights = np.append(motion.amplitude * levels, 0.0)
+    ways = 1.875 * np.abs(np.diff(heights, prepend=0.0)) / speed
+    return _levels(motion, time, heights, np.clip(ways, 0.1, motion.seconds / count))
+
+
+def _levels(motion: Motion, time: Array, heights: Array, ways: Array, late: float = 0.0) -> Array:
+    """Levels one after the other, ways of some times between them (n,)."""
+    begins = np.arange(len(heights)) * motion.seconds / len(heights) + late
+    jumps = zip(np.diff(heights, prepend=0.0), begins, ways, strict=True)
+    return np.asarray(sum(jump * _smooth((time - begin) / way) for jump, begin, way in jumps))
 
 
 _SHAPES: dict[str, Callable[[Motion, Array, int, float], Array]] = {
@@ -273,14 +258,6 @@ _SHAPES: dict[str, Callable[[Motion, Array, int, float], Array]] = {
     "holds": _holds,
     "random": _random,
 }
-
-
-_TORQUE_SHARE = 0.8
-"""Share of a torque limit that a motion may take in the nominal model."""
-_SHRINK = 0.7
-"""Factor on amplitude and speed of a motion that does not fit."""
-_POSES = 400
-"""Random poses among which those of small and of large load are chosen."""
 
 
 def check_motion(motion: Motion, arm: ServoArm) -> tuple[PlannedMotion, str]:
@@ -300,8 +277,7 @@ def check_motion(motion: Motion, arm: ServoArm) -> tuple[PlannedMotion, str]:
     ''
     """
     desired, model = motion.commands(arm), arm.model
-    controls = arm.controls(desired)
-    data = mujoco.MjData(model)
+    controls, data = arm.controls(desired), mujoco.MjData(model)
     data.qpos[:] = arm.rest_position
     data.qpos[arm.driven] = arm.home
     data.ctrl[:] = controls[0]
@@ -312,19 +288,8 @@ def check_motion(motion: Motion, arm: ServoArm) -> tuple[PlannedMotion, str]:
 
     # joints are hinges and slides: one position and one speed each
     where = (arm.driven, arm.driven)
-    planned = followed(model, data, desired, 1 / arm.sensing.rate, arm.parts, where, command)
-    low, high = arm.ranges
-    limits = MotionLimits(
-        joints=arm.joints, home=arm.home, low=low, high=high, speed=arm.speed_limits,
-        torque=_TORQUE_SHARE * arm.torque_limits,
-        sources=("its range", "its speed limit", f"{_TORQUE_SHARE:g} of its torque limit"),
-    )  # fmt: skip
-    return planned, limits.refusal(planned)
-
-
-def wear_of(planned: PlannedMotion, arm: ServoArm) -> float:
-    """Integral of the squared torque shares, summed over joints [s]."""
-    return float(np.sum((planned.torque / arm.torque_limits) ** 2)) / arm.sensing.rate
+    planned = followed(model, data, desired, 1 / arm.sensing.rate, where, command)
+    return planned, arm.limits.refusal(planned)
 
 
 def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, PlannedMotion]:
@@ -364,88 +329,82 @@ def scaled_until(
     return motion, found, reason
 
 
-def loaded_poses(arm: ServoArm) -> tuple[Array, Array]:
-    """Poses of small and of large load by gravity on the joints, free of contact (J,) each.
+def loaded_poses(
+    model: mujoco.MjModel, rest: Array, driven: IndexArray, limits: MotionLimits, torque: Array
+) -> tuple[Array, Array]:
+    """Poses of small and of large load by gravity over a torque of each joint, free of contact.
 
-    Of random poses in the middle 70 % of the ranges.
+    Of random poses in the middle 70 % of the ranges (J,) each.
     """
-    model: mujoco.MjModel = arm.model
-    rng = np.random.default_rng(0)
-    low, high = arm.ranges
-    middle, half = (low + high) / 2, 0.35 * (high - low)
-    half = np.minimum(half, 1.2 * np.where(arm.turning, 1.0, 0.2))
+    rng, home, low, high = np.random.default_rng(0), limits.home, limits.low, limits.high
+    half = np.minimum(0.35 * (high - low), 1.2 * limits.unit)
     data = mujoco.MjData(model)
     found, loads = [], []
     for _ in range(_POSES):
-        pose = np.clip(arm.home + rng.uniform(-1, 1, len(half)) * half, low + 0.2, high - 0.2)
-        pose = np.where(high - low > 0.8, pose, middle)
-        data.qpos[:] = arm.rest_position
-        data.qpos[arm.driven] = pose
-        data.qvel[:] = 0.0
+        pose = np.clip(home + rng.uniform(-1, 1, len(half)) * half, low + 0.2, high - 0.2)
+        pose = np.where(high - low > 0.8, pose, (low + high) / 2)
+        data.qpos[:] = rest
+        data.qpos[driven] = pose
         mujoco.mj_forward(model, data)
         if data.ncon == 0:
             found.append(pose)
-            loads.append(float(np.sum((data.qfrc_bias[arm.driven] / arm.torque_limits) ** 2)))
+            loads.append(float(np.sum((data.qfrc_bias[driven] / torque) ** 2)))
     if not found:
-        return arm.home, arm.home
+        return home, home
     return found[int(np.argmin(loads))], found[int(np.argmax(loads))]
 
 
 def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
     """Motions of an arm that fit its limits, reduced where need be, and brief ones of each kind."""
-    every = tuple(range(len(arm.joints)))
-    return _fitting([*long_motions(arm), *_brief_motions(every)], arm)
+    poses = loaded_poses(arm.model, arm.rest_position, arm.driven, arm.limits, arm.torque_limits)
+    return _fitting([*long_motions(*poses), *_brief_motions(arm)], arm)
 
 
-def long_motions(arm: ServoArm) -> tuple[Motion, ...]:
-    """Motions of an arm, not yet reduced to its limits.
+def long_motions(small: Array, large: Array) -> list[Motion]:
+    """Motions of an arm, not yet reduced to its limits, about poses of small and large load.
 
     For each joint: slow triangles under small and large load, several constant speeds, a chirp
     and steps. For all joints together: multisines, chirps, random excitations,
     steps, triangles and poses held, under small and large load.
     """
-    every = tuple(range(len(arm.joints)))
-    small, large = (tuple(map(float, pose)) for pose in loaded_poses(arm))
+    every, poses = tuple(range(len(small))), [tuple(map(float, pose)) for pose in (small, large)]
+    steps = partial(Motion, kind="steps", amplitude=0.06, speed=1.5, seconds=2.5)
+    chirp = partial(Motion, kind="chirp", amplitude=0.2, speed=0.8, highest=20.0)
+    slow = partial(Motion, kind="slow_triangle", amplitude=0.25, speed=0.25)
+    both = partial(Motion, joints=every)
     wanted = []
     for j in every:
+        wanted += [slow(joints=(j,), centre=pose) for pose in poses]
         wanted += [
-            Motion(kind="slow_triangle", joints=(j,), amplitude=0.25, speed=0.25, centre=small),
-            Motion(kind="slow_triangle", joints=(j,), amplitude=0.25, speed=0.25, centre=large),
             Motion(kind="constant_speed", joints=(j,), amplitude=0.8, speed=1.6, seconds=5.0),
-            Motion(kind="chirp", joints=(j,), amplitude=0.2, speed=0.8, highest=20.0),
-            Motion(kind="steps", joints=(j,), amplitude=0.06, speed=1.5, seconds=2.5),
+            chirp(joints=(j,)),
+            steps(joints=(j,)),
         ]
-    for centre in (small, large):
+    for pose in poses:
         wanted += [
-            Motion(kind="holds", joints=every, amplitude=0.5, speed=1.2, centre=centre),
-            Motion(kind="multisine", joints=every, amplitude=0.4, speed=1.2, centre=centre),
-            Motion(kind="steps", joints=every, amplitude=0.06, speed=1.5, seconds=2.5,
-                   centre=centre),
-        ]  # fmt: skip
-    wanted += [
+            both(kind="holds", amplitude=0.5, speed=1.2, centre=pose),
+            both(kind="multisine", amplitude=0.4, speed=1.2, centre=pose),
+            steps(joints=every, centre=pose),
+        ]
+    return [
+        *wanted,
         *_battery(every),
-        Motion(kind="holds", joints=every, amplitude=0.7, speed=1.2, seconds=8.0, seed=1),
-        Motion(kind="chirp", joints=every, amplitude=0.2, speed=0.8, highest=20.0),
-        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=9),
-        Motion(kind="random", joints=every, amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
-    ]  # fmt: skip
-    return tuple(wanted)
+        both(kind="holds", amplitude=0.7, speed=1.2, seconds=8.0, seed=1),
+        chirp(joints=every),
+        both(kind="random", amplitude=0.5, speed=1.8, seed=9),
+        both(kind="random", amplitude=0.5, speed=1.8, seed=3, seconds=1.5),
+    ]
 
 
 def brief_library(arm: ServoArm) -> tuple[Motion, ...]:
     """Brief motions of an arm and its battery: a library of few motions, soon computed."""
-    every = tuple(range(len(arm.joints)))
-    return _fitting([*battery(arm), *_brief_motions(every)], arm)
+    return _fitting([*battery(arm), *_brief_motions(arm)], arm)
 
 
 def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
     """Motions that fit the limits of an arm, reduced where need be, each once."""
-    fitting = []
-    for motion in wanted:
-        try:
-            fitting.append(scaled_to_fit(motion, arm)[0])
-        except InvalidSetting:
-            continue
+    tried = [scaled_until(motion, partial(check_motion, arm=arm)) for motion in wanted]
+    fitting = [motion for motion, planned, reason in tried if planned is not None and not reason]
     if not fitting:
         raise InvalidSetting(
             "no motion fits the arm: its home pose touches something or takes its torque limits"
@@ -453,12 +412,12 @@ def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
     return tuple(dict.fromkeys(fitting))
 
 
-def _brief_motions(every: tuple[int, ...]) -> tuple[Motion, ...]:
+def _brief_motions(arm: ServoArm) -> tuple[Motion, ...]:
     """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose.
 
     A servo settles in a tenth of a second.
     """
-    brief = partial(Motion, joints=every, pause=0.1)
+    brief = partial(Motion, joints=tuple(range(len(arm.joints))), pause=0.1)
     noise = partial(brief, kind="random", speed=1.8)
     return (
         noise(amplitude=0.5, seconds=0.5, seed=3),

@@ -7,38 +7,48 @@ the predictions of two sets of effects apart, with all tolerances fitted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import mujoco
 import numpy as np
+from scipy.special import expit
 
 from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import Balance
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import Channel, Evidence, whiten
-from loose_env.gap.core.find import Answer, silent
+from loose_env.gap.core.find import Answer, Say, silent
 from loose_env.gap.core.identifiability import unexplained
+from loose_env.gap.core.motion import Motion as Measured
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Selection, Set, SetFit, neighbours
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.motions import Motion, long_motions, scaled_until
-from loose_env.gap.planned_motion import (
-    MotionLimits,
-    NextMotionSettings,
-    PlannedMotion,
-    Player,
-    limits_of,
-)
+from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.motions import Motion, loaded_poses, long_motions, scaled_until
+from loose_env.gap.output.corrected_model import step_for
+from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed, force_limits
 from loose_env.inference import log_determinant
-from loose_env.io import json_text, restored, whole_of, write_text
-from loose_env.recording import Run, table_of, write_csv, write_parquet
+from loose_env.io import (
+    Checked,
+    Count,
+    NonNegative,
+    Positive,
+    json_text,
+    restored,
+    whole_of,
+    write_text,
+)
+from loose_env.recording import Recording, Run, table_of, write_csv, write_parquet
+from loose_env.statistics import noise_floor
 from loose_env.typing import Array, IndexArray
 
-Say = Callable[[str], None]
+CommandMode = Literal["position", "speed", "torque", "none"]
+"""What commands of the recording's actuators are; "none" where runs have no commands."""
 NEXT_MOTION = "next_motion"
 """Name of the files, without the ending."""
 FORMAT = "loose-next-motion/1"
@@ -61,6 +71,43 @@ _TRIES = 8
 """Sizes in which a motion of the library is tried."""
 _REPEATS = 2
 """How often a motion is recorded: each of the runs is held out in turn."""
+_CONTROL_HZ = 3.0
+"""Bandwidth of the controller that is assumed where the model has no servo [Hz]."""
+_SETTLE_S = 0.5
+"""How long a servo holds the first pose before a motion [s]."""
+_SEED = 7
+"""Seed of the sensors' noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextMotionSettings(Checked):
+    """Limits of the next motion, and what it costs.
+
+    Examples
+    --------
+    >>> NextMotionSettings(next_max_speed_rad_s=-1.0)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: NextMotionSettings.next_max_speed_rad_s must be ...
+    """
+
+    next_max_speed_rad_s: NonNegative = 0.0
+    """Largest joint speed [rad/s]; of slides a fifth of it [m/s]; 0 for the fastest that the
+    recorded runs were."""
+    next_reach_rad: Positive = 1.0
+    """Furthest from the first pose of the recording, where the model has no joint limit [rad]; of
+    slides a fifth of it [m]."""
+    next_torque_share: Positive = 0.8
+    """Share of a drive's torque limit that a motion may take [1]."""
+    next_seconds: Positive = 15.0
+    """Longest motion [s]."""
+    next_least_seconds: Positive = 6.0
+    """Shortest excitation [s]: stretches of it are held out in turn."""
+    next_setup_s: NonNegative = 10.0
+    """Time that a recording costs beside its motion [s]: of two motions that separate equally well
+    the shorter one is taken."""
+    next_rivals: Count = 6
+    """Most pairs that are compared, the closest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,9 +136,7 @@ class PairGain:
 
         Of an effect that may be beside the answer it is that if it is there.
         """
-        if self.effect == NOTHING:
-            return self.if_rival_nats
-        odds = 1.0 / (1.0 + float(np.exp(-np.clip(self.so_far_nats, -50.0, 50.0))))
+        odds = 0.0 if self.effect == NOTHING else float(expit(self.so_far_nats))
         return odds * self.if_effect_nats + (1 - odds) * self.if_rival_nats
 
 
@@ -106,15 +151,45 @@ class Narrowing:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gains:
+class NextMotion:
+    """The chosen motion and what it is expected to tell: content of ``next_motion.json``."""
+
+    words: str
+    """The motion: kind, joints, amplitude and speed."""
+    seconds: float
+    """Length of one run [s]."""
+    repeats: int = _REPEATS
+    """How often it is recorded, each as a run of its own, held out in turn."""
+    pairs: tuple[PairGain, ...]
+    """Expected gain for each open pair."""
+    narrowed: tuple[Narrowing, ...] = ()
+    """What is left of the intervals of the named effects; empty while pairs are open."""
+    checked: tuple[str, ...]
+    """What was checked, with the corrected model, and the margins left."""
+    motion: Mapping[str, Any]
+    """Configuration of the motion."""
+    limits: Mapping[str, Any]
+    """Limits by joint, and where they come from."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the choice."""
+    considered: int
+    """Motions that were compared."""
+    refused: tuple[tuple[str, str], ...]
+    """Motions that do not fit, each with the reason."""
+    columns: tuple[str, ...]
+    """Columns of the tables."""
+    format: str = FORMAT
+    """Format of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Gains:
     """What a motion is expected to tell."""
 
     pairs: tuple[PairGain, ...] = ()
-    """Gain for each open pair."""
     narrowed: tuple[Narrowing, ...] = ()
-    """What is left of the intervals of the named effects."""
     nats: float = 0.0
-    """Fall of half the log determinant of their covariance."""
+    """Fall of half the log determinant of the covariance of the named effects."""
 
     @property
     def value(self) -> float:
@@ -122,24 +197,22 @@ class Gains:
 
         The logarithm prefers to decide one more pair to deciding one twice.
         """
-        if not self.pairs:
-            return self.nats
-        return sum(float(np.log1p(pair.nats / DECIDED)) for pair in self.pairs)
+        return self.nats + sum(float(np.log1p(pair.nats / DECIDED)) for pair in self.pairs)
 
     @property
     def tells(self) -> bool:
-        """Return whether anything is told that the same runs once more would not."""
-        if self.pairs:
-            return any(pair.separates for pair in self.pairs)
-        return any(each.share < _NARROWED for each in self.narrowed)
+        """Whether anything is told that the same runs once more would not."""
+        separated = any(pair.separates for pair in self.pairs)
+        return separated or any(each.share < _NARROWED for each in self.narrowed)
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One member of a pair: the effect with its values, and the shapes in which it is fitted."""
+    """One member of a pair: the effect as it was fitted, and the shapes in which it is fitted."""
 
     term: Term
-    values: Array
+    coefficients: Array
+    """Of its columns."""
     shapes: tuple[Term, ...]
 
     @property
@@ -162,28 +235,6 @@ class OpenPair:
     """Log evidence of the first over the second so far."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NextMotion:
-    """The chosen motion."""
-
-    motion: Motion
-    """Its configuration."""
-    planned: PlannedMotion
-    """Commands, and what the corrected model does."""
-    gains: Gains
-    """What it is expected to tell."""
-    limits: MotionLimits
-    """Limits that it keeps."""
-    considered: int
-    """Motions that were compared."""
-    refused: tuple[tuple[str, str], ...]
-    """Motions that were left out, each with the reason."""
-    run: Run
-    """The motion as a run of the recording."""
-    settings: NextMotionSettings
-    """Settings of the choice."""
-
-
 def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
     """List what the runs do not tell apart, the closest first.
 
@@ -195,7 +246,7 @@ def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
     machine, form = selection.evidence.balance.machine, selection.whole(fit.powers, fit)
     found, beside = [], {(kind, where) for _, kind, where in decision.rivals}
     rests = {t: tuple(o for o in fit.terms if o is not t) for t in fit.terms}
-    sides = {f.term: Side(f.term, f.values, (f.term,)) for f in decision.findings}
+    sides = {f.term: _side(selection, fit, f.term, (f.term,)) for f in decision.findings}
     for own in decision.findings:
         near = neighbours(machine, own.term.effect.where)
         likely = {name for name in beside if name[1] in near} | set(own.confusable)
@@ -229,8 +280,12 @@ def _fitted(
     if not fits:
         return None
     best, term = min(fits, key=lambda pair: pair[0].total)
-    own = np.searchsorted(best.numbers, selection.evidence.columns_of(term))
-    return Side(term, term.values(best.values[own]), shapes), best
+    return _side(selection, best, term, shapes), best
+
+
+def _side(selection: Selection, fit: SetFit, term: Term, shapes: Set) -> Side:
+    """Effect of a fitted set."""
+    return Side(term, fit.values[fit.places(selection.evidence.columns_of(term))], shapes)
 
 
 class Questions:
@@ -238,82 +293,68 @@ class Questions:
 
     def __init__(self, answer: Answer, pairs: Sequence[OpenPair], player: Player) -> None:
         self.answer, self.pairs, self.player = answer, tuple(pairs), player
-        self._named = tuple(f.term for f in answer.decision.findings if f.named)
+        selection, decision = answer.selection, answer.decision
+        self._named = tuple(f.term for f in decision.findings if f.named)
+        self._found = [_side(selection, decision.fit, f.term, ()) for f in decision.findings]
+        sides = [s for pair in self.pairs for s in (pair.effect, pair.rival) if s is not None]
+        terms = [*decision.fit.terms, *(t for s in sides for t in (s.term, *s.shapes))]
+        self._terms = {id(term): term for term in terms}
 
-    @cached_property
-    def _terms(self) -> dict[int, Term]:
-        """All effects in question, by identity."""
-        found = list(self.answer.decision.fit.terms)
-        for pair in self.pairs:
-            found += [t for side in (pair.effect, pair.rival) if side for t in side.shapes]
-        return {id(term): term for term in found}
-
-    @cached_property
-    def _sides(self) -> list[Side]:
-        """Effects that are predicted at their values."""
-        own = [Side(f.term, f.values, (f.term,)) for f in self.answer.decision.findings]
-        return [*own, *(s for p in self.pairs for s in (p.effect, p.rival) if s is not None)]
-
-    def gains(self, motions: Sequence[PlannedMotion]) -> list[Gains]:
+    def gains(self, motions: Sequence[PlannedMotion]) -> list[_Gains]:
         """Expected gains of motions, as many together as memory holds."""
         evidence = self.answer.selection.evidence
         thin = round(evidence.balance.motion.step * self.player.rate)
-        columns = len(evidence.nuisances) + len(self._terms) + len(self._sides)
-        most = _MEMORY // (columns * len(evidence.balance.channels))
-        groups: list[list[PlannedMotion]] = [[]]
-        room = most
-        for motion in motions:
-            samples = len(motion.time) // thin
-            if samples > room and groups[-1]:
-                groups.append([])
-                room = most
-            groups[-1].append(motion)
-            room -= samples
+        columns = len(evidence.nuisances) + sum(len(t.columns) for t in self._terms.values())
+        longest = max(len(motion.desired) for motion in motions) // thin
+        most = max(_MEMORY // (columns * len(evidence.balance.channels) * longest), 1)
+        groups = (motions[k : k + most] for k in range(0, len(motions), most))
         return [found for group in groups for found in self._together(group)]
 
-    def _together(self, motions: Sequence[PlannedMotion]) -> list[Gains]:
+    def _together(self, motions: Sequence[PlannedMotion]) -> list[_Gains]:
         """Gains of motions that are whitened beside the recorded runs."""
-        recording, settings = self.answer.recording, self.answer.settings
+        recording, tolerances = self.answer.recording, self.answer.settings.tolerances
         machine = self.answer.selection.evidence.balance.machine
         names = [f"{NEXT_MOTION} {k}" for k in range(len(motions))]
         more = (self.player.run(n, m, noise=True) for n, m in zip(names, motions, strict=True))
         motion = smooth(replace(recording, runs=(*recording.runs, *more)), machine)
         balance = Balance(machine, motion)
-        again = {key: _again(balance, term) for key, term in self._terms.items()}
-        at_values = {id(side): _at_values(balance, side) for side in self._sides}
-        terms = [t for t in (*again.values(), *at_values.values()) if t is not None]
-        tolerances = nuisances(balance, settings.tolerances)
-        evidence = whiten(balance, terms, tolerances, law=settings.tolerances.law)
-        grams = self._grams(evidence, {k: t for k, t in at_values.items() if t is not None})
-        new = [k for k, run in enumerate(motion.runs) if run.name in names]
-        order = {run.name: k for k, run in enumerate(motion.runs)}
+        again = {
+            key: own
+            for key, t in self._terms.items()
+            for own in terms_of(balance, t.effect, t.axes, t.law, (t.contact,))
+            if len(own.columns) == len(t.columns)  # else the motion does not show it
+        }
+        found = nuisances(balance, tolerances)
+        evidence = whiten(balance, list(again.values()), found, law=tolerances.law)
+        asked = _Asked(evidence, {key: evidence.columns_of(own) for key, own in again.items()})
+        grams = self._grams(asked)
+        run_of = {run.name: k for k, run in enumerate(motion.runs)}
+        new = [run_of[name] for name in names]
         old = grams.sum(axis=0) - grams[new].sum(axis=0)
-        asked = _Asked(evidence, again, at_values)
-        return [self._of(asked, old, old + grams[order[name]]) for name in names]
+        return [self._of(asked, old, old + grams[k]) for k in new]
 
-    def _grams(self, evidence: Evidence, predicted: Mapping[int, Term]) -> Array:
+    def _grams(self, asked: _Asked) -> Array:
         """Gram matrix of all columns in each run (runs, K, K), cells weighted as in the answer.
 
         Cells in which the laws of the answer miss more than noise say less.
         """
+        evidence = asked.evidence
         found = np.zeros((len(evidence.balance.motion.runs), *2 * [len(evidence.centre)]))
-        own = [
-            evidence.columns_of(predicted[id(side)])[0]
-            for side in self._sides[: len(self.answer.decision.findings)]
-            if id(side) in predicted
-        ]
+        force = np.zeros(len(evidence.centre))
+        for side in self._found:
+            if id(side.term) in asked.columns:
+                force[list(asked.columns[id(side.term)])] = side.coefficients
         for channel in evidence.channels:
-            at, weight = channel.columns, self._weight(evidence, channel)
-            among = np.flatnonzero(np.isin(at, own))
-            missed = evidence.inexact[at[among]] ** 2 * channel.square[:, among]
-            weight = weight * channel.count / (channel.count + missed.sum(axis=1))
+            at, weight = channel.columns, self._weight(channel)
+            missed = channel.square @ (evidence.inexact[at] * force[at]) ** 2
+            weight = weight * channel.count / (channel.count + missed)
+            every = np.arange(len(at))
             for run in _moving(evidence.balance, channel):
-                every = np.arange(len(at))
                 own_cells = weight * (channel.run == run)
                 found[run][np.ix_(at, at)] += channel.products(own_cells, every, every)
         return found
 
-    def _weight(self, evidence: Evidence, channel: Channel) -> Array:
+    def _weight(self, channel: Channel) -> Array:
         """Weight of each cell: that of its band in the answer's fit of the recorded runs (C,)."""
         selection, powers = self.answer.selection, self.answer.decision.fit.powers
         for k, known in enumerate(selection.evidence.channels):
@@ -324,46 +365,31 @@ class Questions:
                 return np.interp(np.log(channel.turn), np.log(turns), total / counted)
         return np.ones(len(channel.count))
 
-    def _of(self, asked: _Asked, old: Array, joint: Array) -> Gains:
+    def _of(self, asked: _Asked, old: Array, joint: Array) -> _Gains:
         """Gains of one motion by the Gram matrices without and with it."""
         if not self.pairs:
             return asked.narrowing(self._named, self.answer.decision.fit.terms, old, joint)
-        found = []
-        for pair in self.pairs:
-            ahead = asked.apart(pair.effect, pair.rival, pair.others, old, joint)
-            behind = asked.apart(pair.rival, pair.effect, pair.others, old, joint)
-            found.append(
+        return _Gains(
+            pairs=tuple(
                 PairGain(
                     effect=NOTHING if pair.effect is None else pair.effect.words,
-                    rival=pair.rival.words, so_far_nats=pair.nats, if_effect_nats=ahead,
-                    if_rival_nats=behind,
+                    rival=pair.rival.words,
+                    so_far_nats=pair.nats,
+                    if_effect_nats=asked.apart(pair.effect, pair.rival, pair.others, old, joint),
+                    if_rival_nats=asked.apart(pair.rival, pair.effect, pair.others, old, joint),
                 )
-            )  # fmt: skip
-        return Gains(pairs=tuple(found))
+                for pair in self.pairs
+            )
+        )
 
 
 def _moving(balance: Balance, channel: Channel) -> list[int]:
     """Runs of a channel in which its joint moves: at rest its dry friction takes any value."""
     if channel.joint >= len(balance.machine.joints):
         return sorted({int(run) for run in channel.run})
-    speeds = np.array([
-        np.percentile(np.abs(own[:, channel.joint]), 95)
-        for own in balance.motion.split(balance.speed)
-    ])  # fmt: skip
+    runs = balance.motion.split(np.abs(balance.speed[:, channel.joint]))
+    speeds = np.array([np.percentile(own, 95) for own in runs])
     return [int(run) for run in np.flatnonzero(speeds > _STANDS * speeds.max())]
-
-
-def _again(balance: Balance, term: Term) -> Term | None:
-    """The same effect with its columns along another motion; None if that does not show it."""
-    found = terms_of(balance, term.effect, term.axes, term.law, (term.contact,))
-    return found[0] if found else None
-
-
-def _at_values(balance: Balance, side: Side) -> Term | None:
-    """One column: the force of an effect at its values."""
-    values = (tuple(map(float, side.values)),)
-    found = terms_of(balance, side.term.effect, values, True, (side.term.contact,))
-    return found[0] if found else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,14 +397,18 @@ class _Asked:
     """Effects in question in the evidence of recorded and planned runs."""
 
     evidence: Evidence
-    again: Mapping[int, Term | None]
-    at_values: Mapping[int, Term | None]
+    columns: Mapping[int, tuple[int, ...]]
+    """Columns of each term that shows, by its identity."""
 
-    def columns(self, terms: Sequence[Term]) -> IndexArray:
-        """Columns of some effects, those of the tolerances first."""
-        seen = (self.again[id(term)] for term in terms)
-        own = {k for term in seen if term is not None for k in self.evidence.columns_of(term)}
-        return np.array([*range(self.evidence.tolerances), *sorted(own)], dtype=np.intp)
+    def of(self, terms: Sequence[Term]) -> IndexArray:
+        """Columns of some effects."""
+        found = {k for term in terms for k in self.columns.get(id(term), ())}
+        return np.array(sorted(found), dtype=np.intp)
+
+    def beside(self, terms: Sequence[Term]) -> tuple[IndexArray, Array]:
+        """Columns of the tolerances and of some effects, and their prior precision (K, K)."""
+        numbers = np.concatenate([np.arange(self.evidence.tolerances), self.of(terms)])
+        return numbers, np.diag(self.evidence.precision[numbers])
 
     def apart(
         self, true: Side | None, other: Side | None, rest: Set, old: Array, joint: Array
@@ -388,41 +418,214 @@ class _Asked:
         Of what one effect does, in noise standard deviations, beyond the other effect in any of
         its shapes, the common effects and all tolerances.
         """
-        term = None if true is None else self.at_values[id(true)]
-        if term is None:
+        at = [] if true is None else list(self.columns.get(id(true.term), ()))
+        if true is None or not at:
             return 0.0
-        at = self.evidence.columns_of(term)[0]
         shapes: list[Set] = [()] if other is None else [(shape,) for shape in other.shapes]
-        ends = [min(self._left(gram, at, rest, shape) for shape in shapes) for gram in (old, joint)]
+        force, ends = true.coefficients, []
+        for gram in (old, joint):
+            cross = gram[:, at] @ force
+            square = np.array([force @ cross[at]])
+            ends.append(min(self._left(gram, square, cross, rest, shape) for shape in shapes))
         return 0.5 * max(ends[1] - ends[0], 0.0)
 
-    def _left(self, gram: Array, at: int, rest: Set, shape: Set) -> float:
-        """Squared distance of a column from what a set of effects can do, and what that costs."""
-        numbers = self.columns((*rest, *shape))
-        precision = self.evidence.precision[numbers]
+    def _left(self, gram: Array, square: Array, cross: Array, rest: Set, shape: Set) -> float:
+        """Squared distance of a force from what a set of effects can do, and what that costs."""
+        numbers, precision = self.beside((*rest, *shape))
         # common effects may change by their priors; a law begins at its size
-        own = np.isin(numbers, self.columns(shape)[self.evidence.tolerances :])
+        own = np.isin(numbers, self.of(shape))
         centre = np.where(own, self.evidence.centre[numbers], 0.0)
-        normal, cross = gram[np.ix_(numbers, numbers)], gram[numbers, at][:, None]
-        return float(unexplained(gram[at, [at]], cross, normal, np.diag(precision), centre)[0])
+        normal, slope = gram[np.ix_(numbers, numbers)], cross[numbers][:, None]
+        return float(unexplained(square, slope, normal, precision, centre)[0])
 
-    def narrowing(self, named: Set, terms: Set, old: Array, joint: Array) -> Gains:
+    def narrowing(self, named: Set, terms: Set, old: Array, joint: Array) -> _Gains:
         """Fall of the covariance of named effects beside all others and the tolerances."""
-        numbers = self.columns(terms)
-        wanted = self.columns(named)[self.evidence.tolerances :]
+        (numbers, prior), wanted = self.beside(terms), self.of(named)
         inner = np.searchsorted(numbers, wanted)
-        prior = np.diag(self.evidence.precision[numbers])
         wholes = (np.linalg.inv(gram[np.ix_(numbers, numbers)] + prior) for gram in (old, joint))
         before, after = (np.asarray(whole[np.ix_(inner, inner)], float) for whole in wholes)
         shares = 0.5 * np.log(np.diag(after) / np.diag(before))
         found = []
         for term in named:
-            own = np.isin(wanted, self.columns((term,)))
+            own = np.isin(wanted, self.of((term,)))
             if own.any():
-                share = float(np.exp(shares[own].mean()))
-                found.append(Narrowing(effect="{} at {}".format(*term.name), share=share))
+                words, share = "{} at {}".format(*term.name), float(np.exp(shares[own].mean()))
+                found.append(Narrowing(effect=words, share=share))
         nats = 0.5 * (log_determinant(before) - log_determinant(after))
-        return Gains(narrowed=tuple(found), nats=float(nats))
+        return _Gains(narrowed=tuple(found), nats=float(nats))
+
+
+def limits_of(
+    machine: NominalModel, motion: Measured, settings: NextMotionSettings
+) -> MotionLimits:
+    """Collect the limits: of the settings, else of the model, else what the recording showed."""
+    model: mujoco.MjModel = machine.model
+    turning = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
+    unit, home = np.where(turning, 1.0, SLIDE), np.array(motion.runs[0].position[0])
+    limited, reach = model.jnt_limited.astype(bool), settings.next_reach_rad * unit
+    low = np.where(limited, model.jnt_range[:, 0], home - reach)
+    high = np.where(limited, model.jnt_range[:, 1], home + reach)
+    known = ("joint limits of the model", "--next-reach-rad")
+    of_range = ", else ".join(known) if limited.any() else known[1]
+    stated = _stated_speed(model, unit)
+    if settings.next_max_speed_rad_s > 0:
+        speed, of_speed = settings.next_max_speed_rad_s * unit, "--next-max-speed-rad-s"
+    elif stated is not None:
+        speed, of_speed = stated, "max_speed_rad_s of the model"
+    else:
+        seen, of_speed = np.abs(motion.stacked("speed")).max(axis=0), "the fastest of the runs"
+        # a joint that never moved may move as fast as others
+        speed = np.where(seen > 0.05 * seen.max(), seen, max(float(seen.max()), 0.1))
+    gears = np.abs(_gears(machine))
+    torque = (gears * np.where(gears > 0, force_limits(model), 0.0)).sum(axis=1)
+    torque[torque == 0] = np.inf
+    of_joint = np.abs(model.jnt_actfrcrange).min(axis=1)
+    torque = np.minimum(torque, np.where(model.jnt_actfrclimited, of_joint, np.inf))
+    return MotionLimits(
+        joints=machine.joints, turning=turning, rate=1 / _interval(motion), home=home,
+        low=np.minimum(low, home), high=np.maximum(high, home), speed=speed,
+        torque=settings.next_torque_share * torque,
+        sources=(
+            known[0] if limited.all() else of_range, of_speed,
+            f"{settings.next_torque_share:g} of the drives' limits",
+        ),
+    )  # fmt: skip
+
+
+def _interval(motion: Measured) -> float:
+    """Interval of the log's samples [s]."""
+    return float(np.median([run.log_step for run in motion.runs]))
+
+
+def _stated_speed(model: mujoco.MjModel, unit: Array) -> Array | None:
+    """Speed limits that a model states as a custom number (joints,); None if it does not."""
+    for k in range(model.nnumeric):
+        if model.numeric(k).name == "max_speed_rad_s":
+            told = np.asarray(model.numeric(k).data, dtype=float)
+            if told.size not in (1, len(unit)):
+                raise InvalidData(
+                    f"max_speed_rad_s of the model has {told.size} values; it must have one, or "
+                    f"one for each of the {len(unit)} joints (of a slide in m/s)"
+                )
+            return told * unit if told.size == 1 else told
+    return None
+
+
+def _gears(machine: NominalModel) -> Array:
+    """Torque on each joint per force of each actuator (joints, actuators)."""
+    return np.stack([machine.gears(joint) for joint in machine.joints])
+
+
+def drive_of(machine: NominalModel) -> CommandMode:
+    """Return what the commands of a model's actuators are."""
+    kinds: set[CommandMode] = {
+        "position" if place else "speed" if rate else "torque"
+        for place, rate in machine.model.actuator_biasprm[:, 1:3]
+    }
+    if len(kinds) > 1:
+        raise InvalidData(
+            f"the actuators of the model take {' and '.join(sorted(kinds))} commands; a motion is "
+            "written for actuators of one kind"
+        )
+    return kinds.pop() if kinds else "none"
+
+
+class Player:
+    """Plays desired positions on the corrected model, in the columns of a recording.
+
+    Raises
+    ------
+    InvalidData
+        If the runs have neither commands nor torques, or the actuators differ in kind.
+    """
+
+    def __init__(
+        self, recording: Recording, machine: NominalModel, motion: Measured, corrected: Hypothesis
+    ) -> None:
+        self.machine = machine
+        forms = {run.form for run in motion.runs}
+        if forms == {"free"}:
+            raise InvalidData(
+                "the recorded runs have neither commands nor torques, so that no command is known "
+                "to move the machine; record runs with ctrl. or torque. columns for --next"
+            )
+        self.drive: CommandMode = drive_of(machine) if "forward" in forms else "none"
+        self._interval = _interval(motion)
+        self.rate = 1.0 / self._interval
+        step = min(machine.time_step, step_for(machine, corrected))
+        parts = ceil(self._interval / step - 1e-9)
+        self._model = corrected.model(
+            machine, self._interval / parts, released=self.drive == "none"
+        )
+        joints = [self._model.joint(name) for name in machine.joints]
+        self._at = np.array([int(joint.qposadr[0]) for joint in joints])
+        self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
+        common = set.intersection(*(set(run.sensors) for run in recording.runs))
+        self._sensors = [name for name in machine.sensors if name in common]
+        self._noise = _noise([run.sensors for run in recording.runs])
+        self._torque_noise = _noise([run.torques for run in recording.runs])
+
+    def play(self, desired: Array) -> PlannedMotion:
+        """Play desired joint positions (T, joints), sampled as the recording, on the model."""
+        model, data, at, dofs = self._model, mujoco.MjData(self._model), self._at, self._dofs
+        count, gears = len(self.machine.actuators), _gears(self.machine)
+        rates = np.gradient(desired, self._interval, axis=0)
+        turn, inertias = 2 * np.pi * _CONTROL_HZ, self.machine.inertias
+        data.qpos[at] = desired[0]
+        controls = None
+        if self.drive in ("position", "speed"):
+            controls = (desired if self.drive == "position" else rates) @ gears
+            data.ctrl[:count] = controls[0]
+            for own in np.flatnonzero(model.actuator_actnum):
+                data.act[model.actuator_actadr[own]] = data.ctrl[min(int(own), count - 1)]
+            mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
+
+        def command(row: int) -> None:
+            if controls is not None:
+                data.ctrl[:count] = controls[row]
+                return
+            # without servos a controller follows the motion
+            off, late = desired[row] - data.qpos[at], rates[row] - data.qvel[dofs]
+            effort = data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
+            effort = effort + inertias * (turn**2 * off + 2 * turn * late)
+            if self.drive == "torque":
+                data.ctrl[:count] = np.linalg.lstsq(gears, effort, rcond=None)[0]
+            else:
+                data.qfrc_applied[dofs] = effort
+
+        return followed(model, data, desired, self._interval, (at, dofs), command)
+
+    def run(self, name: str, motion: PlannedMotion, *, noise: bool = False) -> Run:
+        """Motion in the recording's columns, if wanted with the noise of its sensors."""
+        rng, joints = np.random.default_rng(_SEED), self.machine.joints
+
+        def read(values: Array, sd: Array | float) -> Array:
+            return values + noise * sd * rng.standard_normal(values.shape)
+
+        sensors = dict[str, Array]()
+        for sensor in map(self._model.sensor, self._sensors):
+            own = motion.readings[:, int(sensor.adr[0]) :][:, : int(sensor.dim[0])]
+            own = own[:, 0] if own.shape[1] == 1 else own
+            sensors[sensor.name] = read(own, self._noise[sensor.name])
+        controls, torques = dict[str, Array](), dict[str, Array]()
+        if self.drive == "none":
+            torques = {
+                joint: read(motion.torque[:, joints.index(joint)], sd)
+                for joint, sd in self._torque_noise.items()
+            }
+        else:
+            controls = dict(zip(self.machine.actuators, motion.controls.T, strict=False))
+        return Run(name=name, time=motion.time, controls=controls, sensors=sensors, torques=torques)
+
+
+def _noise(runs: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    """Noise of each column of some runs, of each axis of a vector; 0 where none is known."""
+    names = dict.fromkeys(name for columns in runs for name in columns)
+    floors = {
+        name: [np.apply_along_axis(noise_floor, 0, own[name]) for own in runs if name in own]
+        for name in names
+    }
+    return {name: np.nan_to_num(np.median(found, axis=0)) for name, found in floors.items()}
 
 
 def choose_next(
@@ -432,7 +635,7 @@ def choose_next(
     *,
     motions: Sequence[Motion] | None = None,
     say: Say = lambda _: None,
-) -> NextMotion | None:
+) -> tuple[NextMotion, Run] | None:
     """Choose the motion with the largest expected gain per time; None where none tells more.
 
     Parameters
@@ -447,6 +650,12 @@ def choose_next(
         Motions to choose from; by default the library of the arm.
     say : callable
         Receives progress messages, line by line.
+
+    Returns
+    -------
+    NextMotion, Run
+        The motion with what it is expected to tell, and as a run of the recording: its commands,
+        and the readings that are expected of the machine.
 
     Raises
     ------
@@ -465,27 +674,31 @@ def choose_next(
         fitting, refused = _played(player, limits, settings, motions)
         say(f"next motion: {len(fitting)} motions, {len(pairs)} open pairs")
         questions = Questions(answer, pairs, player)
-        chosen, gains = _best(questions, [planned for _, planned in fitting], settings)
+        rates = [
+            gains.value / (planned.time[-1] + settings.next_setup_s)
+            for gains, (_, planned) in zip(
+                questions.gains([planned for _, planned in fitting]), fitting, strict=True
+            )
+        ]
+        motion, planned = fitting[int(np.argmax(rates))]
+        (gains,) = questions.gains([planned])  # if it alone is recorded
     if not gains.tells:
         say("next motion: none tells more than the same runs once more")
         return None
-    motion, planned = fitting[chosen]
-    return NextMotion(
-        motion=motion, planned=planned, gains=gains, limits=limits, considered=len(fitting),
-        refused=refused, run=player.run(NEXT_MOTION, planned), settings=settings,
+    run = player.run(NEXT_MOTION, planned)
+    chosen = NextMotion(
+        words=motion.described(limits.joints), seconds=float(planned.time[-1]), pairs=gains.pairs,
+        narrowed=gains.narrowed, checked=limits.notes(planned), motion=asdict(motion),
+        limits={
+            "joints": list(limits.joints), "first_pose": limits.home.tolist(),
+            "low": limits.low.tolist(), "high": limits.high.tolist(),
+            "speed": limits.speed.tolist(), "torque": limits.torque.tolist(),
+            "sources": dict(zip(("position", "speed", "torque"), limits.sources, strict=True)),
+        },
+        settings=asdict(settings), considered=len(fitting), refused=refused,
+        columns=tuple(table_of(run)),
     )  # fmt: skip
-
-
-def _best(
-    questions: Questions, planned: Sequence[PlannedMotion], settings: NextMotionSettings
-) -> tuple[int, Gains]:
-    """Motion of the largest gain per time, with its gains if it alone is recorded."""
-    rates = [
-        gains.value / (motion.seconds + settings.next_setup_s)
-        for motion, gains in zip(planned, questions.gains(planned), strict=True)
-    ]
-    best = int(np.argmax(rates))
-    return best, questions.gains([planned[best]])[0]
+    return chosen, run
 
 
 def _played(
@@ -495,10 +708,11 @@ def _played(
     wanted: Sequence[Motion] | None,
 ) -> tuple[list[tuple[Motion, PlannedMotion]], tuple[tuple[str, str], ...]]:
     """Motions that keep the limits under the corrected model, and the reasons of the others."""
-    arm = limits.arm(player.machine, player.rate)
+    unit = limits.unit
+    fast = replace(limits, speed=unit * np.max(limits.speed / unit))  # slower ones are reduced
 
     def checked(motion: Motion) -> tuple[PlannedMotion | None, str]:
-        desired = motion.commands(arm)
+        desired = motion.commands(fast)
         if len(desired) > settings.next_seconds * player.rate + 1:
             return None, f"it takes longer than {settings.next_seconds:g} s"
         planned = player.play(desired)
@@ -507,14 +721,18 @@ def _played(
     tries = 1
     if wanted is None:
         tries, least = _TRIES, min(settings.next_least_seconds, settings.next_seconds)
-        wanted = [replace(m, seconds=max(m.seconds, least)) for m in long_motions(arm)]
+        machine = player.machine
+        torque = np.where(np.isfinite(limits.torque), limits.torque, machine.load_scales)
+        driven = np.arange(len(limits.joints))
+        poses = loaded_poses(machine.model, limits.home, driven, limits, torque)
+        wanted = [replace(m, seconds=max(m.seconds, least)) for m in long_motions(*poses)]
     found, refused = [], []
     for motion in dict.fromkeys(wanted):
         fitting, planned, reason = scaled_until(motion, checked, tries)
         if planned is not None and not reason:
             found.append((fitting, planned))
         else:
-            refused.append((motion_words(motion, limits.joints), reason))
+            refused.append((motion.described(limits.joints), reason))
     if not found:
         raise InvalidData(
             f"no motion fits the machine; of {len(refused)} tried the first does not, since "
@@ -523,83 +741,21 @@ def _played(
     return found, tuple(refused)
 
 
-def motion_words(motion: Motion, joints: Sequence[str]) -> str:
-    """A motion with the names of its joints."""
-    which = ", ".join(joints[j] for j in motion.joints)
-    if len(motion.joints) == len(joints) > 1:
-        which = "all joints"
-    pose = ", ".join(f"{value:.2f}" for value in motion.centre or ())
-    where = f" about ({pose})" if pose else ""
-    return f"{motion.kind.replace('_', ' ')} of {which}{where}, {motion.amplitude:.2g} rad"
-
-
-@dataclass(frozen=True, kw_only=True)
-class NextMotionSummary:
-    """What a motion is expected to tell, for ``next_motion.json``."""
-
-    words: str
-    """The motion: kind, joints, amplitude and speed."""
-    seconds: float
-    """Length of one run [s]."""
-    repeats: int
-    """How often it is recorded, each as a run of its own, held out in turn."""
-    pairs: tuple[PairGain, ...]
-    """Expected gain for each open pair."""
-    narrowed: tuple[Narrowing, ...] = ()
-    """What is left of the intervals of the named effects; empty while pairs are open."""
-    checked: tuple[str, ...]
-    """What was checked, with the corrected model, and the margins left."""
-    motion: Mapping[str, Any]
-    """Configuration of the motion."""
-    limits: Mapping[str, Any]
-    """Limits by joint, and where they come from."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Settings of the choice."""
-    considered: int
-    """Motions that were compared."""
-    refused: tuple[tuple[str, str], ...]
-    """Motions that do not fit, each with the reason."""
-    columns: tuple[str, ...]
-    """Columns of the tables."""
-    format: str = FORMAT
-    """Format of the file."""
-
-
-def summary_of(chosen: NextMotion) -> NextMotionSummary:
-    """Summarise a chosen motion."""
-    limits = chosen.limits
-    shown = {"first_pose": limits.home, "low": limits.low, "high": limits.high}
-    shown |= {"speed": limits.speed, "torque": limits.torque}
-    return NextMotionSummary(
-        words=motion_words(chosen.motion, limits.joints), seconds=chosen.planned.seconds,
-        repeats=_REPEATS, pairs=chosen.gains.pairs, narrowed=chosen.gains.narrowed,
-        checked=limits.notes(chosen.planned), motion=asdict(chosen.motion),
-        limits={
-            "joints": list(limits.joints),
-            **{name: [float(v) if np.isfinite(v) else None for v in values]
-               for name, values in shown.items()},
-            "sources": dict(zip(("position", "speed", "torque"), limits.sources, strict=True)),
-        },
-        settings=asdict(chosen.settings), considered=chosen.considered, refused=chosen.refused,
-        columns=tuple(table_of(chosen.run)),
-    )  # fmt: skip
-
-
-def write_next_motion(folder: Path, chosen: NextMotion) -> list[Path]:
+def write_next_motion(folder: Path, motion: NextMotion, run: Run) -> list[Path]:
     """Write ``next_motion.csv``, ``next_motion.parquet`` and ``next_motion.json``.
 
     The tables have the columns of a run of the recording: the time, the commands in each actuator's
     unit, and the readings that are expected of the machine.
     """
-    table = table_of(chosen.run)
+    table = table_of(run)
     files = [folder / f"{NEXT_MOTION}.{ending}" for ending in ("csv", "parquet", "json")]
     write_csv(files[0], table)
     write_parquet(files[1], table)
-    write_text(files[2], json_text(asdict(summary_of(chosen))))
+    write_text(files[2], json_text(asdict(motion)))
     return files
 
 
-def read_next_motion(file: Path) -> NextMotionSummary:
+def read_next_motion(file: Path) -> NextMotion:
     """Read ``next_motion.json``.
 
     Raises
@@ -608,10 +764,10 @@ def read_next_motion(file: Path) -> NextMotionSummary:
         If it is none of the format.
     """
     whole = whole_of(file.read_text(encoding="utf-8"), format=FORMAT, noun="next motion")
-    return restored(NextMotionSummary, whole, "next motion")
+    return restored(NextMotion, whole, "next motion")
 
 
-def next_motion_lines(motion: NextMotionSummary) -> list[str]:
+def next_motion_lines(motion: NextMotion) -> list[str]:
     """Lines on a motion for a reader: what it is, what it tells, what was checked."""
     found = [
         f"next motion: {NEXT_MOTION}.csv ({motion.seconds:.0f} s: {motion.words}), recorded "

@@ -1,30 +1,190 @@
-"""Arm on position servos, read from MJCF, with sensors; simulates motions by hypothesis."""
+"""Arm on position servos, limits of its motions, and what a model does in them."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import mujoco
 import numpy as np
+from annotated_types import Gt, Lt
 from numpy.typing import NDArray
 
 from loose_env.arms import load_spec
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData
 from loose_env.gap.model.hypothesis import Hypothesis, NominalParameters
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, mass_matrix
 from loose_env.gap.runs import Channel, Trial
 from loose_env.gap.simulator import Simulator, changes_within
-from loose_env.io import Checked, Count, Positive
-from loose_env.typing import Array
+from loose_env.io import Checked, Count, Positive, Rule
+from loose_env.typing import Array, IndexArray
 
-_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+SLIDE = 0.2
+"""Limits of slides over those of hinges: metres for radians."""
+_OVERSHOOT = 1.25
+"""Speed of the machine over the limit of its commands: a servo overshoots after a step."""
+_ROOM = 1e-6
+"""Rounding that a limit does not count."""
+_TORQUE_SHARE = 0.8
+"""Share of a torque limit that a motion may take in the nominal model."""
 _STABLE = 1.0
 """Largest rate of a rotor's damping times the time step: of Runge-Kutta's 2.8 the damping of the
 stiffest spring takes as much again, and effects add to the joint's."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlannedMotion:
+    """A motion as it is given to a machine and as its model answers."""
+
+    desired: Array
+    """Desired joint positions [rad, m] (T, joints)."""
+    interval: float
+    """Interval of the samples [s]."""
+    controls: Array
+    """Commands of the actuators, in their own units (T, actuators)."""
+    position: Array
+    """Joint positions of the model [rad, m] (T, joints)."""
+    speed: Array
+    """Joint speeds of the model [rad/s, m/s] (T, joints)."""
+    torque: Array
+    """Torque of the drives on the joints [N·m, N] (T, joints)."""
+    readings: Array
+    """Readings of all sensors of the model (T, sensordata)."""
+    contacts: tuple[tuple[str, str], ...]
+    """Pairs of bodies that touch and do not at the beginning."""
+    saturated: tuple[str, ...]
+    """Actuators that reach the range of their force."""
+
+    @property
+    def time(self) -> Array:
+        """Sample times [s], from 0 (T,)."""
+        return np.arange(len(self.desired), dtype=float) * self.interval
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionLimits:
+    """Limits of the joints, with where they come from."""
+
+    joints: tuple[str, ...]
+    """Names of the joints."""
+    turning: NDArray[np.bool_]
+    """Whether each of them is a hinge (joints,)."""
+    rate: float
+    """Sample rate [1/s]."""
+    home: Array
+    """Pose in which motions begin and end [rad, m] (joints,)."""
+    low: Array
+    """Lowest positions [rad, m] (joints,)."""
+    high: Array
+    """Highest positions [rad, m] (joints,)."""
+    speed: Array
+    """Largest speeds [rad/s, m/s] (joints,)."""
+    torque: Array
+    """Largest torques of the drives [N·m, N] (joints,), infinite where none is known."""
+    sources: tuple[str, str, str]
+    """Where those of position, speed and torque come from."""
+
+    @property
+    def unit(self) -> Array:
+        """Size of a motion of each joint over that of a hinge (joints,)."""
+        return np.where(self.turning, 1.0, SLIDE)
+
+    def refusal(self, motion: PlannedMotion) -> str:
+        """Reason why a motion does not fit, "" if it does."""
+        if not (np.isfinite(motion.position).all() and np.isfinite(motion.torque).all()):
+            return "the model does not follow it"
+        if motion.contacts:
+            return f"{motion.contacts[0][0]} and {motion.contacts[0][1]} would touch"
+        low = np.minimum(motion.position, motion.desired).min(axis=0)
+        high = np.maximum(motion.position, motion.desired).max(axis=0)
+        beyond = (low < self.low - _ROOM) | (high > self.high + _ROOM)
+        for k in np.flatnonzero(beyond):
+            return (
+                f"{self.joints[k]} would move from {low[k]:.3g} to {high[k]:.3g}; it may from "
+                f"{self.low[k]:.3g} to {self.high[k]:.3g} ({self.sources[0]})"
+            )
+        if motion.saturated:
+            return f"{motion.saturated[0]} would reach the range of its force"
+        wanted = np.abs(np.gradient(motion.desired, motion.time, axis=0)).max(axis=0)
+        fastest = np.maximum(wanted, np.abs(motion.speed).max(axis=0) / _OVERSHOOT)
+        largest = np.abs(motion.torque).max(axis=0)
+        for name, found, limits, source in (
+            ("speed", fastest, self.speed, self.sources[1]),
+            ("torque", largest, self.torque, self.sources[2]),
+        ):
+            for k in np.flatnonzero(found > limits * (1 + _ROOM)):
+                return (
+                    f"{self.joints[k]} would need a {name} of {found[k]:.3g}; it may have "
+                    f"{limits[k]:.3g} ({source})"
+                )
+        return ""
+
+    def notes(self, motion: PlannedMotion) -> tuple[str, ...]:
+        """What was checked, with the margins left."""
+        room = np.minimum(motion.position - self.low, self.high - motion.position).min()
+        fastest = float(np.max(np.abs(motion.speed) / self.speed))
+        torques = "torques: the model and the recording state no limit; not checked"
+        if np.isfinite(self.torque).any():
+            share = float(np.max(np.abs(motion.torque).max(axis=0) / self.torque))
+            torques = f"torques reach {share:.0%} of their limit ({self.sources[2]})"
+        return (
+            f"joint positions stay {room:.3g} rad or m within their range ({self.sources[0]})",
+            f"joint speeds reach {fastest:.0%} of their limit ({self.sources[1]})",
+            torques,
+            "collisions: no two bodies of the model touch that do not at the beginning",
+        )
+
+
+def followed(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    desired: Array,
+    interval: float,
+    where: tuple[IndexArray, IndexArray],
+    command: Callable[[int], None],
+) -> PlannedMotion:
+    """Simulate a motion from a state, with a command at each sample, contacts included."""
+    at, dofs = where
+    mujoco.mj_forward(model, data)
+    before = _touching(model, data)  # what touches at home may
+    met, saturated = dict[tuple[str, str], None](), dict[str, None]()
+    position, speed, torque = np.zeros((3, *desired.shape))
+    controls = np.zeros((len(desired), model.nu))
+    limited = np.flatnonzero(model.actuator_forcelimited)
+    readings = np.zeros((len(desired), model.nsensordata))
+    for row in range(len(desired)):
+        for _ in range(round(interval / model.opt.timestep) if row else 0):
+            mujoco.mj_step(model, data)
+            met |= dict.fromkeys(sorted(_touching(model, data) - before))
+        mujoco.mj_forward(model, data)
+        position[row], speed[row] = data.qpos[at], data.qvel[dofs]
+        torque[row] = data.qfrc_actuator[dofs]
+        readings[row] = data.sensordata
+        for k in limited:
+            low, high = model.actuator_forcerange[k]
+            if not low < data.actuator_force[k] < high:
+                saturated[model.actuator(int(k)).name] = None
+        command(row)
+        controls[row] = data.ctrl
+        torque[row] += data.qfrc_applied[dofs]
+    return PlannedMotion(
+        desired=desired, interval=interval, controls=controls, position=position, speed=speed,
+        torque=torque, readings=readings, contacts=tuple(met), saturated=tuple(saturated),
+    )  # fmt: skip
+
+
+def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
+    """Pairs of bodies in contact."""
+    found = set()
+    for contact in map(data.contact.__getitem__, range(data.ncon)):
+        if contact.dist <= 0:
+            one, two = (model.body(int(model.geom_bodyid[g])).name for g in contact.geom)
+            found.add((min(one, two), max(one, two)))
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,19 +216,8 @@ class Sensing(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class ServoArm:
+class ServoArm(Checked):
     """Nominal model of an arm on position servos, its home pose, limits and sensors.
-
-    Parameters
-    ----------
-    spec : mujoco.MjSpec
-        The model, with one position servo a driven joint; never changed.
-    sensing : Sensing
-        Sensors.
-    tolerance : float
-        Relative tolerance of the nominal parameters.
-    max_speed : float
-        Largest joint speed of motions [rad/s]; of slides a fifth of it [m/s].
 
     Raises
     ------
@@ -77,16 +226,17 @@ class ServoArm:
     """
 
     spec: mujoco.MjSpec
+    """The model, with one position servo a driven joint; never changed."""
     sensing: Sensing = Sensing()
-    tolerance: float = 0.03
-    max_speed: float = 2.0
+    """Sensors."""
+    tolerance: Annotated[float, Rule("between 0 and 0.5", (Gt(0), Lt(0.5)))] = 0.03
+    """Relative tolerance of the nominal parameters."""
+    max_speed: Positive = 2.0
+    """Largest joint speed of motions [rad/s]; of slides a fifth of it [m/s]."""
 
     def __post_init__(self) -> None:
         """Check that there are servos to command."""
-        if not 0 < self.tolerance < 0.5:
-            raise InvalidSetting(f"tolerance lies between 0 and 0.5, got {self.tolerance!r}")
-        if not self.max_speed > 0:
-            raise InvalidSetting(f"max_speed is above 0 rad/s, got {self.max_speed!r}")
+        super().__post_init__()
         if not len(self.driven):
             raise InvalidData(
                 "the model has no position servo: motions are commanded as joint positions, so "
@@ -108,16 +258,11 @@ class ServoArm:
             spec.delete(sensor)
         interval = 1.0 / self.sensing.rate
         step = min(float(model.opt.timestep), _STABLE / max(_rotor_rate(model), 1e-9))
-        steps = np.ceil(interval / max(step, 5e-4) - 1e-9)
-        spec.option.timestep = interval / steps
+        spec.option.timestep = interval / np.ceil(interval / max(step, 5e-4) - 1e-9)
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        joint, kind = mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtSensor.mjSENS_JOINTPOS
         for name in (model.joint(int(k)).name for k in _servos(model)[0]):
-            spec.add_sensor(
-                name=f"{name}_pos",
-                type=mujoco.mjtSensor.mjSENS_JOINTPOS,
-                objtype=mujoco.mjtObj.mjOBJ_JOINT,
-                objname=name,
-            )
+            spec.add_sensor(name=f"{name}_pos", type=kind, objtype=joint, objname=name)
         return spec
 
     @cached_property
@@ -129,7 +274,8 @@ class ServoArm:
         spec = self._prepared.copy()
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         # typical loads and speeds scale the effects' starts
-        return NominalModel(spec, loads=0.3 * self.all_torque_limits, speeds=self._speeds)
+        speeds = 0.5 * self.max_speed * np.where(_hinges(self.model), 1.0, SLIDE)
+        return NominalModel(spec, loads=0.3 * self._all_torque_limits, speeds=speeds)
 
     @cached_property
     def nominal(self) -> NominalParameters:
@@ -142,12 +288,12 @@ class ServoArm:
         return self._prepared.copy().compile()
 
     @cached_property
-    def driven(self) -> Array:
+    def driven(self) -> IndexArray:
         """Indices of the joints with a position servo (J,)."""
         return _servos(self.spec.copy().compile())[0]
 
     @cached_property
-    def actuators(self) -> Array:
+    def actuators(self) -> IndexArray:
         """Index of the servo of each driven joint (J,)."""
         return _servos(self.model)[1]
 
@@ -155,11 +301,6 @@ class ServoArm:
     def joints(self) -> tuple[str, ...]:
         """Names of the driven joints."""
         return tuple(self.model.joint(int(k)).name for k in self.driven)
-
-    @cached_property
-    def turning(self) -> NDArray[np.bool_]:
-        """Whether each driven joint is a hinge (J,)."""
-        return np.asarray(self.model.jnt_type[self.driven] == _HINGE)
 
     @cached_property
     def home(self) -> Array:
@@ -183,43 +324,34 @@ class ServoArm:
         return np.array(pose, dtype=float)
 
     @cached_property
-    def ranges(self) -> tuple[Array, Array]:
-        """Range of each driven joint, low and high (J,), a turn about home without limits."""
-        model = self.model
-        limited = model.jnt_limited[self.driven].astype(bool)
-        low = np.where(limited, model.jnt_range[self.driven, 0], self.home - np.pi)
-        high = np.where(limited, model.jnt_range[self.driven, 1], self.home + np.pi)
-        return low, high
-
-    @cached_property
-    def speed_limits(self) -> Array:
-        """Largest speeds of motions (J,) [rad/s, m/s]."""
-        return np.where(self.turning, self.max_speed, 0.2 * self.max_speed)
+    def limits(self) -> MotionLimits:
+        """Limits of motions: ranges, a turn about home without; speeds; most of the torques."""
+        model, home = self.model, self.home
+        limited, turning = model.jnt_limited[self.driven].astype(bool), _hinges(model)[self.driven]
+        low, high = model.jnt_range[self.driven].T
+        return MotionLimits(
+            joints=self.joints, turning=turning, rate=self.sensing.rate, home=home,
+            low=np.where(limited, low, home - np.pi), high=np.where(limited, high, home + np.pi),
+            speed=self.max_speed * np.where(turning, 1.0, SLIDE),
+            torque=_TORQUE_SHARE * self.torque_limits,
+            sources=("its range", "its speed limit", f"{_TORQUE_SHARE:g} of its torque limit"),
+        )  # fmt: skip
 
     @cached_property
     def torque_limits(self) -> Array:
         """Torque limit of each driven joint (J,) [N·m, N]; without one, from load and inertia."""
-        return np.asarray(self.all_torque_limits[self.driven])
+        return np.asarray(self._all_torque_limits[self.driven])
 
     @cached_property
-    def all_torque_limits(self) -> Array:
+    def _all_torque_limits(self) -> Array:
         """Torque limits of all joints (nv,) [N·m, N]."""
         model = self.model
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
-        mass = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, mass)
-        limits = 2.0 * np.abs(data.qfrc_bias) + 20.0 * np.diag(mass)
-        for joint, servo in zip(self.driven, self.actuators, strict=True):
-            if model.actuator_forcelimited[servo]:
-                gear = abs(float(model.actuator_gear[servo, 0]))
-                limits[joint] = gear * float(np.min(np.abs(model.actuator_forcerange[servo])))
+        limits = 2.0 * np.abs(data.qfrc_bias) + 20.0 * np.diag(mass_matrix(model, data))
+        own = np.abs(model.actuator_gear[self.actuators, 0]) * force_limits(model)[self.actuators]
+        limits[self.driven] = np.where(np.isfinite(own), own, limits[self.driven])
         return np.asarray(limits)
-
-    @property
-    def _speeds(self) -> Array:
-        turning = self.model.jnt_type == _HINGE
-        return np.asarray(0.5 * self.max_speed * np.where(turning, 1.0, 0.2))
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
@@ -230,7 +362,7 @@ class ServoArm:
     @cached_property
     def noise(self) -> Array:
         """Noise standard deviation of each channel (2 J,)."""
-        positions = self.sensing.encoder_sd(self.turning)
+        positions = self.sensing.encoder_sd(self.limits.turning)
         return np.concatenate([positions, self.sensing.torque_noise * self.torque_limits])
 
     @cached_property
@@ -248,42 +380,34 @@ class ServoArm:
         given[:, self.actuators] = commands
         return given
 
-    def simulate(self, hypotheses: Sequence[Hypothesis], commands: Array) -> list[Array]:
-        """Simulate the noise-free readings under each hypothesis, from rest at home.
+    def simulate(self, hypothesis: Hypothesis, commands: Array) -> Array:
+        """Simulate the noise-free readings under a hypothesis, from rest at home.
 
         Parameters
         ----------
-        hypotheses : sequence of Hypothesis
+        hypothesis : Hypothesis
             Effects and nominal factors of the machine.
         commands : ndarray (n, J)
             Desired positions at the samples [rad, m].
 
         Returns
         -------
-        list of ndarray (n, 2 J)
-            Positions and torques; NaN where a simulation diverged.
+        ndarray (n, 2 J)
+            Positions and torques; NaN where the simulation diverged.
         """
         simulator = Simulator(self.machine, [self._trial(commands)], self.channels, threads=1)
 
-        def predicted(own: Sequence[Hypothesis]) -> list[Array]:
-            return [run for (run,) in simulator.predict(own)]
+        def predicted(hypothesis: Hypothesis) -> Array:
+            return simulator.predict([hypothesis])[0][0]
 
-        readings = predicted(hypotheses)
-        within = [
-            k
-            for k, hypothesis in enumerate(hypotheses)
-            if changes_within(self.machine, hypothesis, self.channels)
-        ]
-        # what shifts commands is read at other moments of a step: only its difference from the
-        # same machine without effects, read alike, is the effect
-        plain = [hypotheses[k].with_effects([]) for k in within]
-        alike = [
-            replace(each, stepped_as=hypotheses[k].effects)
-            for k, each in zip(within, plain, strict=True)
-        ]
-        for k, at, of in zip(within, predicted(plain), predicted(alike), strict=True):
-            readings[k] = readings[k] - of + at
-        return readings
+        found = predicted(hypothesis)
+        if changes_within(self.machine, hypothesis, self.channels):
+            # what shifts commands is read at other moments of a step: only its difference from the
+            # same machine without effects, read alike, is the effect
+            plain = hypothesis.with_effects([])
+            alike = replace(plain, stepped_as=hypothesis.effects)
+            found = found - predicted(alike) + predicted(plain)
+        return found
 
     @property
     def parts(self) -> int:
@@ -306,17 +430,10 @@ class ServoArm:
         position = self.rest_position
         position[self.driven] = self.home
         return Trial(
-            name="motion",
-            form="forward",
-            time=np.arange(count) / self.sensing.rate,
-            measured=np.zeros((count, len(self.channels))),
-            step=step,
-            steps=len(controls),
-            controls=controls,
-            position=position,
-            speed=np.zeros(self.model.nv),
-            resting=True,
-        )
+            name="motion", form="forward", time=np.arange(count) / self.sensing.rate,
+            measured=np.zeros((count, len(self.channels))), step=step, steps=len(controls),
+            controls=controls, position=position, speed=np.zeros(self.model.nv), resting=True,
+        )  # fmt: skip
 
     def measured(self, readings: Array, rng: np.random.Generator) -> Array:
         """Add encoder noise, quantisation and torque noise to readings (n, 2 J)."""
@@ -324,7 +441,7 @@ class ServoArm:
         found = readings + rng.normal(size=readings.shape) * np.concatenate(
             [np.full(count, self.sensing.encoder_noise), self.noise[count:]]
         )
-        quantum = self.sensing.quantum(self.turning)
+        quantum = self.sensing.quantum(self.limits.turning)
         found[:, :count] = quantum * np.round(found[:, :count] / quantum)
         return np.asarray(found)
 
@@ -357,18 +474,18 @@ def read_servo_arm(
     return ServoArm(spec, sensing or Sensing(), tolerance, max_speed)
 
 
-def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
-    """Pairs of bodies in contact."""
-    found = set()
-    for k in range(data.ncon):
-        contact = data.contact[k]
-        if contact.dist <= 0:
-            one, two = (model.body(int(model.geom_bodyid[g])).name for g in contact.geom)
-            found.add((min(one, two), max(one, two)))
-    return found
+def force_limits(model: mujoco.MjModel) -> Array:
+    """Force limit of each actuator, infinite where it has none (nu,)."""
+    limited = model.actuator_forcelimited.astype(bool)
+    return np.where(limited, np.abs(model.actuator_forcerange).min(axis=1), np.inf)
 
 
-def _servos(model: mujoco.MjModel) -> tuple[Array, Array]:
+def _hinges(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Mask of the joints that are hinges."""
+    return np.asarray(model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE))
+
+
+def _servos(model: mujoco.MjModel) -> tuple[IndexArray, IndexArray]:
     """Driven joints, in the model's order, and the servo of each."""
     found = {}
     for k in range(model.nu):

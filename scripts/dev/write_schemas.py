@@ -15,7 +15,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import core_schema
 
 from loose_env.cli.command import command
-from loose_env.gap import GapResult, NextMotionSummary
+from loose_env.gap import GapResult, NextMotion
 from loose_env.instrument import Diagnosis, Trend
 from loose_env.io import plain, write_text
 from loose_env.recording import Description
@@ -23,7 +23,7 @@ from loose_env.recording import Description
 FORMATS: dict[str, type[Any]] = {
     "loose-recording/1": Description,
     "loose-gap/1": GapResult,
-    "loose-next-motion/1": NextMotionSummary,
+    "loose-next-motion/1": NextMotion,
     "loose-diagnosis/1": Diagnosis,
     "loose-trend/1": Trend,
 }

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap import (
     NEXT_MOTION,
@@ -25,14 +26,13 @@ from loose_env.gap import (
     next_motion,
     next_motion_lines,
     read_next_motion,
-    summary_of,
     write_next_motion,
 )
 from loose_env.gap.core.decision import decide
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.next_motion import NOTHING, open_pairs
-from loose_env.gap.planned_motion import MotionLimits, Player, drive_of, limits_of
+from loose_env.gap.next_motion import NOTHING, Player, drive_of, limits_of, open_pairs
+from loose_env.gap.servo_arm import MotionLimits
 from loose_env.recording import Recording, Run, read_recording, write_recording
 from loose_env.typing import Array
 
@@ -72,16 +72,19 @@ LIBRARY = (
 )
 
 
-def way(seconds: float, moves: float, to: Array) -> Array:
-    """Commands from home to a pose and to rest (T, 2)."""
+def way(seconds: float, moves: float, to: Array, home: Array = HOME) -> Array:
+    """Commands from home to a pose and to rest (T, joints)."""
     s = np.clip((np.arange(round(seconds * RATE)) / RATE - 0.3) / moves, 0, 1)[:, None]
-    return np.asarray(HOME + s**3 * (10 - 15 * s + 6 * s**2) * (to - HOME))
+    return np.asarray(home + s**3 * (10 - 15 * s + 6 * s**2) * (to - home))
 
 
-def recorded(name: str, commands: Array) -> Run:
-    """A run of the arm with dry friction at the elbow."""
-    spec = mujoco.MjSpec.from_string(MODEL)
-    spec.joint("elbow").frictionloss = FRICTION
+def recorded(
+    name: str, commands: Array, spec: mujoco.MjSpec | None = None, at: str = "elbow"
+) -> Run:
+    """A run of an arm with dry friction at a joint, the elbow of the two joints."""
+    spec = mujoco.MjSpec.from_string(MODEL) if spec is None else spec.copy()
+    spec.joint(at).frictionloss = FRICTION
+    spec.option.timestep = 1 / RATE
     model, rng = spec.compile(), np.random.default_rng(len(name))
     data, shown = mujoco.MjData(model), np.zeros_like(commands)
     data.qpos[:], data.ctrl[:] = commands[0], commands[0]
@@ -93,8 +96,8 @@ def recorded(name: str, commands: Array) -> Run:
     shown += rng.normal(0, 2e-5, shown.shape)
     return Run(
         name=name, time=np.arange(len(commands)) / RATE,
-        controls={"one": commands[:, 0], "two": commands[:, 1]},
-        sensors={"q1": shown[:, 0], "q2": shown[:, 1]},
+        controls={model.actuator(k).name: own for k, own in enumerate(commands.T)},
+        sensors={model.sensor(k).name: own for k, own in enumerate(shown.T)},
     )  # fmt: skip
 
 
@@ -112,7 +115,7 @@ def answer(recording: Recording) -> Answer:
 
 
 @pytest.fixture(scope="module")
-def chosen(answer: Answer) -> NextMotion:
+def chosen(answer: Answer) -> tuple[NextMotion, Run]:
     found = choose_next(answer, Hypothesis(), motions=LIBRARY)
     assert found is not None
     return found
@@ -127,14 +130,15 @@ def player_of(recording: Recording, model: str = MODEL) -> tuple[Player, MotionL
 
 
 def test_the_chosen_motion_shows_what_the_runs_left_open(
-    recording: Recording, answer: Answer, chosen: NextMotion
+    recording: Recording, answer: Answer, chosen: tuple[NextMotion, Run]
 ) -> None:
     assert not any(f.named for f in answer.decision.findings)
     (pair,) = open_pairs(answer)
     assert pair.effect is None and pair.rival.words == "coulomb_friction at elbow"
-    (gain,) = chosen.gains.pairs
+    motion, run = chosen
+    (gain,) = motion.pairs
     assert gain.effect == NOTHING and gain.nats > 5 and abs(gain.so_far_nats) < 5
-    commands = np.stack([chosen.run.controls[name] for name in ("one", "two")], axis=1)
+    commands = np.stack([run.controls[name] for name in ("one", "two")], axis=1)
     runs = (*recording.runs, *(recorded(f"{'next' * k}.csv", commands) for k in (1, 2)))
     after = find_gap(replace(recording, runs=runs), KINDS)
     (found,) = [f for f in after.decision.findings if f.named]
@@ -144,7 +148,7 @@ def test_the_chosen_motion_shows_what_the_runs_left_open(
         after, Hypothesis((found.term.effect,), (found.values,)), motions=LIBRARY[1:2]
     )
     if narrower is not None:
-        assert not narrower.gains.pairs and narrower.gains.narrowed[0].share < 0.7
+        assert not narrower[0].pairs and narrower[0].narrowed[0].share < 0.7
 
 
 def test_a_rival_is_separated_by_what_it_cannot_do(
@@ -161,9 +165,9 @@ def test_a_rival_is_separated_by_what_it_cannot_do(
     named = Hypothesis((term.effect,), (finding.values,))
     found = choose_next(likely, named, motions=LIBRARY[1:2])
     assert found is not None
-    gain = next(g for g in found.gains.pairs if g.rival == "viscous_friction at elbow")
+    gain = next(g for g in found[0].pairs if g.rival == "viscous_friction at elbow")
     assert gain.if_effect_nats > 1 and gain.if_rival_nats >= 0
-    assert any("from viscous_friction" in line for line in next_motion_lines(summary_of(found)))
+    assert any("from viscous_friction" in line for line in next_motion_lines(found[0]))
 
 
 @pytest.mark.parametrize(
@@ -184,9 +188,11 @@ def test_a_motion_beyond_a_limit_is_refused(
     assert reason in limits.refusal(player.play(way(4.2, 3.6, np.array(pose))))
 
 
-def test_the_files_read_as_a_run_of_the_recording(chosen: NextMotion, tmp_path: Path) -> None:
-    csv, parquet, described = write_next_motion(tmp_path, chosen)
-    again, summary = read_next_motion(described), summary_of(chosen)
+def test_the_files_read_as_a_run_of_the_recording(
+    chosen: tuple[NextMotion, Run], tmp_path: Path
+) -> None:
+    csv, parquet, described = write_next_motion(tmp_path, *chosen)
+    again, (summary, planned) = read_next_motion(described), chosen
     assert again.words == summary.words and again.refused == summary.refused
     assert again.pairs[0].nats == pytest.approx(summary.pairs[0].nats, rel=1e-5)
     assert {p.name for p in (csv, parquet)} == {f"{NEXT_MOTION}.csv", f"{NEXT_MOTION}.parquet"}
@@ -197,7 +203,7 @@ def test_the_files_read_as_a_run_of_the_recording(chosen: NextMotion, tmp_path: 
         (tmp_path / "recording.json").write_text(text % file.name)
         (run,) = read_recording(tmp_path).runs
         assert run.comparison == "forward"
-        assert np.array_equal(run.controls["two"], chosen.planned.controls[:, 1])
+        assert np.array_equal(run.controls["two"], planned.controls["two"])
         found.append(run)
     assert np.array_equal(found[0].sensors["q1"], found[1].sensors["q1"])
     assert summary.settings == asdict(NextMotionSettings())
@@ -241,3 +247,32 @@ def test_torque_commands_and_torque_logs_follow_the_desired_positions(
     run = player.run("log", played, noise=True)
     assert np.abs(played.position - played.desired).max() < 0.05
     assert run.comparison == "inverse" and set(run.torques) == {"shoulder", "elbow"}
+
+
+@pytest.mark.slow
+def test_the_library_of_a_six_joint_arm_has_a_motion_that_shows_what_is_open(
+    tmp_path: Path,
+) -> None:
+    spec = mujoco.MjSpec.from_file(str(SIX_AXIS_SERVO_ARM))
+    names = [joint.name for joint in spec.joints]
+    for name in names:
+        spec.add_sensor(
+            name=f"{name}_pos", type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name,
+        )  # fmt: skip
+    home = np.array(spec.keys[0].qpos)
+    ends = home + 0.2 * np.array([[1, -1, 1, -1, 1, -1], [-1, -1, 1, 1, 1.2, 1]])
+    runs = [
+        recorded(f"{'a' * k}.csv", way(3, 2.4, end, home), spec, at="joint5")
+        for k, end in enumerate(ends, 1)
+    ]
+    found = find_gap(write_recording(tmp_path, model_xml=spec.to_xml(), runs=runs), KINDS)
+    named = [f for f in found.decision.findings if f.named]
+    corrected = Hypothesis(tuple(f.term.effect for f in named), tuple(f.values for f in named))
+    chosen = choose_next(found, corrected)
+    assert chosen is not None
+    motion, run = chosen
+    assert motion.considered > 10 and "joint5" in motion.words
+    assert set(run.controls) == {f"motor{k}" for k in range(1, 7)}
+    gains = [pair.nats for pair in motion.pairs if pair.separates]
+    assert gains or min(each.share for each in motion.narrowed) < 0.7
