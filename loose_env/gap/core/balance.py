@@ -316,8 +316,7 @@ class Balance:
     def _loads(self, effect: DrivenEffect, values: Array) -> Array:
         """Drive torques that carry a friction by load beside what the model needs (T, joints).
 
-        Where they were measured, those; not those of commands, which need not come when they
-        should.
+        Not the drive's own torque, which contains all other friction as well.
         """
         none, one = (
             effect.dry_friction(np.full_like(self.needed, load), self.bias, self.speed, values)
@@ -326,9 +325,7 @@ class Balance:
         share, direction = np.minimum(one - none, _MOST_LOAD), self.directions[USUAL]
         carried = self.needed + direction * (none + self.dry)
         driven = carried / (1 - share * np.sign(carried) * direction)
-        driven[self.forms == "free"] = 0.0
-        inverse = (self.forms == "inverse")[:, None]
-        return np.where(inverse & np.isfinite(self.torques), self.torques, driven)
+        return np.where((self.forms == "free")[:, None], 0.0, driven)
 
     def _dofs(self, model: mujoco.MjModel) -> Array:
         """Degree of freedom of each of the machine's joints in an edited model."""

@@ -327,7 +327,7 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
     kind = "gear_eccentricity"
     # a third of a degree in either phase, which add up
     parameters = tuple(
-        Parameter.sized(name, "rad", 1.0, -0.5, 0.5, scale=0.005, starts=(0.005,))
+        Parameter(name=name, unit="rad", low=-0.1, high=0.1, scale=0.005, starts=(0.005,))
         for name in ("sine", "cosine")
     )
 
