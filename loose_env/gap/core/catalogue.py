@@ -85,6 +85,11 @@ class Term:
         """Kind and location."""
         return self.effect.kind, self.effect.where
 
+    @property
+    def form(self) -> tuple[str, str]:
+        """Kind that it is, or is a form of, and location: a place has one form of a kind."""
+        return self.effect.extends or self.effect.kind, self.effect.where
+
     def values(self, coefficients: Array) -> Array:
         """Parameter values for the coefficients of its columns."""
         effect, axes = self.effect, np.array(self.axes)

@@ -303,8 +303,8 @@ def _gains(selection: Selection, terms: Set, powers: Sequence[Array]) -> tuple[A
 def _near(selection: Selection, fit: SetFit) -> tuple[list[set[tuple[str, str]]], Array]:
     """Effects and probability of the sets near the answer."""
     form = selection.whole(fit.powers, fit)
-    names = {t.name for t in fit.terms}
-    pool = [t for t in selection.evidence.terms if t.name not in names]
+    forms = {t.form for t in fit.terms}
+    pool = [t for t in selection.evidence.terms if t.form not in forms]
     for _, term in selection.screened(form, fit.terms, pool)[:12]:
         selection.solve((*fit.terms, term), fit.powers)
     for term in fit.terms:

@@ -48,9 +48,9 @@ LEAD_S = 0.3
 """Time from the measured state to what is compared: longer than most drives are late [s]."""
 LARGE = 3.0
 """Residual from which something is left [noise standard deviations]."""
-EXPLAINED = 0.8
-"""Share of the power of a channel's residual that explains it: less than half the amplitude is
-left."""
+EXPLAINED = 0.9
+"""Share of the power of a channel's residual that explains it: less than a third of the amplitude
+is left."""
 _ROUNDS = 2
 """Reweighted rounds of a fit."""
 _EVALUATIONS = 3
@@ -228,8 +228,8 @@ class Exact:
             return list(tried.values())
 
         def with_more(rest: ExactFit) -> ExactFit:
-            names = {term.name for term in rest.terms}
-            new = [own for own in pool if not names & {term.name for term in own[0]}]
+            forms = {term.form for term in rest.terms}
+            new = [own for own in pool if not forms & {term.form for term in own[0]}]
             starts = [((*rest.terms, *terms), (*rest.values, *values)) for terms, values in new]
             return min(likely(some, starts), key=lambda f: f.total, default=rest)
 
@@ -406,6 +406,8 @@ def pool_of(
     evidence = selection.evidence
     balance, known = evidence.balance, evidence.terms
     places = {place for joint in joints for place in at_joint(balance.machine, joint)}
+    names = balance.machine.joints
+    places |= {encoder for encoder, k in balance.encoders.items() if names[k] in joints}
     found: list[Start] = []
     everywhere: dict[tuple[str, str, int], list[Term]] = {}
     for effect in candidates(balance.machine, kinds):

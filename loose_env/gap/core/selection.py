@@ -399,7 +399,7 @@ class Selection:
                 frozenset(map(id, (*own, *more))): (*own, *more)
                 for own in level
                 for more in single
-                if not {t.effect.kind for t in own} & {t.effect.kind for t in more}
+                if not {t.form for t in own} & {t.form for t in more}
             }
             form.cover(k for own in wider.values() for k in self.columns(own))
             order = sorted(wider.values(), key=lambda s: self.predicted(form, s))
@@ -510,8 +510,8 @@ class Selection:
 
     def _grown(self, state: SetFit) -> SetFit | None:
         """Best set with one more effect, or one more kind at all its places."""
-        names = {term.name for term in state.terms}
-        pool = [term for term in self.evidence.terms if term.name not in names]
+        forms = {term.form for term in state.terms}
+        pool = [term for term in self.evidence.terms if term.form not in forms]
         between = [np.sqrt(a * b) for a, b in zip(state.powers, self.rich, strict=True)]
         weightings = [state.powers, between, self.rich]
         sets: dict[frozenset[int], Set] = {}
@@ -590,12 +590,12 @@ class Selection:
 
     def alternatives(self, form: _Form, rest: Set, term: Term) -> list[Term]:
         """Other kinds at the place of a member, or at the links and drives beside it."""
-        machine, names = self.evidence.balance.machine, {t.name for t in rest}
+        machine, forms = self.evidence.balance.machine, {t.form for t in rest}
         near = neighbours(machine, term.effect.where)
         others = [
             t
             for t in self.evidence.terms
-            if t.effect.kind != term.effect.kind and t.name not in names and t.effect.where in near
+            if t.effect.kind != term.effect.kind and t.form not in forms and t.effect.where in near
         ]
         return [t for _, t in self.screened(form, rest, others)]
 
@@ -613,10 +613,10 @@ class Selection:
                 continue
             rest = tuple(t for t in state.terms if t.effect.kind != kind)
             found.append(rest)
-            names = {t.name for t in rest}
+            forms = {t.form for t in rest}
             places = {t.effect.where for t in state.terms if t.effect.kind == kind}
             kinds: dict[str, dict[str, Term]] = {}
-            pool = [t for t in everything if t.effect.where in places and t.name not in names]
+            pool = [t for t in everything if t.effect.where in places and t.form not in forms]
             for _, t in self.screened(form, rest, pool):
                 if t.effect.kind != kind:
                     kinds.setdefault(t.effect.kind, {}).setdefault(t.effect.where, t)

@@ -107,8 +107,8 @@ NUMBERS: tuple[Number, ...] = (
            reason="longer than most drives are late"),
     Number(name="core.exact.LARGE", unit="noise sd",
            reason="three standard deviations: 1 in 370 by chance"),
-    Number(name="core.exact.EXPLAINED", unit="of the power", tried=(0.6, 0.9),
-           reason="less than half of the amplitude is left"),
+    Number(name="core.exact.EXPLAINED", unit="of the power", tried=(0.8, 0.95),
+           reason="less than a third of the amplitude is left"),
     # decision
     Number(name="core.decision.NAMED", unit="probability", tried=(0.25, 0.75),
            reason="as likely as not"),
