@@ -153,7 +153,8 @@ class GapSession:
         with silent():
             fits = [self.selection.solve((*self.fit.terms, term)) for term in terms]
             best = min(fits, key=lambda f: (not f.allowed, f.total))
-            finding = decide(self.selection, best).findings[-1]
+            found = decide(self.selection, best).findings
+            finding = next(f for f in found if f.term not in self.fit.terms)
             return TriedEffect(
                 finding=finding,
                 before=self.held_out,
@@ -169,7 +170,7 @@ class GapSession:
         InvalidSetting
             If another effect was added since it was tried.
         """
-        if tried.fit.terms[:-1] != self.fit.terms:
+        if {*tried.fit.terms} != {*self.fit.terms, tried.finding.term}:
             raise InvalidSetting(
                 f"{tried.effect!r} was tried before {self.added[-1]!r} was added; try it again"
             )

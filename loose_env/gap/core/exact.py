@@ -60,7 +60,7 @@ _MOST_KINDS = 6
 _TRIED = 3
 """Effects that are fitted in one step of that search."""
 _GUESSED = 4
-"""Windows in which starts are compared, about."""
+"""Windows in which starts are compared, at least."""
 _LEAST_GAIN = 0.5
 """Fall of the total for which a step is taken."""
 _PULLED = 0.1
@@ -206,6 +206,7 @@ class Exact:
         selection: Selection,
         best: ExactFit,
         pool: Sequence[Start],
+        joints: int,
         leaves_open: Callable[[ExactFit], bool],
         say: Callable[[str], None],
     ) -> list[ExactFit]:
@@ -214,7 +215,8 @@ class Exact:
         They are exchanged only while they leave open one of the joints that they should explain.
         """
         visited, count = [best], len(self.simulator.trials)
-        some = self.on(range(0, count, max(count // _GUESSED, 1)))
+        # guesses take as long for many joints as for one
+        some = self.on(range(0, count, max(min(1 + joints, count // _GUESSED), 1)))
 
         def likely(by: Exact, starts: Sequence[Start]) -> list[ExactFit]:
             guesses = by._totals(selection, [s for s, _ in starts], [v for _, v in starts])

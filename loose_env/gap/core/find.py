@@ -127,7 +127,7 @@ def _simulated(
         def leaves_open(fit: ExactFit) -> bool:
             return bool(open_joints(exact, nominal, fit, left))
 
-        fits += exact.searched(selection, start, pool, leaves_open, say)
+        fits += exact.searched(selection, start, pool, len(joints), leaves_open, say)
         fits.sort(key=lambda f: f.total)
     else:
         say("decision on held-out data")
