@@ -63,6 +63,8 @@ _GUESSED = 4
 """Windows in which starts are compared, at least."""
 _LEAST_GAIN = 0.5
 """Fall of the total for which a step is taken."""
+_MOST_STEPS = 2e7
+"""Steps of simulations after which a search ends with the best set so far: cost."""
 _PULLED = 0.1
 """Standard deviations from which a pull of a tolerance is simulated."""
 _STEP = 1e-3
@@ -141,6 +143,7 @@ class Exact:
         self.noise = np.nanmedian(floors, axis=0)
         windows = [w for t in trials for w in _windows(t, balance, len(trials), between=between)]
         self.simulator = Simulator(machine, windows, self.channels, threads=threads)
+        self.steps = [0]  # of all simulations, also of those on some windows
 
     def fit(self, selection: Selection, fit: SetFit) -> ExactFit:
         """Fit the effects of a set in simulation, from what the cells say of them."""
@@ -254,7 +257,7 @@ class Exact:
             exchanged = fewer if leaves_open(best) else []
             steps = chain(fewer, map(with_more, more), map(with_more, exchanged))
             better = (step for step in steps if step.total < best.total - _LEAST_GAIN)
-            top = next(better, None)
+            top = next(better, None) if self.steps[0] < _MOST_STEPS else None
             if top is None:
                 return sorted(visited, key=lambda f: f.total)
             say(f"simulated: {', '.join(repr(term.effect) for term in top.terms)}")
@@ -303,6 +306,8 @@ class Exact:
     def _residuals(self, hypotheses: Sequence[Hypothesis]) -> list[tuple[Array, IndexArray]]:
         """Residuals in noise standard deviations with their channels, one row a reading."""
         found = []
+        length = sum(float(trial.time[-1]) for trial in self.simulator.trials)
+        self.steps[0] += round(len(hypotheses) * length / self.balance.machine.time_step)
         for predicted in self.simulator.predict(hypotheses):
             rows, channels = [], []
             for trial, columns in zip(self.simulator.trials, predicted, strict=True):
