@@ -33,6 +33,8 @@ _NOISE = 1.1
 it by some per cent."""
 _REST = 0.01
 """Speed over the typical one below which a joint is at rest, or four times its noise."""
+_LEAST_SHARE = 0.01
+"""Mean square of a window below which a stretch has no cells."""
 _FELT = 0.05
 """Squared noise standard deviations of a standard deviation of tolerance below which it is not
 felt."""
@@ -207,7 +209,9 @@ def _compared(balance: Balance, channel: int) -> bool:
     """Whether a channel is compared: a reading, or a joint that moves and whose force is known."""
     if channel >= len(balance.machine.joints):
         return True
-    return bool(balance.seen[:, channel].mean() > 0.5) and moves_at(balance, channel)
+    if balance.seen[:, channel].mean() <= 0.5 or not moves_at(balance, channel):
+        return False
+    return len(_grid(balance, channel).pieces) > 0
 
 
 def append(evidence: Evidence, term: Term) -> None:
@@ -338,6 +342,8 @@ def _grid(balance: Balance, joint: int) -> _Grid:
     for number, (run, own) in enumerate(whole):
         rows = slice(int(first[run]) + own.start, int(first[run]) + own.stop)
         window = _taper(own.stop - own.start) * weight[rows]
+        if np.mean(window**2) < _LEAST_SHARE:
+            continue
         frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
         band = np.searchsorted(edges, frequency, side="right") - 1
         noise = np.where(band < BANDS, _NOISE * balance.noise(joint, frequency), 0.0)
@@ -351,15 +357,15 @@ def _grid(balance: Balance, joint: int) -> _Grid:
             counts[key] = counts.get(key, 0.0) + (1.0 if k == 0 else 2.0)
         cells += [at, at]
         pieces.append((rows, window[:, None], scale[kept, None], kept))
-    cell = np.concatenate(cells).astype(int)
+    cell = np.concatenate([np.empty(0), *cells]).astype(int)
     order = np.argsort(cell, kind="stable")
-    stretch = np.array([piece for _, piece in keys])
+    stretch = np.array([piece for _, piece in keys], dtype=int)
     pooled = len(whole) > _MOST_STRETCHES
     runs = np.array([k if pooled else run for k, (run, _) in enumerate(whole)])
     centres = 2 * np.pi * np.sqrt(np.maximum(edges[:-1], edges[1] / 2) * edges[1:])
     found = _Rows(
         whitened=np.empty(0), cell=cell[order], count=np.array(list(counts.values())),
-        stretch=stretch, run=runs[stretch], turn=centres[[band for band, _ in keys]],
+        stretch=stretch, run=runs[stretch], turn=centres[np.array([band for band, _ in keys], dtype=int)],
     )  # fmt: skip
     cache[joint] = _Grid(pieces, order, found)
     return cache[joint]
@@ -517,10 +523,11 @@ def _sliding(balance: Balance, joint: int) -> Array:
     kernel = np.hanning(2 * width + 3)
     kernel /= kernel.sum()
     span = np.ones(max(width, 3))
-    for own in motion.split(speed):
+    for run, own in zip(motion.runs, motion.split(speed), strict=True):
         still = np.convolve(np.abs(own) < limit, span, "same") > len(span) - 0.5
         still = np.convolve(still, span, "same") > 0.5
-        if not 0.01 < still.mean() < 0.85:
+        # a joint at rest for nearly a whole run is held by its drive, or by friction without one
+        if still.mean() <= 0.01 or (still.mean() >= 0.85 and run.form != "free"):
             found.append(np.ones(len(own)))
         else:
             found.append(1 - np.clip(np.convolve(still, kernel, "same"), 0, 1))

@@ -63,7 +63,7 @@ _GUESSED = 4
 """Windows in which starts are compared, at least."""
 _LEAST_GAIN = 0.5
 """Fall of the total for which a step is taken."""
-_MOST_STEPS = 2e7
+_MOST_STEPS = 1e7
 """Steps of simulations after which a search ends with the best set so far: cost."""
 _PULLED = 0.1
 """Standard deviations from which a pull of a tolerance is simulated."""
