@@ -362,10 +362,11 @@ def _grid(balance: Balance, joint: int) -> _Grid:
     stretch = np.array([piece for _, piece in keys], dtype=int)
     pooled = len(whole) > _MOST_STRETCHES
     runs = np.array([k if pooled else run for k, (run, _) in enumerate(whole)])
+    bands = np.array([band for band, _ in keys], dtype=int)
     centres = 2 * np.pi * np.sqrt(np.maximum(edges[:-1], edges[1] / 2) * edges[1:])
     found = _Rows(
         whitened=np.empty(0), cell=cell[order], count=np.array(list(counts.values())),
-        stretch=stretch, run=runs[stretch], turn=centres[np.array([band for band, _ in keys], dtype=int)],
+        stretch=stretch, run=runs[stretch], turn=centres[bands],
     )  # fmt: skip
     cache[joint] = _Grid(pieces, order, found)
     return cache[joint]
