@@ -189,6 +189,8 @@ def decide_simulated(
         if channel.joint in simulated:
             number = simulated[channel.joint]
             before[k], after[k] = nominal.rms[number], left[number]
+    open_ = _unexplained(before, after)
+    shown = {term.name: open_[_main(selection, fit, term)] for term in fit.terms}
     findings = []
     for number, (term, values) in enumerate(zip(best.terms, best.values, strict=True)):
         ends = np.stack(_simulated_ends(best, number))
@@ -199,7 +201,11 @@ def decide_simulated(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
                 probability=chance, confusable=(), z=np.inf if sure else 0.0, by_run=gain,
-                by_stretch=gain, named=chance >= NAMED and sure and gain >= HELD_OUT,
+                by_stretch=gain,
+                named=chance >= NAMED
+                and sure
+                and gain >= HELD_OUT
+                and not shown.get(term.name, False),
             )
         )  # fmt: skip
     members = {term.name for term in best.terms}
