@@ -251,8 +251,8 @@ def terms_of(
     for contact in contacts if dry else ("",):
         direction = balance.directions[contact or USUAL]
         columns = tuple(
-            _column(balance, effect, law, k, values, f, direction)
-            for k, (values, f) in enumerate(zip(axes, forces, strict=True))
+            _column(balance, effect, law, values, f, direction)
+            for values, f in zip(axes, forces, strict=True)
         )
         kept = _independent(columns)
         own_axes = tuple(axes[k] for k in kept)
@@ -289,7 +289,6 @@ def _column(
     balance: Balance,
     effect: Effect,
     law: bool,
-    number: int,
     values: tuple[float, ...],
     forces: Forces,
     direction: Array,

@@ -86,7 +86,7 @@ class SetFit:
 
     def places(self, columns: Iterable[int]) -> NDArray[np.intp]:
         """Where columns of the set stand among its coefficients."""
-        return np.searchsorted(self.numbers, list(columns))
+        return _places(self.numbers, columns)
 
 
 class Selection:
@@ -242,7 +242,7 @@ class Selection:
         allowed &= bool(np.isfinite(cost))
         for term in terms:
             if term.effect.axes:  # a mass of nothing weighs nothing, wherever it is
-                x = values[np.searchsorted(numbers, evidence.columns_of(term))]
+                x = values[_places(numbers, evidence.columns_of(term))]
                 allowed &= bool(np.any(term.values(x) != term.effect.null_values))
         return SetFit(
             terms, numbers, values, *levels, curvature, cost, cost + self.prior(terms), allowed
@@ -622,6 +622,11 @@ class Selection:
                     kinds.setdefault(t.effect.kind, {}).setdefault(t.effect.where, t)
             found += [(*rest, *own.values()) for own in kinds.values() if len(own) == count]
         return found
+
+
+def _places(numbers: NDArray[np.intp], columns: Iterable[int]) -> NDArray[np.intp]:
+    """Where some columns stand among others, which are sorted."""
+    return np.searchsorted(numbers, list(columns))
 
 
 def _is_linear(term: Term) -> bool:

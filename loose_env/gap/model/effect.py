@@ -54,8 +54,6 @@ class Parameter:
     """A change of the value that matters; positive."""
     log: bool = False
     """Whether the scale is logarithmic; needs a positive ``low``."""
-    spread: float | None = None
-    """Prior standard deviation of a factor on a nominal value, in free units; None of others."""
     usual: float | None = None
     """Size of a change that would not surprise; None: ten times the scale."""
     starts: tuple[float, ...] = ()
