@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-
 from loose_env.typing import Array
 
 _LOOKED = 64
