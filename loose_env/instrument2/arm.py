@@ -51,7 +51,7 @@ class PoseModel:
     """Turns link frames into the tool's (n, 3, 3)."""
 
     def tilt(self, acceleration: Array, hertz: Array) -> Array:
-        """Gravity that turns through the sensor, by lines of joint acceleration (k, n) -> (k, 3)."""
+        """Gravity that turns through the sensor (k, 3), by lines of joint acceleration (k, n)."""
         angle = -acceleration / (_TURN * hertz[:, None]) ** 2
         return np.cross(self.up[None], angle @ self.turning.T)
 

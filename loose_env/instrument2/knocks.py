@@ -95,7 +95,7 @@ def knocks(load: Array, mass: Array, gap: Array, friction: Array, period: float)
 
     Examples
     --------
-    >>> swing = 10 * np.sin(2 * np.pi * 3 * np.arange(GRID) / GRID)[None]
+    >>> swing = 10 * np.sin(2 * np.pi * 3 * np.arange(1000) / 1000)[None]
     >>> one = np.ones(1)
     >>> int((knocks(swing, one, 1e-4 * one, 0.1 * one, 1.0) > 0).sum())
     6
@@ -143,14 +143,18 @@ def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period
     count = n * len(directions)
     gap = np.full(len(load), gap_mm * 1e-3)
     gap[count:] = np.where(slides, gap_mm * 1e-3, gap_mm * 1e-2)
-    friction = np.full(len(load), SEAT_FRICTION_N)
-    friction[count:] = np.where(slides, TEETH_FRICTION[1], TEETH_FRICTION[0])
-    energy = knocks(load, mass, gap, friction, period)
+    energy = knocks(load, mass, gap, _friction(loads, len(directions), slides), period)
     thrown = np.concatenate([p[2] for p in parts])
     loud = np.concatenate(
         [(thrown**2).sum(1), ((loads.turns * loads.inertia[:, None]) ** 2).sum(1)]
     )
     return rung(energy * loud[:, None], _RING_S, period)
+
+
+def _friction(loads: Loads, directions: int, slides: Array) -> Array:
+    """Friction of every hypothesis (n D + n,) [N, N·m]."""
+    seats = np.full(len(loads.seats) * directions, SEAT_FRICTION_N)
+    return np.concatenate([seats, np.where(slides, TEETH_FRICTION[1], TEETH_FRICTION[0])])
 
 
 def reversals(loads: Loads, speed: Array, period: float) -> Array:
@@ -175,7 +179,6 @@ def reversing(loads: Loads, directions: Array, slides: Array) -> Array:
     """
     n = len(loads.seats)
     load = np.concatenate([directions @ loads.seats[link].T for link in range(n)] + [loads.teeth])
-    friction = np.full(len(load), SEAT_FRICTION_N)
-    friction[n * len(directions) :] = np.where(slides, TEETH_FRICTION[1], TEETH_FRICTION[0])
+    friction = _friction(loads, len(directions), slides)
     found: Array = np.minimum(load.max(1), -load.min(1)) / friction
     return found

@@ -20,87 +20,146 @@ RIGID_GAPS_MM = (0.01, 0.04)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Heard:
+    """What rang in a session, and what loads it rang under; R records, n joints."""
+
+    amplitude: tuple[Array, ...]
+    """Amplitude of the top band in each pose (GRID,)."""
+    friction: tuple[Array, ...]
+    """Amplitude that reversals of friction foretell in each (n, GRID)."""
+    elastic: tuple[knocks.Loads, ...]
+    """Loads of links that hang on springs."""
+    rigid: tuple[knocks.Loads, ...]
+    """Loads of links that follow their encoders: play lies behind no spring."""
+    free: tuple[knocks.Loads, ...]
+    """Throws at the top band's frequency, where a spring takes off inertia."""
+    slides: Array
+    period_s: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Rhythm:
-    """Agreement of every hypothesis with the top band; H hypotheses: seats by direction, teeth."""
+    """Agreement of every hypothesis with what was heard; H: seats by direction, then teeth."""
 
     labels: tuple[tuple[str, int, int], ...]
-    """Kind, joint or link, and index of the direction (H,)."""
+    """Kind, link or joint, and index of the direction (H,)."""
     directions: Array
     """Directions of seats (D, 3), link frame."""
     timing: Array
-    """Correlation of foretold and measured envelope beyond friction, all poses (H,)."""
+    """Correlation of foretold and heard amplitude beyond friction, all poses together (H,)."""
+    gap_mm: Array
+    """Clearance at which it is highest (H,) [mm]."""
     moments: Array
-    """Of it by pose: covariance, power foretold, power measured (R, 3, H)."""
+    """Of it by pose: covariance, power foretold, power heard (R, 3, H)."""
     throws: Array
     """Direction in which each would throw the tool (R, H, 3)."""
     friction: float
-    """Share of the envelope's variance that reversals of friction explain [1]."""
+    """Share of the variance heard that reversals of friction explain [1]."""
     reversing: Array
     """How far each hypothesis' load reverses, over friction (R, H)."""
 
 
-def rhythm_of(
+def hear(
     arm: SuspectArm,
     records: Sequence[Record],
     models: Sequence[PoseModel],
     gears: Gears,
     signal: Multisine,
     *,
-    quiet: Sequence[Array] | None = None,
-    directions: Array | None = None,
-) -> Rhythm:
-    """Correlate the envelope of every record with what each hypothesis foretells.
+    healthy: Sequence[Record] | None = None,
+) -> Heard:
+    """Take the ringing of every record beside the loads that the arm carried then.
 
     Parameters
     ----------
-    quiet : sequence of ndarray, optional
-        Envelope of each pose on the healthy day (GRID,), which is taken off.
+    healthy : sequence of Record, optional
+        Records of the healthy day, one for each, whose ringing is taken off.
     """
-    grid = knocks.sphere(knocks.DIRECTIONS) if directions is None else directions
     period = signal.period_s
-    n = arm.n
-    labels = tuple((BOLTS, i, d) for i in range(n) for d in range(len(grid)))
-    labels += tuple((GEARS, j, -1) for j in range(n))
-    heard = [
-        np.sqrt(np.maximum(r.envelope - (r.floor if quiet is None else 1.3 * quiet[k]), 0))
-        for k, r in enumerate(records)
-    ]
-    free = gears.rotor - 0.5 * gears.spring / (2 * np.pi * 200.0) ** 2
-    best: Array | None = None
-    share, moments = 0.0, np.zeros((len(records), 3, len(labels)))
-    frictions, throws, reversing = [], [], []
-    foretold: dict[bool, list[knocks.Loads]] = {False: [], True: []}
-    for index, (record, model) in enumerate(zip(records, models, strict=True)):
-        for rigid in (False, True):
-            qdd = accelerations(record, model, gears, index, period, rigid=rigid)
-            foretold[rigid].append(knocks.loads_of(model, qdd, gears.rotor))
-        loads = foretold[False][-1]
+    ring = 2 * np.pi * 0.8 * records[0].band_hz[1]
+    stiffening = gears.rotor - 0.5 * gears.spring / ring**2
+    amplitude, friction, elastic, rigid, free = [], [], [], [], []
+    for k, (record, model) in enumerate(zip(records, models, strict=True)):
+        quiet = record.floor if healthy is None else _DAY * healthy[k].envelope
+        amplitude.append(np.sqrt(np.maximum(record.envelope - quiet, 0)))
+        for follows, kept in ((False, elastic), (True, rigid)):
+            moved = accelerations(record, model, gears, k, period, rigid=follows)
+            kept.append(knocks.loads_of(model, moved, gears.rotor))
         speed = rotor_speeds(record, period)
-        frictions.append(np.sqrt(knocks.reversals(loads, speed, period)))
-        throws.append(knocks.thrown(knocks.loads_of(model, np.zeros((1, n)), free), grid))
-        reversing.append(knocks.reversing(loads, grid, arm.slides))
-    for rigid, gaps in ((False, GAPS_MM), (True, RIGID_GAPS_MM)):
+        friction.append(np.sqrt(knocks.reversals(elastic[-1], speed, period)))
+        free.append(knocks.loads_of(model, np.zeros((1, arm.n)), stiffening))
+    return Heard(
+        amplitude=tuple(amplitude),
+        friction=tuple(friction),
+        elastic=tuple(elastic),
+        rigid=tuple(rigid),
+        free=tuple(free),
+        slides=arm.slides,
+        period_s=period,
+    )
+
+
+_DAY = 1.3
+"""What the top band of a healthy arm rings on another day, over this one, in energy [1]: friction
+changes by 15 % with temperature (Bittencourt and Gunnarsson 2012)."""
+
+
+def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None = None) -> Rhythm:
+    """Correlate what was heard with what each hypothesis foretells.
+
+    Parameters
+    ----------
+    directions : ndarray
+        Directions of seats that are tried (D, 3), link frame.
+    beside : sequence of ndarray, optional
+        Amplitude foretold by a place that is known to knock, in each pose (GRID,): the rest is
+        judged.
+    """
+    n = len(heard.slides)
+    labels = tuple((BOLTS, i, d) for i in range(n) for d in range(len(directions)))
+    labels += tuple((GEARS, j, -1) for j in range(n))
+    explained = heard.friction
+    if beside is not None:
+        explained = tuple(np.vstack([f, b]) for f, b in zip(heard.friction, beside, strict=True))
+    timing = np.full(len(labels), -1.0)
+    gap_mm = np.zeros(len(labels))
+    moments, share = np.zeros((len(heard.amplitude), 3, len(labels))), 0.0
+    for loads, gaps in ((heard.elastic, GAPS_MM), (heard.rigid, RIGID_GAPS_MM)):
         for gap in gaps:
             told = [
-                np.sqrt(knocks.trains(loads, grid, gap, arm.slides, period))
-                for loads in foretold[rigid]
+                np.sqrt(knocks.trains(own, directions, gap, heard.slides, heard.period_s))
+                for own in loads
             ]
-            timing, parts, explained = correlation(heard, told, frictions)
-            if best is None:
-                best, share, moments = timing, explained, parts
-            better = timing > best
-            best = np.maximum(best, timing)
+            found, parts, share = correlation(heard.amplitude, told, explained)
+            better = found > timing
+            timing = np.maximum(timing, found)
+            gap_mm[better] = gap if loads is heard.elastic else -gap
             moments = np.where(better, parts, moments)
-    assert best is not None
     return Rhythm(
         labels=labels,
-        directions=grid,
-        timing=best,
+        directions=directions,
+        timing=timing,
+        gap_mm=gap_mm,
         moments=moments,
-        throws=np.array(throws),
+        throws=np.array([knocks.thrown(own, directions) for own in heard.free]),
         friction=share,
-        reversing=np.array(reversing),
+        reversing=np.array(
+            [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
+        ),
     )
+
+
+def foretold(heard: Heard, rhythm: Rhythm, hypothesis: int) -> list[Array]:
+    """Amplitude that one hypothesis foretells in each pose (GRID,)."""
+    kind, i, d = rhythm.labels[hypothesis]
+    own = rhythm.directions[[max(d, 0)]]
+    gap = rhythm.gap_mm[hypothesis]
+    loads = heard.elastic if gap > 0 else heard.rigid
+    row = i if kind == BOLTS else len(heard.slides) + i
+    return [
+        np.sqrt(knocks.trains(each, own, abs(gap), heard.slides, heard.period_s)[row])
+        for each in loads
+    ]
 
 
 def correlation(
@@ -143,37 +202,36 @@ def correlation(
         s = slice(at, at + len(own))
         at += len(own)
         power = np.full(len(x), float(y[s] @ y[s]))
-        parts.append([x[:, s] @ y[s], (x[:, s] ** 2).sum(1), power])
+        parts.append([(x[:, s] @ y[s]) * clear, (x[:, s] ** 2).sum(1), power])
     return found, np.array(parts), 1 - float(y @ y) / max(variance, 1e-30)
 
 
-def direction_score(throws: Array, covariances: Sequence[Array], *, degrees: float = 3.0) -> Array:
-    """Log likelihood of each hypothesis (H,): the ringing along one direction in every pose.
+def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
+    """Log likelihood of each hypothesis by pose (R, H): the ringing along one direction.
 
     Parameters
     ----------
     throws : ndarray
         Direction of each hypothesis by pose (R, H, 3).
     covariances : sequence of ndarray
-        Of the top band, noise taken off (3, 3) [m²/s⁴].
-    degrees : float
-        Independent vectors that a pose's ringing counts for.
+        Of the top band, noise taken off, the model's frame (3, 3) [m²/s⁴].
     """
     power = np.array([max(float(np.trace(c)), 1e-12) for c in covariances])
     # Poses that hardly rang say little about direction.
     weight = np.clip(power / power.max() * 20, 0, 1)
-    found = np.zeros(throws.shape[1])
+    found = []
     for u, c, w in zip(throws, covariances, weight, strict=True):
         values, axes = np.linalg.eigh(c)
         clean = (axes * np.maximum(values, 1e-14)) @ axes.T
         clean /= np.trace(clean)
         along = np.clip(np.einsum("ha,ab,hb->h", u, clean, u), 1 / 3, 1 - _SPREAD)
-        found -= (
-            0.5 * degrees * w * (np.log(along) + 2 * np.log((1 - along) / 2) - 3 * np.log(1 / 3))
-        )
-    return found
+        told = np.log(along) + 2 * np.log((1 - along) / 2) - 3 * np.log(1 / 3)
+        found.append(-0.5 * _VECTORS * w * told)
+    return np.array(found)
 
 
+_VECTORS = 3.0
+"""Independent vectors that a pose's ringing counts for: it rings in a few modes alone [1]."""
 _SPREAD = 0.02
 """Share of a knock's ringing that goes astray, modes of the links [1]."""
 

@@ -48,6 +48,8 @@ class Record:
     """Mean reading (3,) [m/s²]."""
     motion: float
     """Rms of the tool's motion in the band of the lines [m/s²]."""
+    band_hz: tuple[float, float]
+    """The top band [Hz]."""
     envelope: Array
     """Energy of the top band over a period, median of the periods (GRID,) [m²/s⁴]."""
     floor: float
@@ -118,7 +120,7 @@ def read_run(
     periods = min(periods, signal.periods)
     if periods < FEWEST_PERIODS:
         return useless(
-            f"the joints move for {end - start:.2g} s where the signal lasts {signal.seconds:.2g} s",
+            f"the joints move for {end - start:.2g} s; the signal lasts {signal.seconds:.2g} s",
             "the machine stopped: see its log, lower --level, and run again",
         )
     remarks = []
@@ -153,6 +155,7 @@ def read_run(
         tool_noise=read_noise * scale**2,
         gravity=gravity * scale,
         motion=float(np.sqrt(0.5 * (np.abs(excited) ** 2).sum())),
+        band_hz=(band[0], band[1]),
         envelope=envelope,
         floor=floor,
         covariance=covariance,
@@ -224,7 +227,7 @@ def _in_phase(t: Array, q: Array, first: float, periods: int, top: int, signal: 
     shift = np.arange(-0.5, 0.5, 1e-3) * signal.period_s
     turned = np.exp(2j * np.pi * np.outer(shift, signal.excited) / signal.period_s)
     weight = np.linalg.norm(own, axis=0)
-    agreed = np.abs(0) + (turned @ (own / np.maximum(weight, 1e-12))).real.sum(1)
+    agreed = (turned @ (own / np.maximum(weight, 1e-12))).real.sum(1)
     best = float(shift[agreed.argmax()])
     moved = first + best
     last = t[-1] - periods * signal.period_s

@@ -1,0 +1,445 @@
+"""Diagnosis of a recorded session (diagnose): what knocks, where, and what was not tested."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from loose_env.errors import InvalidSetting
+from loose_env.instrument2 import decide, knocks
+from loose_env.instrument2.arm import BOLTS, PoseModel, SuspectArm, read_arm
+from loose_env.instrument2.decide import Alarm, Scores
+from loose_env.instrument2.locate import Heard, Rhythm, foretold, hear, rhythm_of
+from loose_env.instrument2.motion import Gears, fit_gears
+from loose_env.instrument2.plan import Plan, read_plan
+from loose_env.instrument2.poses import is_tested_share
+from loose_env.instrument2.records import GRID, Record, Unusable, exchanged, read_run
+from loose_env.instrument2.reference import Change, change, pairs
+from loose_env.instrument2.result import Diagnosis, Place, PlaceVerdict, RunSeen
+from loose_env.instrument2.signals import Multisine
+from loose_env.recording import Recording
+from loose_env.typing import Array
+from loose_env.version import __version__
+
+_SHOWN = 100
+"""Samples of an envelope in the result."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseSettings:
+    """Settings of a diagnosis.
+
+    Examples
+    --------
+    >>> DiagnoseSettings(sure=1.5)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: sure is a probability between 0.5 and 1, got 1.5
+    """
+
+    sure: float = decide.SURE
+    """Probability of a place from which it is settled."""
+    reference: bool = True
+    """True to compare with the healthy runs that the recording holds."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if not 0.5 <= self.sure < 1:
+            raise InvalidSetting(f"sure is a probability between 0.5 and 1, got {self.sure!r}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Session:
+    """Records of a session that can be used, in pairs where there is a reference."""
+
+    suspect: tuple[Record, ...]
+    healthy: tuple[Record, ...]
+    """The healthy record of each; empty without a reference."""
+    runs: tuple[RunSeen, ...]
+    remarks: tuple[str, ...]
+
+
+def diagnose(
+    recording: Recording,
+    settings: DiagnoseSettings | None = None,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Say what knocks in a session that was planned by `plan`, and what was not tested.
+
+    Parameters
+    ----------
+    recording : Recording
+        Runs of the plan; ``plan.json`` lies in its folder, or beside it.
+    settings : DiagnoseSettings, optional
+        What is asked for.
+    say : callable
+        Receives what is being done, line by line.
+
+    Raises
+    ------
+    InvalidData
+        If there is no plan, or the model is no serial arm.
+    """
+    started = time.process_time()
+    own = settings or DiagnoseSettings()
+    plan, arm = read_plan(recording.folder), read_arm(recording.model_path)
+    signal = plan.signal.signal
+    session = _read(arm, recording, plan, own)
+    done = _Finished(recording, plan, own, session, started)
+    if len(session.suspect) < decide.FEWEST_POSES:
+        return done.unread(arm)
+    twisted = exchanged(session.suspect, signal, arm.joints)
+    if twisted:
+        return done.refused(arm, twisted)
+
+    models = [arm.at(record.pose) for record in session.suspect]
+    say(f"fitting {arm.n} gears from encoders to tool by {len(models)} runs")
+    gears, compared = _gears(arm, session, models, signal)
+    heard = hear(arm, session.suspect, models, gears, signal, healthy=session.healthy or None)
+    say(f"following the loads of {2 * arm.n} places")
+    rhythm = rhythm_of(heard, knocks.sphere(knocks.DIRECTIONS))
+    alarm = decide.detect(rhythm, change=compared)
+    scores = decide.score(
+        arm, rhythm, session.suspect, gears, np.random.default_rng(0),
+        change=compared, healthy=session.healthy or None,
+    )  # fmt: skip
+    return done.judged(arm, heard, rhythm, alarm, scores, gears)
+
+
+def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettings) -> _Session:
+    """Read all runs; those that a cable or a hand rang in are left out, and said."""
+    signal = plan.signal.signal
+    levels = {run.file: run.level for run in plan.runs}
+    records: dict[str, list[Record]] = {"suspect": [], "healthy": []}
+    runs, remarks = [], []
+    for run in recording.runs:
+        if run.condition == "healthy" and not own.reference:
+            continue
+        record = read_run(
+            arm, run, signal, level=levels.get(run.name, 1.0), corner_hz=plan.settings.corner_hz
+        )
+        if isinstance(record, Unusable):
+            why = f"{record.why}: {record.remedy}"
+            runs.append(
+                RunSeen(file=run.name, condition=run.condition, pose={}, used=False, why=why)
+            )
+            remarks.append(f"{run.name} is not used: {why}")
+            continue
+        why = foreign(record)
+        runs.append(_seen(arm, record, signal, used=not why, why=why))
+        remarks += [f"{run.name}: {remark}" for remark in record.remarks]
+        if why:
+            remarks.append(f"{run.name} is not used: {why}")
+        else:
+            records[run.condition].append(record)
+    missing = [r.file for r in plan.runs if r.file not in {run.name for run in recording.runs}]
+    late = [f for f in missing if f.startswith("run-")]
+    if late:
+        remarks.append(f"{len(late)} of the planned runs are not there, such as {late[0]}")
+    suspect, healthy = records["suspect"], records["healthy"]
+    together = pairs(suspect, healthy)
+    if healthy and len(together) < decide.FEWEST_POSES:
+        remarks.append("too few healthy runs are in the same poses: compared with none")
+    elif healthy:
+        alone = len(suspect) - len(together)
+        if alone:
+            remarks.append(f"{alone} runs have no healthy run in their pose and are left out")
+        suspect, healthy = (
+            [suspect[k] for k, _ in together],
+            [healthy[r] for _, r in together],
+        )
+        return _Session(
+            suspect=tuple(suspect), healthy=tuple(healthy), runs=tuple(runs),
+            remarks=tuple(remarks),
+        )  # fmt: skip
+    return _Session(suspect=tuple(suspect), healthy=(), runs=tuple(runs), remarks=tuple(remarks))
+
+
+def foreign(record: Record) -> str:
+    """Why the ringing of a record is not the machine's; "" where it is."""
+    loud = float(record.envelope.mean()) > _LOUD * record.floor
+    if loud and record.repeats < decide.REPEATS:
+        return (
+            f"what rings does not repeat with the shaking (correlation {record.repeats:.2f} of "
+            f"{decide.REPEATS:.2f}): a cable, a hand or a neighbour; tie cables down and run again"
+        )
+    return ""
+
+
+_LOUD = 3.0
+"""Energy of the top band over its floor from which there is a rhythm to repeat [1]."""
+
+
+def _gears(
+    arm: SuspectArm, session: _Session, models: Sequence[PoseModel], signal: Multisine
+) -> tuple[Gears, Change | None]:
+    """Gears of the session, those of the healthy day where there is one; and what changed."""
+    gears = fit_gears(arm, session.suspect, models, signal)
+    if not session.healthy:
+        return gears, None
+    then = [arm.at(record.pose) for record in session.healthy]
+    known = fit_gears(arm, session.healthy, then, signal)
+    mixed = Gears(
+        rotation=gears.rotation,
+        late=gears.late,
+        spring=known.spring,
+        rotor=known.rotor,
+        left=gears.left,
+    )
+    found = change(session.suspect, session.healthy, models, mixed, known, signal)
+    return mixed, found
+
+
+def _seen(arm: SuspectArm, record: Record, signal: Multisine, *, used: bool, why: str) -> RunSeen:
+    lines = np.arange(1, len(record.tool))
+    thinned = record.envelope.reshape(_SHOWN, GRID // _SHOWN).mean(1)
+    return RunSeen(
+        file=record.name,
+        condition=record.condition,
+        pose=dict(zip(arm.joints, record.pose.round(5).tolist(), strict=True)),
+        used=used,
+        why=why,
+        repeats=round(record.repeats, 3),
+        heard=tuple(np.sqrt(np.maximum(thinned - record.floor, 0)).round(5).tolist()),
+        lines_hz=tuple((lines / signal.period_s).tolist()),
+        lines=tuple(np.linalg.norm(record.tool[lines], axis=1).round(6).tolist()),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Finished:
+    """Makes the result of a session."""
+
+    recording: Recording
+    plan: Plan
+    settings: DiagnoseSettings
+    session: _Session
+    started: float
+
+    def unread(self, arm: SuspectArm) -> Diagnosis:
+        """Result of a session with too few records."""
+        used = len(self.session.suspect)
+        why = [run.why for run in self.session.runs if not run.used]
+        headline = (
+            f"Nothing can be said: {used} of {len(self.session.runs)} runs can be used, "
+            f"{decide.FEWEST_POSES} are needed."
+        )
+        first = why[0] if why else "record the runs that are still planned"
+        remedy = f"{first[0].upper()}{first[1:]}."
+        return self._result("open" if used else "refused", headline, remedy, _untold(arm))
+
+    def refused(self, arm: SuspectArm, reasons: Sequence[str]) -> Diagnosis:
+        """Result of a session whose columns are not what they are called."""
+        headline = f"The recording is not that of the plan: {reasons[0]}."
+        remedy = "Correct the columns' names or signs in the mapping, and import again."
+        return self._result("refused", headline, remedy, _untold(arm), reasons=tuple(reasons))
+
+    def judged(
+        self,
+        arm: SuspectArm,
+        heard: Heard,
+        rhythm: Rhythm,
+        alarm: Alarm,
+        scores: Scores,
+        gears: Gears,
+    ) -> Diagnosis:
+        """Result of a session that can be judged."""
+        hobby = self.plan.hobby
+        top = scores.order[0]
+        told = foretold(heard, rhythm, scores.best[top])
+        several = alarm.loose and self._another(heard, rhythm, told, scores, arm)
+        settled = (
+            alarm.loose and scores.probability[top] >= self.settings.sure and not several
+            and not hobby
+        )  # fmt: skip
+        places = _places(arm, rhythm, alarm, scores, settled=settled)
+        remarks = list(self.session.remarks)
+        if gears.left > _POOR:
+            remarks.append(
+                f"the model leaves {100 * gears.left:.0f} % of the tool's slow motion: check "
+                "link lengths, joint zeros and the accelerometer's place in the model"
+            )
+        headline, remedy = _words(places, alarm, settled=settled, several=several, hobby=hobby)
+        runs = self._with_told(heard, told, alarm.loose)
+        return self._result(
+            "loose" if alarm.loose else "tight", headline, remedy, places,
+            settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
+            evidence={**alarm.evidence, "gears_left": gears.left}, runs=runs,
+        )  # fmt: skip
+
+    def _another(
+        self, heard: Heard, rhythm: Rhythm, told: Sequence[Array], scores: Scores, arm: SuspectArm
+    ) -> bool:
+        """True if, beside what the best place foretells, another place knocks."""
+        beyond = rhythm_of(heard, rhythm.directions[::4], beside=told)
+        return float(beyond.timing.max()) > decide.RHYTHM
+
+    def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
+        """Runs with what the best place foretells, and the healthy day's lines."""
+        scale = sum(float(a @ t) for a, t in zip(heard.amplitude, told, strict=True)) / max(
+            sum(float(t @ t) for t in told), 1e-30
+        )
+        own = {record.name: k for k, record in enumerate(self.session.suspect)}
+        found = []
+        for run in self.session.runs:
+            k = own.get(run.file)
+            if k is not None:
+                each = asdict(run)
+                if loose:
+                    thinned = told[k].reshape(_SHOWN, GRID // _SHOWN).mean(1) * scale
+                    each["foretold"] = tuple(thinned.round(5).tolist())
+                if self.session.healthy:
+                    then = np.linalg.norm(self.session.healthy[k].tool[1:], axis=1)
+                    each["healthy_lines"] = tuple(then.round(6).tolist())
+                run = RunSeen(**each)
+            found.append(run)
+        return tuple(found)
+
+    def _result(
+        self, verdict: str, headline: str, remedy: str, places: tuple[Place, ...], **more: object
+    ) -> Diagnosis:
+        files = [self.recording.folder / run.name for run in self.recording.runs]
+        latest = max((f.stat().st_mtime for f in files if f.is_file()), default=None)
+        given: dict[str, object] = {
+            "remarks": self.session.remarks,
+            "runs": self.session.runs,
+            "settled": False,
+            "several": False,
+            **more,
+        }
+        return Diagnosis(
+            verdict=verdict,
+            headline=headline,
+            remedy=remedy,
+            places=places,
+            reference=bool(self.session.healthy),
+            hobby=self.plan.hobby,
+            model=self.recording.model_path.name,
+            date=""
+            if latest is None
+            else datetime.fromtimestamp(latest, UTC).isoformat(timespec="seconds"),
+            version=__version__,
+            seconds=round(time.process_time() - self.started, 2),
+            shaken_s=round(sum(r.time[-1] - r.time[0] for r in self.recording.runs), 2),
+            settings=asdict(self.settings),
+            **given,
+        )
+
+
+_POOR = 0.3
+"""Share of the tool's slow motion left from which the model is said to be another's [1]."""
+
+
+def _untold(arm: SuspectArm) -> tuple[Place, ...]:
+    """All places, of which a session says nothing."""
+    found = []
+    for place in arm.places:
+        kind, at = place.split("@")
+        found.append(
+            Place(
+                kind=kind,
+                at=at,
+                verdict="not tested",
+                probability=0.0,
+                rhythm=0.0,
+                tested=0.0,
+                why="no run can be used",
+            )  # fmt: skip
+        )
+    return tuple(found)
+
+
+_LISTED = 0.05
+"""Probability from which a place is a suspect [1]."""
+
+
+def _places(
+    arm: SuspectArm, rhythm: Rhythm, alarm: Alarm, scores: Scores, *, settled: bool
+) -> tuple[Place, ...]:
+    """Verdict of every place, best first."""
+    shares = decide.tested(arm, rhythm)
+    names = np.array(decide.names_of(arm, rhythm))
+    found = []
+    for rank, place in enumerate(scores.order):
+        kind, at = place.split("@", 1)
+        best = scores.best[place]
+        chance = scores.probability[place] if alarm.loose else 0.0
+        direction = None
+        if kind == BOLTS:
+            d = rhythm.directions[rhythm.labels[best][2]]
+            direction = (float(d[0]), float(d[1]), float(d[2]))
+        verdict: PlaceVerdict
+        if alarm.loose and rank == 0 and settled:
+            verdict, why = "loose", alarm.reasons[0]
+        elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
+            verdict, why = "suspect", "the session does not tell it from the other suspects"
+        elif is_tested_share(shares[place]):
+            verdict, why = "tight", "its load reversed, and it was not heard"
+        else:
+            verdict, why = "not tested", _untested_words(shares[place], kind)
+        found.append(
+            Place(
+                kind=kind,
+                at=at,
+                verdict=verdict,
+                probability=round(chance, 4),
+                rhythm=round(float(rhythm.timing[names == place].max()), 4),
+                tested=round(shares[place], 3),
+                direction=direction,
+                why=why,
+            )  # fmt: skip
+        )
+    return tuple(found)
+
+
+def _untested_words(share: float, kind: str) -> str:
+    if kind == BOLTS and share > 0:
+        return f"its load reversed in {100 * share:.0f} % of the directions alone"
+    return "its load never reversed beyond friction: it would stay shut if it were loose"
+
+
+def _words(
+    places: Sequence[Place], alarm: Alarm, *, settled: bool, several: bool, hobby: bool
+) -> tuple[str, str]:
+    """Headline and remedy."""
+    untested = [p for p in places if p.verdict == "not tested"]
+    if not alarm.loose:
+        tight = len(places) - len(untested)
+        headline = f"Nothing knocks: {tight} of {len(places)} places are tight"
+        if not untested:
+            return f"{headline}.", "Nothing to do; keep the recording as the healthy reference."
+        return (
+            f"{headline}, {len(untested)} were not tested.",
+            f"To test {untested[0].words} too: loose plan --known, with its poses.",
+        )
+    top = places[0]
+    if hobby:
+        return (
+            "Something knocks, as in every arm of this class.",
+            "Compare with the same session of another month: loose trend.",
+        )
+    if several:
+        suspects = " and ".join(p.words for p in places[:2])
+        return (
+            f"More than one place knocks; {suspects} fit best.",
+            f"Check {top.words} first, then repeat the session.",
+        )
+    if settled:
+        return f"{top.words[0].upper()}{top.words[1:]} is loose.", _work(top)
+    suspects = [p.words for p in places if p.verdict == "suspect"][:3]
+    listed = " or ".join(suspects)
+    return (
+        f"Something knocks: {listed}.",
+        "Plan the poses that tell them apart: loose plan --known.",
+    )
+
+
+def _work(place: Place) -> str:
+    if place.kind == BOLTS:
+        return f"Torque the bolts of link {place.at}, then repeat the session."
+    return f"Measure the backlash of joint {place.at}'s reducer, and repeat after the repair."
