@@ -26,8 +26,6 @@ TOP_BESIDE_DB = 1.5
 """Rise of the top band that must go with it [dB]: what another day's friction does."""
 TOP_DB, EVEN_DB, ODD_DB = 3.0, 1.5, 2.0
 """Rise over a healthy session from which something is loose, whatever the rhythm [dB]."""
-REPEATS = 0.60
-"""Correlation of the envelope between periods from which the shaking causes it [1]."""
 SAMPLES = 60.0
 """Independent samples of an envelope's rhythm in a session [1]: knocks ring for some 5 ms, and
 loads change sign some ten times a second in each of six poses."""
@@ -128,7 +126,7 @@ def detect(rhythm: Rhythm, *, change: Change | None = None) -> Alarm:
     evidence["stiff"] = change.stiff
     tests = (
         (
-            timing > RHYTHM_BESIDE and change.top > TOP_BESIDE_DB,
+            timing > (RHYTHM_BESIDE if change.top > TOP_BESIDE_DB else RHYTHM),
             f"the top band rings in the rhythm of a knock: correlation {timing:.2f} "
             f"(limit {RHYTHM_BESIDE:.2f} beside a healthy session)",
         ),

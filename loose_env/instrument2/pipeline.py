@@ -13,7 +13,15 @@ from loose_env.errors import InvalidSetting
 from loose_env.instrument2 import decide, knocks
 from loose_env.instrument2.arm import BOLTS, PoseModel, SuspectArm, read_arm
 from loose_env.instrument2.decide import Alarm, Scores
-from loose_env.instrument2.locate import Heard, Rhythm, foretold, hear, rhythm_of
+from loose_env.instrument2.locate import (
+    GAPS_MM,
+    RIGID_GAPS_MM,
+    Heard,
+    Rhythm,
+    foretold,
+    hear,
+    rhythm_of,
+)
 from loose_env.instrument2.motion import Gears, fit_gears
 from loose_env.instrument2.plan import Plan, read_plan
 from loose_env.instrument2.poses import is_tested_share
@@ -130,13 +138,9 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
             )
             remarks.append(f"{run.name} is not used: {why}")
             continue
-        why = foreign(record)
-        runs.append(_seen(arm, record, signal, used=not why, why=why))
+        runs.append(_seen(arm, record, signal))
         remarks += [f"{run.name}: {remark}" for remark in record.remarks]
-        if why:
-            remarks.append(f"{run.name} is not used: {why}")
-        else:
-            records[run.condition].append(record)
+        records[run.condition].append(record)
     missing = [r.file for r in plan.runs if r.file not in {run.name for run in recording.runs}]
     late = [f for f in missing if f.startswith("run-")]
     if late:
@@ -160,21 +164,6 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
     return _Session(suspect=tuple(suspect), healthy=(), runs=tuple(runs), remarks=tuple(remarks))
 
 
-def foreign(record: Record) -> str:
-    """Why the ringing of a record is not the machine's; "" where it is."""
-    loud = float(record.envelope.mean()) > _LOUD * record.floor
-    if loud and record.repeats < decide.REPEATS:
-        return (
-            f"what rings does not repeat with the shaking (correlation {record.repeats:.2f} of "
-            f"{decide.REPEATS:.2f}): a cable, a hand or a neighbour; tie cables down and run again"
-        )
-    return ""
-
-
-_LOUD = 3.0
-"""Energy of the top band over its floor from which there is a rhythm to repeat [1]."""
-
-
 def _gears(
     arm: SuspectArm, session: _Session, models: Sequence[PoseModel], signal: Multisine
 ) -> tuple[Gears, Change | None]:
@@ -195,15 +184,14 @@ def _gears(
     return mixed, found
 
 
-def _seen(arm: SuspectArm, record: Record, signal: Multisine, *, used: bool, why: str) -> RunSeen:
+def _seen(arm: SuspectArm, record: Record, signal: Multisine) -> RunSeen:
     lines = np.arange(1, len(record.tool))
     thinned = record.envelope.reshape(_SHOWN, GRID // _SHOWN).mean(1)
     return RunSeen(
         file=record.name,
         condition=record.condition,
         pose=dict(zip(arm.joints, record.pose.round(5).tolist(), strict=True)),
-        used=used,
-        why=why,
+        used=True,
         repeats=round(record.repeats, 3),
         heard=tuple(np.sqrt(np.maximum(thinned - record.floor, 0)).round(5).tolist()),
         lines_hz=tuple((lines / signal.period_s).tolist()),
@@ -220,6 +208,7 @@ class _Finished:
     settings: DiagnoseSettings
     session: _Session
     started: float
+    say = []
 
     def unread(self, arm: SuspectArm) -> Diagnosis:
         """Result of a session with too few records."""
@@ -252,7 +241,7 @@ class _Finished:
         hobby = self.plan.hobby
         top = scores.order[0]
         told = foretold(heard, rhythm, scores.best[top])
-        several = alarm.loose and self._another(heard, rhythm, told, scores, arm)
+        several = alarm.loose and self._another(heard, rhythm, scores.best[top])
         settled = (
             alarm.loose and scores.probability[top] >= self.settings.sure and not several
             and not hobby
@@ -272,12 +261,30 @@ class _Finished:
             evidence={**alarm.evidence, "gears_left": gears.left}, runs=runs,
         )  # fmt: skip
 
-    def _another(
-        self, heard: Heard, rhythm: Rhythm, told: Sequence[Array], scores: Scores, arm: SuspectArm
-    ) -> bool:
-        """True if, beside what the best place foretells, another place knocks."""
+    def _another(self, heard: Heard, rhythm: Rhythm, best: int) -> bool:
+        """True if another place knocks beside what the best one foretells at any clearance."""
+        kind, i, d = rhythm.labels[best]
+        own = rhythm.directions[[max(d, 0)]]
+        row = i if kind == BOLTS else len(heard.slides) + i
+        told = [
+            np.sqrt(
+                [
+                    knocks.trains(loads, own, gap, heard.slides, heard.period_s)[row]
+                    for loads, gaps in ((elastic, GAPS_MM), (rigid, RIGID_GAPS_MM))
+                    for gap in gaps
+                ]
+            )
+            for elastic, rigid in zip(heard.elastic, heard.rigid, strict=True)
+        ]
         beyond = rhythm_of(heard, rhythm.directions[::4], beside=told)
-        return float(beyond.timing.max()) > decide.RHYTHM
+        other = [label[:2] != (kind, i) for label in beyond.labels]
+        self.say.append(
+            (
+                float(beyond.timing[other].max()),
+                beyond.labels[int(np.argmax(np.where(other, beyond.timing, -1)))],
+            )
+        )
+        return float(beyond.timing[other].max()) > decide.RHYTHM
 
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
         """Runs with what the best place foretells, and the healthy day's lines."""

@@ -22,8 +22,8 @@ _DRAWS = 40
 """Draws per candidate before the room is said to be too small."""
 _APART = 0.5
 """Squared sine between two places' throws, summed over the poses, from which they are apart [1]."""
-REVERSES = 2.0
-"""Load's smaller peak over friction from which a place is tested: at one it would just part."""
+REVERSES = 1.0
+"""Load's smaller peak over friction from which a place parts, and is tested [1]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,6 +22,10 @@ _ENVELOPE_S = 0.004
 _OUTLIER = 4.0
 """Energy over the median of the other periods from which a sample is somebody else's [1]."""
 _STANDARD_GRAVITY = 9.81
+REPEATS = 0.60
+"""Correlation of the envelope between periods from which the shaking causes it [1]."""
+_LOUD = 3.0
+"""Energy of the top band over its floor from which there is a rhythm to repeat [1]."""
 FEWEST_PERIODS = 2
 """Whole periods that a record needs: with one nothing can be seen to repeat."""
 
@@ -59,6 +63,9 @@ class Record:
     repeats: float
     """Correlation of the top band's envelope between periods [1]: near 1 for what the shaking
     causes, near 0 for a striking cable."""
+    foreign: bool
+    """True if what rings is not the machine's: it is loud and does not repeat. The envelope is
+    then that of the quietest period at each instant, in which a cable strikes least."""
     remarks: tuple[str, ...] = ()
 
 
@@ -142,7 +149,12 @@ def read_run(
     band = [share * min(corner_hz or np.inf, 0.45 * rate / 0.9) for share in _TOP_BAND]
     band[1] = min(band[1], 0.45 * rate)
     ring = _ringing(t, tool * scale, rate, (band[0], band[1]), first, periods, signal.period_s)
-    envelope, floor, covariance, repeats = ring
+    envelope, floor, covariance, repeats, foreign = ring
+    if foreign:
+        remarks.append(
+            f"what rings does not repeat with the shaking (correlation {repeats:.2f}): a cable, a "
+            "hand or a neighbour; what every period has is judged"
+        )
     excited = read[signal.excited] * scale
     return Record(
         name=run.name,
@@ -160,6 +172,7 @@ def read_run(
         floor=floor,
         covariance=covariance,
         repeats=repeats,
+        foreign=foreign,
         remarks=tuple(remarks),
     )
 
@@ -244,8 +257,10 @@ def _ringing(
     first: float,
     periods: int,
     period: float,
-) -> tuple[Array, float, Array, float]:
-    """Envelope of the top band on the grid, its floor, its covariance, and how well it repeats."""
+) -> tuple[Array, float, Array, float, bool]:
+    """Envelope of the top band on the grid, its floor and covariance, how well it repeats, and
+    whether it is foreign.
+    """
     sos = butter(4, band, "bandpass", fs=rate, output="sos")
     h = sosfiltfilt(sos, tool - tool.mean(0), axis=0)
     n = max(1, round(_ENVELOPE_S * rate))
@@ -266,7 +281,9 @@ def _ringing(
     covariance -= np.eye(3) * floor / 3
     wide = np.sqrt(np.apply_along_axis(np.convolve, 1, each, np.ones(10) / 10, "same"))
     alike = np.corrcoef(wide)[np.triu_indices(periods, 1)]
-    return median, floor, covariance, float(np.median(alike))
+    repeats = float(np.median(alike))
+    foreign = repeats < REPEATS and float(median.mean()) > _LOUD * floor
+    return each.min(0) if foreign else median, floor, covariance, repeats, foreign
 
 
 def exchanged(

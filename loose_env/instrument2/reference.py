@@ -90,10 +90,16 @@ def change(
     """Compare records of a suspect and of a healthy session, pose by pose."""
     now, then = features(records, signal), features(healthy, signal)
     left, none = softening(records, models, gears, signal)
+    # A cable that strikes is louder, and no part of the machine.
+    own = [not (a.foreign or b.foreign) for a, b in zip(records, healthy, strict=True)]
+
+    def rise(after: Array, before: Array) -> float:
+        return float((after - before)[own].max(initial=-140.0))
+
     return Change(
-        top=float((now.top - then.top).max()),
-        even=float((now.even - then.even).max()),
-        odd=float((now.odd - then.odd).max()),
+        top=rise(now.top, then.top),
+        even=rise(now.even, then.even),
+        odd=rise(now.odd, then.odd),
         softer=np.log(none / np.maximum(left, 1e-12)),
         stiff=none / max(known.left, 1e-12),
     )
