@@ -252,8 +252,9 @@ def _fault(
     kind: str, machine: str, sheet: Sheet, rng: np.random.Generator, series: Series
 ) -> Fault:
     index = int(rng.integers(len(sheet.joints)))
-    stop: dict[str, Any] = {"stop_hz": rng.uniform(350, 900), "stop_ratio": rng.uniform(0.12, 0.35)}
+    stop: dict[str, Any] = {"stop_ratio": rng.uniform(0.12, 0.35)}
     if kind == "backlash":
+        stop["stop_hz"] = rng.uniform(800, 1400)
         slide = 0.1 if sheet.slides[index] else 1.0
         size = 3e-3 if series == "months" else _log_uniform(rng, 3e-4, 3e-3)
         return Fault(
@@ -261,6 +262,7 @@ def _fault(
             clearance=size * slide + sheet.least_play,
             friction=_log_uniform(rng, 3e-4, 3e-3) * sheet.torque[index],
         )  # fmt: skip
+    stop["stop_hz"] = rng.uniform(350, 900)
     way = rng.standard_normal(3)
     way /= np.linalg.norm(way)
     size = 3e-4 if series == "months" else _log_uniform(rng, 5e-5, 3e-4)

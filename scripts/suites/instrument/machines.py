@@ -171,6 +171,9 @@ class Design:
     """Friction over gear torque."""
     hysteresis: float = 0.004
     """Half width of the gear's torque hysteresis over the largest torque."""
+    roughness: tuple[float, float] = (0.02, 0.08)
+    """Random torque of gears and bearings at a speed of 15 % of the largest, over what the largest
+    acceleration takes."""
     gear_damping: tuple[float, float] = (0.02, 0.05)
     mass_error: tuple[float, float] = (0.1, 0.2)
 

@@ -16,13 +16,14 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
-from scripts.suites.instrument.machines import STEP, Design, Sheet, nominal_spec
+from scripts.suites.instrument.machines import STEP, Design, Link, Sheet, nominal_spec
 
 SETTLE = 0.7
 """Time at the pose before a run is recorded [s]."""
 SPRING = 1e3
 """Stiffness of the long spring that preloads a seat [N/m]."""
 GRAVITY = np.array([0.0, 0.0, -9.81])
+HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 KINDS = ("structural_looseness", "backlash")
 
 
@@ -213,138 +214,124 @@ class Simulated:
         n = len(design.links)
         size = rng.uniform(*design.mass_error, n) * rng.choice([-1, 1], n)
         reach = np.array([np.linalg.norm(link.position) + 0.1 for link in design.links])
-        shift = rng.uniform(-0.03, 0.03, (n, 3)) * reach[:, None]
-        spec = nominal_spec(design, 1 + size, shift)
-        for list_of in (spec.actuators, spec.sensors):
-            for each in list(list_of):
-                spec.delete(each)
+        spec = nominal_spec(design, 1 + size, rng.uniform(-0.03, 0.03, (n, 3)) * reach[:, None])
+        for each in [*spec.actuators, *spec.sensors]:
+            spec.delete(each)
         spec.option.timestep = STEP
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         spec.option.iterations, spec.option.tolerance = 40, 1e-9
-        self._link_joints: list[list[str]] = []
         for link in design.links:
             self._add_joints(spec, link, {f.name: f for f in self.faults})
-        last = spec.body(design.links[-1].body)
-        if self.world.payload:
-            last.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=self.world.payload,
-                pos=np.array(design.tool) + np.array(self.world.payload_at), contype=0,
-                conaffinity=0,
-            )  # fmt: skip
         if self.world.base:
+            weight = sum(part.mass for link in design.links for part in link.parts)
+            bolts = Fault(kind="", at="", index=0, clearance=self.world.base, stop_hz=350.0,
+                          friction=0.04 * weight)  # fmt: skip
             for name, axis in (("rock_x", [1, 0, 0]), ("rock_y", [0, 1, 0])):
-                weight = sum(p.mass for link in design.links for p in link.parts)
-                _stopped(spec.body(self.sheet.base), name, mujoco.mjtJoint.mjJNT_HINGE, axis,
-                         self.world.base, 350.0, 0.25, 0.04 * weight)  # fmt: skip
+                _add_free(spec.body(self.sheet.base), name, HINGE, axis, bolts)
         site = spec.site("tool")
         site.pos = np.array(site.pos) + 0.0015 * rng.standard_normal(3)
         site.quat = turned(site.quat, rotation_off(rng, 1.5, 4.0))
         if self.chances.day:
             site.quat = turned(site.quat, rotation_off(day, 0.3, 0.7))
-        spec.add_sensor(
-            name="acc", type=mujoco.mjtSensor.mjSENS_ACCELEROMETER,
-            objtype=mujoco.mjtObj.mjOBJ_SITE, objname="tool",
-        )  # fmt: skip
+        spec.add_sensor(name="acc", type=mujoco.mjtSensor.mjSENS_ACCELEROMETER,
+                        objtype=mujoco.mjtObj.mjOBJ_SITE, objname="tool")  # fmt: skip
         for joint in self.sheet.joints:
             spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        self._inertia = self._inertia_of(spec.compile())  # gears know of no payload
+        if self.world.payload:
+            spec.body(design.links[-1].body).add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=self.world.payload,
+                pos=np.array(design.tool) + np.array(self.world.payload_at), contype=0,
+                conaffinity=0,
+            )  # fmt: skip
         self.model = spec.compile()
 
-    def _add_joints(self, spec: mujoco.MjSpec, link: Any, faults: Mapping[str, Fault]) -> None:
+    def _add_joints(self, spec: mujoco.MjSpec, link: Link, faults: Mapping[str, Fault]) -> None:
         body, joint = spec.body(link.body), spec.joint(link.joint)
-        kind = joint.type
         joint.limited, joint.frictionloss, joint.solref_friction = 0, 1, [5e-4, 1]
-        flex = body.add_joint(name=f"flex_{link.joint}", type=kind, axis=link.axis, frictionloss=1)
-        flex.solref_friction, flex.armature = [5e-4, 1], 0.01 * link.armature
-        names = [link.joint, f"flex_{link.joint}"]
-        play = faults.get(f"backlash@{link.joint}")
-        if play is not None:
-            _stopped(body, f"fault_{play.name}", kind, link.axis, play.clearance, play.stop_hz,
-                     play.stop_ratio, play.friction)  # fmt: skip
-            names.append(f"fault_{play.name}")
+        flex = body.add_joint(name=f"flex_{link.joint}", type=joint.type, axis=link.axis)
+        flex.frictionloss, flex.solref_friction, flex.armature = 1, [5e-4, 1], 0.01 * link.armature
+        if play := faults.get(f"backlash@{link.joint}"):
+            _add_free(body, f"fault_{play.name}", joint.type, link.axis, play)
         if link.bending_hz:
-            across = np.array(link.parts[0].end if hasattr(link.parts[0], "end") else (0, 0, 0))
-            body.add_joint(name=f"bend_{link.joint}", type=mujoco.mjtJoint.mjJNT_HINGE,
-                           axis=link.bending_axis, pos=0.2 * across)  # fmt: skip
-        seat = faults.get(f"structural_looseness@{link.body}")
-        if seat is not None:
-            _stopped(body, f"fault_{seat.name}", mujoco.mjtJoint.mjJNT_SLIDE, seat.direction,
-                     seat.clearance, seat.stop_hz, seat.stop_ratio, seat.friction)  # fmt: skip
-        self._link_joints.append(names)
+            across = 0.2 * np.array(getattr(link.parts[0], "end", (0, 0, 0)))
+            body.add_joint(
+                name=f"bend_{link.joint}", type=HINGE, axis=link.bending_axis, pos=across
+            )
+        if seat := faults.get(f"structural_looseness@{link.body}"):
+            _add_free(body, f"fault_{seat.name}", SLIDE, seat.direction, seat)
+
+    def _inertia_of(self, model: mujoco.MjModel) -> Array:
+        """Inertia at each degree of freedom in the middle pose."""
+        data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+        for link in self.design.links:
+            data.joint(link.joint).qpos = (link.low + link.high) / 2
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        return np.diag(full).copy()
 
     def _set_drives(self) -> None:
         """Springs from frequencies in the middle pose, servo gains, friction, mesh errors."""
         m, design, links = self.model, self.design, self.design.links
         rng, day, n = self.chances.machine(1), self.chances.today(1), len(self.design.links)
         other = 1.0 if self.chances.day else 0.0
-        of = [m.joint(joint) for joint in self.sheet.joints]
-        flex = [m.joint(f"flex_{joint}") for joint in self.sheet.joints]
-        self._q, self._v = (np.array([getattr(j, a)[0] for j in of]) for a in ("qposadr", "dofadr"))
-        self._fq, self._fv = (
-            np.array([getattr(j, a)[0] for j in flex]) for a in ("qposadr", "dofadr")
-        )
-        self._sum = [[m.joint(k).qposadr[0] for k in names] for names in self._link_joints]
-        data = mujoco.MjData(m)
-        data.qpos[self._q] = [(link.low + link.high) / 2 for link in links]
-        mujoco.mj_forward(m, data)
-        full = np.zeros((m.nv, m.nv))
-        mujoco.mj_fullM(m, data, full)
-        inertia = np.diag(full)
-        own = inertia[self._fv]  # of all beyond the gear
-        hertz = np.array([link.gear_hz for link in links])
-        hertz = (
-            hertz
-            * np.sqrt(1 + 0.15 * rng.uniform(-1, 1, n))
-            * (1 + 0.015 * other * day.uniform(-1, 1, n))
-        )
-        self._k = (2 * np.pi * hertz) ** 2 * own
+
+        def spread(size: float) -> Array:
+            return 1 + size * rng.uniform(-1, 1, n)
+
+        def daily(size: float) -> Array:
+            return 1 + size * other * day.uniform(-1, 1, n)
+
+        def of(name: str) -> Array:
+            return np.array([getattr(link, name) for link in links], float)
+
+        def places(what: str, prefix: str = "") -> Array:
+            return np.array([getattr(m.joint(prefix + j), what)[0] for j in self.sheet.joints])
+
+        self._q, self._v = places("qposadr"), places("dofadr")
+        self._fq, self._fv = places("qposadr", "flex_"), places("dofadr", "flex_")
+        own = self._inertia[self._fv]  # of all beyond the gear
         self._limit = np.array(self.sheet.torque)
-        for i, joint in enumerate(flex):
-            m.jnt_stiffness[joint.id] = self._k[i]
-            m.dof_damping[self._fv[i]] = (
-                2 * rng.uniform(*design.gear_damping) * np.sqrt(self._k[i] * own[i])
-            )
-            m.dof_frictionloss[self._fv[i]] = design.hysteresis * self._limit[i]
-            m.dof_armature[self._fv[i]] = 0.02 * own[i]
+        self._k = (2 * np.pi * of("gear_hz")) ** 2 * own * spread(0.15) * daily(0.03)
+        m.jnt_stiffness[m.dof_jntid[self._fv]] = self._k
+        ratio = rng.uniform(*design.gear_damping, n)
+        m.dof_damping[self._fv] = 2 * ratio * np.sqrt(self._k * own)
+        m.dof_frictionloss[self._fv] = design.hysteresis * self._limit
+        m.dof_armature[self._fv] = 0.05 * own
         for link in links:
             if link.bending_hz:
                 bend = m.joint(f"bend_{link.joint}")
-                dof = bend.dofadr[0]
-                k = (2 * np.pi * link.bending_hz * rng.uniform(0.9, 1.1)) ** 2 * inertia[dof]
-                m.jnt_stiffness[bend.id] = k
-                m.dof_damping[dof] = 2 * rng.uniform(0.01, 0.03) * np.sqrt(k * inertia[dof])
-        self._faults = {}
+                dof, omega = bend.dofadr[0], 2 * np.pi * link.bending_hz * rng.uniform(0.9, 1.1)
+                m.jnt_stiffness[bend.id] = omega**2 * self._inertia[dof]
+                m.dof_damping[dof] = 2 * rng.uniform(0.01, 0.03) * omega * self._inertia[dof]
         for fault in self.faults:
             joint = m.joint(f"fault_{fault.name}")
-            self._faults[fault.name] = (joint.qposadr[0], fault.clearance)
             if fault.preload:
                 m.jnt_stiffness[joint.id] = SPRING
                 m.qpos_spring[joint.qposadr[0]] = fault.clearance / 2 + fault.preload / SPRING
-        rotor = np.array([link.armature for link in links]) * (1 + 0.08 * rng.uniform(-1, 1, n))
+        rotor = of("armature") * spread(0.08)
         m.dof_armature[self._v] = rotor
-        total = (rotor + own) * (1 + 0.1 * rng.uniform(-1, 1, n))
-        omega = 2 * np.pi * design.servo_hz * (1 + 0.1 * rng.uniform(-1, 1, n))
+        total, rate = (rotor + own) * spread(0.1), 2 * np.pi * design.servo_hz * spread(0.1)
         if design.control == "cascade":
-            self._kv, self._kp = total * omega, np.full(n, design.position_gain)
-            self._ki = self._kv * omega / 4
+            self._kv, self._kp = total * rate, np.full(n, design.position_gain)
+            self._ki = self._kv * rate / 4
         else:
-            self._kp, self._kv = total * omega**2, 1.2 * total * omega
-            self._ki = self._kp * 1.0
-        coulomb = np.array([link.coulomb for link in links]) * (1 + 0.25 * rng.uniform(-1, 1, n))
-        self._fc = coulomb * (1 + 0.15 * other * day.uniform(-1, 1, n))
-        self._fs = self._fc * rng.uniform(0.1, 0.5, n)
+            self._kp, self._kv = total * rate**2, 1.2 * total * rate
+            self._ki = self._kp
         slide = np.array(self.sheet.slides)
+        self._fc = of("coulomb") * spread(0.25) * daily(0.15)
+        self._fs = self._fc * rng.uniform(0.1, 0.5, n)
         self._vs = np.where(slide, 0.01, 0.02) * rng.uniform(0.7, 1.5, n)
-        viscous = np.array([link.viscous for link in links]) * (1 + 0.25 * rng.uniform(-1, 1, n))
-        m.dof_damping[self._v] = viscous * (1 + 0.2 * other * day.uniform(-1, 1, n))
-        self._weight = (1 + 0.05 * rng.uniform(-1, 1, n)) * design.gravity
-        mesh = np.array([link.mesh for link in links]) * rng.uniform(0.5, 1.5, n)
-        self._mesh = mesh * self._k
-        teeth = np.array([link.teeth for link in links])
-        self._teeth = np.where(slide, 2 * np.pi * teeth, teeth)
+        m.dof_damping[self._v] = of("viscous") * spread(0.25) * daily(0.2)
+        self._weight = spread(0.05) * design.gravity
+        self._mesh = of("mesh") * spread(0.5) * self._k
+        self._teeth = of("teeth") * np.where(slide, 2 * np.pi, 1.0)
+        rough = rng.uniform(*design.roughness) * own * of("acceleration")
+        self._rough = rough / (0.15 * of("speed"))  # over speed
         self._phase = rng.uniform(0, 2 * np.pi, (2, n))
-        self._gain = 1 + 0.08 * rng.uniform(-1, 1, n)
-        mujoco.mj_setConst(m, data)
+        self._gain = spread(0.08)
+        mujoco.mj_setConst(m, mujoco.MjData(m))
 
     def play(self, pose: Array, command: Array, rate: float, run: int) -> Played:
         """Move to a pose and follow a command given at a rate [Hz]."""
@@ -375,8 +362,9 @@ class Simulated:
         last, slow = d.qpos[self._q].copy(), np.zeros(len(target))
         acceleration, n = np.zeros((total, 3)), len(target)
         motor, link, torque = (np.zeros((-(-ticks // keep), n)) for _ in range(3))
-        path = np.zeros((ticks, len(self._faults)))
-        places = [address for address, _ in self._faults.values()]
+        path = np.zeros((ticks, len(self.faults)))
+        places = [m.joint(f"fault_{fault.name}").qposadr[0] for fault in self.faults]
+        behind = [places_of(m, joint) for joint in self.sheet.joints]
         fine = np.array([1e-8 if s else 2 * np.pi / 2**23 for s in self.sheet.slides])
         sample, dt = 0, 1 / control
         reference = target.copy()
@@ -412,14 +400,14 @@ class Simulated:
             turn = self._teeth * d.qpos[self._q]
             d.qfrc_applied[self._fv] = self._mesh * (
                 np.sin(turn + self._phase[0]) + 0.4 * np.sin(2 * turn + self._phase[1])
-            )
+            ) + self._rough * d.qvel[self._v] * rng.standard_normal(n)
             d.ctrl[:] = tau
             if k >= 0:
                 path[k] = d.qpos[places]
                 if k % keep == 0:
                     row = k // keep
                     motor[row] = d.qpos[self._q]
-                    link[row] = [d.qpos[a].sum() for a in self._sum]
+                    link[row] = [d.qpos[a].sum() for a in behind]
                     torque[row] = tau * self._gain if self.sheet.torques == "current" else -gear
             for _ in range(steps):
                 if k >= 0:
@@ -434,24 +422,26 @@ class Simulated:
         if not np.isfinite(acceleration).all() or np.abs(d.qvel).max() > 60:
             raise InvalidData(f"{self.sheet.name}: the simulation of run {run} diverged")
         travel = {
-            name: float(np.ptp(path[:, i]) / clearance)
-            for i, (name, (_, clearance)) in enumerate(self._faults.items())
+            fault.name: float(np.ptp(path[:, i]) / fault.clearance)
+            for i, fault in enumerate(self.faults)
         }
-        return Played(
-            acceleration=acceleration, motor=motor, link=link, torque=torque, travel=travel
-        )
+        return Played(acceleration=acceleration, motor=motor, link=link, torque=torque,
+                      travel=travel)  # fmt: skip
 
 
-def _stopped(
-    body: Any, name: str, kind: Any, axis: Any, clearance: float, hertz: float, ratio: float,
-    friction: float,
-) -> None:  # fmt: skip
+def places_of(model: mujoco.MjModel, joint: str) -> list[int]:
+    """Coordinates of rotor, gear and play, of which the link's angle is the sum."""
+    names = (joint, f"flex_{joint}", f"fault_backlash@{joint}")
+    there = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)}
+    return [there[name] for name in names if name in there]
+
+
+def _add_free(body: Any, name: str, kind: Any, axis: Any, fault: Fault) -> None:
     """Add a joint that moves freely between two stops."""
-    omega = 2 * np.pi * hertz
-    slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
+    omega = 2 * np.pi * fault.stop_hz
     body.add_joint(
-        name=name, type=kind, axis=axis, range=[-clearance / 2, clearance / 2], limited=1,
-        frictionloss=friction, damping=[15.0 if slide else 0.02, 0, 0],
-        solref_limit=[-(omega**2), -2 * ratio * omega],
+        name=name, type=kind, axis=axis, range=[-fault.clearance / 2, fault.clearance / 2],
+        limited=1, frictionloss=fault.friction, damping=[15.0 if kind == SLIDE else 0.02, 0, 0],
+        solref_limit=[-(omega**2), -2 * fault.stop_ratio * omega],
         solimp_limit=[0.95, 0.99, 1e-5, 0.5, 2], solref_friction=[4e-4, 1],
     )  # fmt: skip

@@ -6,6 +6,7 @@ reference and raw logs. ``truth/CASE.json`` has the rest.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import shutil
@@ -138,6 +139,9 @@ def play_case(case: Case, plan: Plan, folder: Path, enough: Enough | None) -> di
     shutil.rmtree(folder, ignore_errors=True)
     lay_out(case, folder)
     model, joints, runs = nominal_xml(case.machine), case.sheet.joints, list(plan["runs"])
+    if case.world.run >= len(runs):
+        once = dataclasses.replace(case.world, run=case.world.run % len(runs))
+        case = dataclasses.replace(case, world=once)
     suspect, done, travel = case.suspect(), list[int](), dict[str, list[float]]()
     groups = levels_of(runs)
     for group in groups:
