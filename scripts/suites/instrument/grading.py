@@ -1,0 +1,280 @@
+"""Marks of answers against sealed truths, and their tables in Markdown with Wilson's intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from scripts.suites.instrument.cases import CLASSES, GROWS_FROM, HEALTHY, SHEETS
+from scripts.suites.instrument.sensing import DAMAGES
+
+Marks = dict[str, Any]
+VERDICTS = ("loose", "tight", "open", "refused")
+KINDS = ("structural_looseness", "backlash")
+WAYS = ("alone", "reference")
+"""Ways in which each case is judged: without and with the healthy reference."""
+TITLES = {"alone": "without a reference", "reference": "with a reference"}
+
+
+def unfit(answer: Any) -> str:
+    """Reason for which an answer does not keep to the protocol; empty if it does."""
+    try:
+        if answer["verdict"] not in VERDICTS:
+            return f"verdict {answer['verdict']!r}; give one of {', '.join(VERDICTS)}"
+        for place in answer.get("places", ()):
+            if place["kind"] not in KINDS or not isinstance(place["at"], str):
+                return f"place {place['kind']!r} at {place['at']!r}; give a kind of {KINDS}"
+            if not 0 <= float(place["probability"]) <= 1:
+                return f"probability {place['probability']}; give 0 to 1"
+            way = place.get("direction")
+            if way is not None and (len(way) != 3 or not np.isfinite(np.array(way, float)).all()):
+                return f"direction {way}; give three numbers or null"
+        bool(answer["settled"]), dict(answer.get("tested") or {})
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return f"{type(error).__name__} {error}; see the protocol in scripts.suites.instrument.run"
+    return ""
+
+
+def grade(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> Marks:
+    """Marks of an answer: found, place, direction, and what it said was tested."""
+    places = [(p["kind"], p["at"], p.get("direction")) for p in answer.get("places", ())]
+    named = [place[:2] for place in places]
+    index = {name: i for i, name in enumerate(truth["bodies"])}
+    index.update({name: i for i, name in enumerate(truth["joints"])})
+    opened = [f for f in truth["faults"] if truth["opened"].get(_name(f))]
+    shut = [_name(f) for f in truth["faults"] if not truth["opened"].get(_name(f))]
+    true = {(f["kind"], f["at"]): f for f in opened}
+    tested = {str(key): value for key, value in dict(answer.get("tested") or {}).items()}
+    loose = answer["verdict"] == "loose"
+    first = named[0] if named else None
+    at_base = loose and first == ("structural_looseness", truth["base"])
+    near = any(
+        place in true
+        or any(abs(index.get(place[1], -9) - fault["index"]) <= 1 for fault in true.values())
+        for place in named[:2]
+    )
+    error = None
+    if first in true and true[first]["direction"] is not None and places[0][2] is not None:
+        way = np.array(places[0][2], float)
+        cosine = abs(way @ np.array(true[first]["direction"])) / max(np.linalg.norm(way), 1e-12)
+        error = float(np.degrees(np.arccos(min(1.0, cosine))))
+    settled = bool(answer["settled"])
+    called_tight = answer["verdict"] == "tight" or any(tested.get(name) == "tight" for name in shut)
+    said = bool(answer.get("remarks")) or bool(answer.get("remedy"))
+    return {
+        "verdict": answer["verdict"], "settled": settled, "loose": loose,
+        "opened": [fault["kind"] for fault in opened], "shut": len(shut),
+        "alarm": loose and not truth["faults"]
+        and not (truth["kind"] == "base" and at_base),
+        "first": first in true, "near": near,
+        "both": len(true) == 2 and all(name in named[:3] for name in true),
+        "several": bool(answer.get("several")),
+        "direction": error,
+        "wrong": settled and (
+            (loose and first not in true and not (truth["kind"] == "base" and at_base))
+            or (answer["verdict"] == "tight" and bool(true))
+        ),
+        "tight_shut": bool(shut) and not true and called_tight,
+        "places": [f"{kind}@{at}" for kind, at in named[:3]],
+        "dumb": answer["verdict"] in ("open", "refused") and not said,
+        "said": said, "remedy": bool(answer.get("remedy")),
+    }  # fmt: skip
+
+
+def failed(truth: Mapping[str, Any]) -> Marks:
+    """Marks of a case for which there is no answer."""
+    marks = grade({"verdict": "failed", "settled": False}, truth)
+    return {**marks, "dumb": True}
+
+
+def _name(fault: Mapping[str, Any]) -> str:
+    return f"{fault['kind']}@{fault['at']}"
+
+
+# ----------------------------------------------------------------------------------- tables
+
+
+def wilson(hits: int, count: int, z: float = 1.959964) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share."""
+    share, scale = hits / count, 1 + z**2 / count
+    middle = (share + z**2 / (2 * count)) / scale
+    half = z * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2)) / scale
+    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
+
+
+def share(hits: int, count: int) -> str:
+    """A share in per cent with Wilson's 95 % interval."""
+    if count == 0:
+        return "none"
+    low, high = wilson(hits, count)
+    return f"{hits}/{count} = {100 * hits / count:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+Rows = Sequence[Mapping[str, Any]]
+Cell = Callable[[Rows], str]
+
+
+def _of(rows: Rows, chosen: Callable[[Any], bool], hit: Callable[[Any], bool]) -> str:
+    own = [row for row in rows if chosen(row)]
+    return share(sum(bool(hit(row)) for row in own), len(own))
+
+
+def _line(chosen: Callable[[Any], bool], hit: Callable[[Any], bool]) -> Cell:
+    return lambda rows: _of(rows, chosen, hit)
+
+
+def _angle(share_of: float) -> Cell:
+    def cell(rows: Rows) -> str:
+        own = [row["direction"] for row in rows if row["direction"] is not None]
+        return f"{np.quantile(own, share_of):.1f}° ({len(own)})" if own else "none"
+
+    return cell
+
+
+def _median(name: str, unit: str) -> Cell:
+    def cell(rows: Rows) -> str:
+        own = [row[name] for row in rows if row.get(name) is not None]
+        return f"{np.median(own):.3g} {unit}" if own else "none"
+
+    return cell
+
+
+def _kind_opened(kind: str) -> Callable[[Any], bool]:
+    return lambda row: row["opened"] == [kind]
+
+
+def _healthy(kind: str) -> Callable[[Any], bool]:
+    return lambda row: row["role"] == "healthy" and row["kind"] == kind
+
+
+LINES: tuple[tuple[str, Cell], ...] = (
+    ("found, of faults that opened", _line(lambda r: r["opened"], lambda r: r["loose"])),
+    ("  a seat alone", _line(_kind_opened(KINDS[0]), lambda r: r["loose"])),
+    ("  play alone", _line(_kind_opened(KINDS[1]), lambda r: r["loose"])),
+    ("  two at once", _line(lambda r: len(r["opened"]) == 2, lambda r: r["loose"])),
+    ("false alarms", _line(lambda r: r["role"] == "healthy", lambda r: r["alarm"])),
+    *((f"  {kind}", _line(_healthy(kind), lambda r: r["alarm"])) for kind in HEALTHY),
+    ("settled and right, of those found",
+     _line(lambda r: r["opened"] and r["loose"], lambda r: r["settled"] and r["first"])),
+    ("first place right, of those found",
+     _line(lambda r: r["opened"] and r["loose"], lambda r: r["first"])),
+    ("first two places right or a neighbour, of those found",
+     _line(lambda r: r["opened"] and r["loose"], lambda r: r["near"])),
+    ("settled and wrong, of all", _line(lambda r: True, lambda r: r["wrong"])),
+    ("two at once: both in the first three places",
+     _line(lambda r: len(r["opened"]) == 2, lambda r: r["both"])),
+    ("two at once: several said",
+     _line(lambda r: len(r["opened"]) == 2, lambda r: r["several"])),
+    ("several said of one or none",
+     _line(lambda r: len(r["opened"]) < 2, lambda r: r["several"])),
+    ("direction, median", _angle(0.5)),
+    ("direction, 90th percentile", _angle(0.9)),
+    ("correct files refused", _line(lambda r: True, lambda r: r["verdict"] == "refused")),
+    ("no verdict, or open without a remark", _line(lambda r: True, lambda r: r["dumb"])),
+    ("faults that never opened called tight",
+     _line(lambda r: r["shut"] and not r["opened"], lambda r: r["tight_shut"])),
+    ("faults that never opened called loose",
+     _line(lambda r: r["shut"] and not r["opened"], lambda r: r["loose"])),
+    ("shaking, median", _median("shaken", "s")),
+    ("CPU time of a diagnosis, median", _median("cpu", "s")),
+)  # fmt: skip
+"""Lines of the table: what, and how it is counted."""
+
+
+def of_way(rows: Rows, way: str) -> list[dict[str, Any]]:
+    """Rows with the marks of one way of judging beside what belongs to the case."""
+    return [{**row, **row[way]} for row in rows if way in row]
+
+
+def table(rows: Rows) -> str:
+    """Tables without and with reference: all classes but hobby machines, and each class."""
+    parts = []
+    for way in WAYS:
+        own = of_way(rows, way)
+        names = [name for name in CLASSES if any(row["machine"] == name for row in own)]
+        main = [row for row in own if not SHEETS[row["machine"]].hobby]
+        heads = [f"{name} (hobby, apart)" if SHEETS[name].hobby else name for name in names]
+        lines = [f"## {TITLES[way].capitalize()}, {len(main)} cases", ""]
+        lines += [f"| | all | {' | '.join(heads)} |", "|---|---|" + "---|" * len(heads)]
+        for words, cell in LINES:
+            each = [cell([row for row in own if row["machine"] == name]) for name in names]
+            lines.append(f"| {words} | {cell(main)} | {' | '.join(each)} |")
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def variants_table(tools: Mapping[str, Rows]) -> str:
+    """Lines of the table with a column a variant, on the cases that all of them have."""
+    numbers = set.intersection(*({row["number"] for row in rows} for rows in tools.values()))
+    parts = []
+    for way in WAYS:
+        lines = [f"## {TITLES[way].capitalize()}, {len(numbers)} cases", ""]
+        lines += [f"| | {' | '.join(tools)} |", "|---|" + "---|" * len(tools)]
+        for words, cell in LINES:
+            each = [
+                cell([row for row in of_way(rows, way)
+                      if row["number"] in numbers and not SHEETS[row["machine"]].hobby])
+                for rows in tools.values()
+            ]  # fmt: skip
+            lines.append(f"| {words} | {' | '.join(each)} |")
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def damaged_table(rows: Rows) -> str:
+    """Damaged files by damage: refused or remarked upon, silent, failed."""
+    lines = []
+    for way in WAYS:
+        own = of_way(rows, way)
+        lines += [f"## Damaged files, {TITLES[way]}", "",
+                  "| damage | refused with a remedy | or another verdict with a remark "
+                  "| silent | no answer |", "|---|---|---|---|---|"]  # fmt: skip
+        for kind in (*DAMAGES, "all"):
+            each = [row for row in own if kind in (row["damage"], "all")]
+            if not each:
+                continue
+            refused = [row["verdict"] == "refused" and row["remedy"] for row in each]
+            none = [row["verdict"] == "failed" for row in each]
+            told = [row["said"] and not r for row, r in zip(each, refused, strict=True)]
+            silent = len(each) - sum(refused) - sum(none) - sum(told)
+            cells = [share(n, len(each)) for n in (sum(refused), sum(told), silent, sum(none))]
+            lines.append(f"| {kind} | {' | '.join(cells)} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def months_table(rows: Rows) -> str:
+    """Series of months: alarms before the fault grew, months until the first alarm after."""
+    lines = ["| | all |", "|---|---|"]
+    grown = [row for row in rows if row["role"] == "one"]
+    late, missed = [], 0
+    for row in grown:
+        after = [m for m, a in enumerate(row["alarms"], start=1) if a and m >= GROWS_FROM]
+        late += [after[0] - GROWS_FROM] if after else []
+        missed += not after
+    before = [a for row in grown for a in row["alarms"][: GROWS_FROM - 1]]
+    never = [a for row in rows if row["role"] == "healthy" for a in row["alarms"]]
+    delays = f"median {np.median(late):.1f}, most {max(late)}" if late else "none"
+    lines += [
+        f"| months from the fault's beginning to the first alarm | {delays} |",
+        f"| growing faults without any alarm | {share(missed, len(grown))} |",
+        f"| alarms in months before the fault | {share(sum(before), len(before))} |",
+        f"| alarms in months of machines without a fault | {share(sum(never), len(never))} |",
+        f"| sessions without an answer | {sum(row['unanswered'] for row in rows)} |",
+    ]
+    return "\n".join(lines)
+
+
+def words_of(row: Mapping[str, Any]) -> str:
+    """One line about a case."""
+    line = f"{row['number']:5d} {row['case']} {row['machine']:<10} {row['role']:<7} {row['kind']}"
+    if "alarms" in row:
+        return f"{line}  alarms {''.join('x' if a else '.' for a in row['alarms'])}"
+    for way in WAYS:
+        if way in row:
+            marks = row[way]
+            mark = "settled" if marks["settled"] else ""
+            line += f"  {way}: {marks['verdict']} {mark} {' '.join(marks['places'][:2])}"
+    return line
