@@ -23,12 +23,12 @@ from scripts.suites.instrument.physics import (
     KINDS,
     Chances,
     Fault,
-    Machine,
     Simulated,
     World,
 )
 from scripts.suites.instrument.sensing import DAMAGES
 
+Machine = Simulated | standins.StandIn
 FIRST_JUDGED = 10_000
 """First number that is drawn from a phrase."""
 SEED = 71_003

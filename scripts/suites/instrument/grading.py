@@ -15,7 +15,7 @@ VERDICTS = ("loose", "tight", "open", "refused")
 KINDS = ("structural_looseness", "backlash")
 WAYS = ("alone", "reference")
 """Ways in which each case is judged: without and with the healthy reference."""
-TITLES = {"alone": "without a reference", "reference": "with a reference"}
+TITLES = {"alone": "Without a reference", "reference": "With a reference"}
 
 
 def unfit(answer: Any) -> str:
@@ -76,6 +76,7 @@ def grade(answer: Mapping[str, Any], truth: Mapping[str, Any]) -> Marks:
             (loose and first not in true and not (truth["kind"] == "base" and at_base))
             or (answer["verdict"] == "tight" and bool(true))
         ),
+        "told": all(tested.get(name) == "not tested" for name in shut),
         "tight_shut": bool(shut) and not true and called_tight,
         "places": [f"{kind}@{at}" for kind, at in named[:3]],
         "dumb": answer["verdict"] in ("open", "refused") and not said,
@@ -116,13 +117,12 @@ Rows = Sequence[Mapping[str, Any]]
 Cell = Callable[[Rows], str]
 
 
-def _of(rows: Rows, chosen: Callable[[Any], bool], hit: Callable[[Any], bool]) -> str:
-    own = [row for row in rows if chosen(row)]
-    return share(sum(bool(hit(row)) for row in own), len(own))
-
-
 def _line(chosen: Callable[[Any], bool], hit: Callable[[Any], bool]) -> Cell:
-    return lambda rows: _of(rows, chosen, hit)
+    def cell(rows: Rows) -> str:
+        own = [row for row in rows if chosen(row)]
+        return share(sum(bool(hit(row)) for row in own), len(own))
+
+    return cell
 
 
 def _angle(share_of: float) -> Cell:
@@ -175,6 +175,8 @@ LINES: tuple[tuple[str, Cell], ...] = (
     ("no verdict, or open without a remark", _line(lambda r: True, lambda r: r["dumb"])),
     ("faults that never opened called tight",
      _line(lambda r: r["shut"] and not r["opened"], lambda r: r["tight_shut"])),
+    ("faults that never opened said to be not tested",
+     _line(lambda r: r["shut"] and not r["opened"], lambda r: r["told"])),
     ("faults that never opened called loose",
      _line(lambda r: r["shut"] and not r["opened"], lambda r: r["loose"])),
     ("shaking, median", _median("shaken", "s")),
@@ -188,20 +190,24 @@ def of_way(rows: Rows, way: str) -> list[dict[str, Any]]:
     return [{**row, **row[way]} for row in rows if way in row]
 
 
+def _columns(title: str, columns: Mapping[str, Rows]) -> str:
+    """A table with a column for each group of rows."""
+    lines = [f"## {title}", "", f"| | {' | '.join(columns)} |", "|---|" + "---|" * len(columns)]
+    for words, cell in LINES:
+        lines.append(f"| {words} | {' | '.join(cell(rows) for rows in columns.values())} |")
+    return "\n".join(lines)
+
+
 def table(rows: Rows) -> str:
     """Tables without and with reference: all classes but hobby machines, and each class."""
     parts = []
     for way in WAYS:
         own = of_way(rows, way)
-        names = [name for name in CLASSES if any(row["machine"] == name for row in own)]
-        main = [row for row in own if not SHEETS[row["machine"]].hobby]
-        heads = [f"{name} (hobby, apart)" if SHEETS[name].hobby else name for name in names]
-        lines = [f"## {TITLES[way].capitalize()}, {len(main)} cases", ""]
-        lines += [f"| | all | {' | '.join(heads)} |", "|---|---|" + "---|" * len(heads)]
-        for words, cell in LINES:
-            each = [cell([row for row in own if row["machine"] == name]) for name in names]
-            lines.append(f"| {words} | {cell(main)} | {' | '.join(each)} |")
-        parts.append("\n".join(lines))
+        columns: dict[str, Rows] = {"all": _without_hobby(own)}
+        for name in CLASSES:
+            each = [row for row in own if row["machine"] == name]
+            columns |= {name + " (hobby, apart)" * SHEETS[name].hobby: each} if each else {}
+        parts.append(_columns(f"{TITLES[way]}, {len(columns['all'])} cases", columns))
     return "\n\n".join(parts)
 
 
@@ -210,17 +216,16 @@ def variants_table(tools: Mapping[str, Rows]) -> str:
     numbers = set.intersection(*({row["number"] for row in rows} for rows in tools.values()))
     parts = []
     for way in WAYS:
-        lines = [f"## {TITLES[way].capitalize()}, {len(numbers)} cases", ""]
-        lines += [f"| | {' | '.join(tools)} |", "|---|" + "---|" * len(tools)]
-        for words, cell in LINES:
-            each = [
-                cell([row for row in of_way(rows, way)
-                      if row["number"] in numbers and not SHEETS[row["machine"]].hobby])
-                for rows in tools.values()
-            ]  # fmt: skip
-            lines.append(f"| {words} | {' | '.join(each)} |")
-        parts.append("\n".join(lines))
+        columns = {
+            name: [r for r in _without_hobby(of_way(rows, way)) if r["number"] in numbers]
+            for name, rows in tools.items()
+        }
+        parts.append(_columns(f"{TITLES[way]}, {len(numbers)} cases", columns))
     return "\n\n".join(parts)
+
+
+def _without_hobby(rows: Rows) -> Rows:
+    return [row for row in rows if not SHEETS[row["machine"]].hobby]
 
 
 def damaged_table(rows: Rows) -> str:
@@ -228,7 +233,7 @@ def damaged_table(rows: Rows) -> str:
     lines = []
     for way in WAYS:
         own = of_way(rows, way)
-        lines += [f"## Damaged files, {TITLES[way]}", "",
+        lines += [f"## {TITLES[way]}, damaged files", "",
                   "| damage | refused with a remedy | or another verdict with a remark "
                   "| silent | no answer |", "|---|---|---|---|---|"]  # fmt: skip
         for kind in (*DAMAGES, "all"):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -93,15 +93,6 @@ class Played:
     """Free travel that each fault used, over its clearance."""
 
 
-class Machine(Protocol):
-    """A machine on which a session is played."""
-
-    sheet: Sheet
-
-    def play(self, pose: Array, command: Array, rate: float, run: int) -> Played:
-        """Move to a pose and follow a command given at a rate [Hz]."""
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Chances:
     """Generators of what stays with a machine and of what changes from day to day."""
@@ -120,9 +111,8 @@ class Chances:
 
 def rotation_off(rng: np.random.Generator, low: float, high: float) -> Array:
     """Quaternion of a small rotation about a random axis, by an angle of a range [degrees]."""
-    axis, turn = rng.standard_normal(3), np.zeros(4)
-    angle = float(np.radians(rng.uniform(low, high)))
-    mujoco.mju_axisAngle2Quat(turn, axis / np.linalg.norm(axis), angle)
+    turn = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(turn, _way(rng), float(np.radians(rng.uniform(low, high))))
     return turn
 
 
@@ -157,43 +147,41 @@ def resampled(
     return found, slope
 
 
-def strikes(rng: np.random.Generator, count: int, rate: float, force: tuple[float, float]) -> Array:
-    """Force of a cable that strikes now and then, every time step (count, 3)."""
-    out, t = np.zeros((count, 3)), 0.0
-    while rate > 0:
-        t += rng.exponential(1 / rate)
-        width = int(rng.uniform(0.8e-3, 2.5e-3) / STEP)
-        start, way = int(t / STEP), rng.standard_normal(3)
+def outside(
+    world: World, sheet: Sheet, rng: np.random.Generator, count: int, run: int
+) -> tuple[Array | None, Array | None]:
+    """Force on the machine and acceleration of the ground, every time step (count, 3), or None."""
+    force, ground, time = np.zeros((count, 3)), np.zeros((count, 3)), np.arange(count) * STEP
+    now, t = world.run in (run, -1), 0.0
+    while world.cable:  # strikes now and then
+        t += rng.exponential(1 / world.cable)
+        width, start = int(rng.uniform(0.8e-3, 2.5e-3) / STEP), int(t / STEP)
         if start + width >= count:
             break
-        pulse = rng.uniform(*force) * np.sin(np.pi * np.arange(width) / width)
-        out[start : start + width] += np.outer(pulse, way / np.linalg.norm(way))
-    return out
+        pulse = rng.uniform(*sheet.strike) * np.sin(np.pi * np.arange(width) / width)
+        force[start : start + width] += np.outer(pulse, _way(rng))
+    if world.hand and now:  # leans on the tool and trembles
+        lean = 0.6 + 0.4 * np.sin(2 * np.pi * rng.uniform(0.2, 0.6) * time + rng.uniform(0, 6))
+        tremor = 0.12 * np.sin(2 * np.pi * rng.uniform(7, 11) * time)
+        force += np.outer(world.hand * (lean + tremor), _way(rng))
+    if world.press and now:
+        tones = [
+            (2 * np.pi * rng.uniform(18, 90), rng.uniform(0.05, 0.12), _way(rng)) for _ in "abc"
+        ]
+        t = rng.uniform(0, world.press_every)
+        while t < count * STEP:
+            late = np.maximum(time - t, 0)
+            for omega, ratio, way in tones:
+                peak = 0.6 * world.press * rng.uniform(0.7, 1.3)
+                ground += np.outer(peak * np.exp(-ratio * omega * late) * np.sin(omega * late), way)
+            t += world.press_every * rng.uniform(0.95, 1.05)
+    return (force if force.any() else None), (ground if ground.any() else None)
 
 
-def ground(rng: np.random.Generator, count: int, world: World) -> Array:
-    """Acceleration of the ground while a neighbour's press works, every time step (count, 3)."""
-    out, t = np.zeros((count, 3)), rng.uniform(0, world.press_every)
-    time = np.arange(count) * STEP
-    tones = [
-        (rng.uniform(18, 90), rng.uniform(0.05, 0.12), rng.standard_normal(3)) for _ in range(3)
-    ]
-    while t < count * STEP:
-        after = np.maximum(time - t, 0)
-        for hertz, ratio, way in tones:
-            decay = np.exp(-2 * np.pi * hertz * ratio * after) * np.sin(2 * np.pi * hertz * after)
-            out += world.press / 3 * rng.uniform(0.7, 1.3) * np.outer(decay, way)
-        t += world.press_every * rng.uniform(0.95, 1.05)
-    return out
-
-
-def push(rng: np.random.Generator, count: int, force: float) -> Array:
-    """Force of a hand that leans on the tool and trembles, every time step (count, 3)."""
-    time = np.arange(count) * STEP
-    lean = 0.6 + 0.4 * np.sin(2 * np.pi * rng.uniform(0.2, 0.6) * time + rng.uniform(0, 6))
-    tremor = 0.12 * np.sin(2 * np.pi * rng.uniform(7, 11) * time)
+def _way(rng: np.random.Generator) -> Array:
+    """Random direction."""
     way = rng.standard_normal(3)
-    return np.outer(force * (lean + tremor), way / np.linalg.norm(way))
+    return way / np.linalg.norm(way)
 
 
 class Simulated:
@@ -345,14 +333,8 @@ class Simulated:
         ticks, settle = len(wanted), round(SETTLE * control)
         keep = max(1, round(control / self.sheet.log_hz))
         total = ticks * steps
-        outer = np.zeros((total, 3))
-        if world.cable:
-            outer += strikes(rng, total, world.cable, self.sheet.strike)
-        if world.hand and world.run in (run, -1):
-            outer += push(rng, total, world.hand)
-        shaken = ground(rng, total, world) if world.press and world.run in (run, -1) else None
-        there = bool(outer.any())
-        body = m.body(self.sheet.bodies[world.cable_body if world.cable else -1]).id
+        force, ground = outside(world, self.sheet, rng, total, run)
+        body = m.body(self.sheet.bodies[world.cable_body]).id
         address = m.sensor("acc").adr[0]
         d.qpos[self._q] = target
         mujoco.mj_forward(m, d)
@@ -410,11 +392,10 @@ class Simulated:
                     link[row] = [d.qpos[a].sum() for a in behind]
                     torque[row] = tau * self._gain if self.sheet.torques == "current" else -gear
             for _ in range(steps):
-                if k >= 0:
-                    if there:
-                        d.xfrc_applied[body, :3] = outer[sample]
-                    if shaken is not None:
-                        m.opt.gravity[:] = GRAVITY - shaken[sample]
+                if k >= 0 and force is not None:
+                    d.xfrc_applied[body, :3] = force[sample]
+                if k >= 0 and ground is not None:
+                    m.opt.gravity[:] = GRAVITY - ground[sample]
                 mujoco.mj_step(m, d)
                 if k >= 0:
                     acceleration[sample] = d.sensordata[address : address + 3]

@@ -20,9 +20,9 @@ from loose_env.errors import InvalidData
 from loose_env.io import plain, write_text
 from loose_env.typing import Array
 from scripts.suites.instrument import sensing
-from scripts.suites.instrument.cases import MONTHS, OPENED, Case, nominal_xml
+from scripts.suites.instrument.cases import MONTHS, OPENED, Case, Machine, nominal_xml
 from scripts.suites.instrument.machines import MARGIN, Sheet
-from scripts.suites.instrument.physics import Chances, Machine, World
+from scripts.suites.instrument.physics import Chances, World
 
 MOST_SECONDS = 240.0
 """Longest session [s]."""

@@ -29,11 +29,9 @@ from scripts.suites.instrument.physics import (
     Fault,
     Played,
     World,
-    ground,
-    push,
+    outside,
     resampled,
     rotation_off,
-    strikes,
     turned,
 )
 
@@ -155,16 +153,16 @@ class StandIn:
             site = m.site("tool").id
             m.site_quat[site] = turned(m.site_quat[site], rotation_off(day, 0.3, 0.7))
         servo = self.bench.tick
-        self._outer: Array | None = None
+        self._force: Array | None = None
         self._ground: Array | None = None
-        body = m.body(self.sheet.bodies[self.world.cable_body if self.world.cable else -1]).id
+        body = m.body(self.sheet.bodies[self.world.cable_body]).id
 
         def tick(k: int, data: Any, wanted: Any, first: bool, rng: Any) -> None:
             servo(k, data, wanted, first, rng)
             m.dof_frictionloss[self.bench.va] *= friction
             if k >= 0 and not first:
-                if self._outer is not None:
-                    data.xfrc_applied[body, :3] = self._outer[k]
+                if self._force is not None:
+                    data.xfrc_applied[body, :3] = self._force[k]
                 if self._ground is not None:
                     m.opt.gravity[:] = GRAVITY - self._ground[k]
 
@@ -176,15 +174,10 @@ class StandIn:
         target = np.array(pose, float)
         wanted, _ = resampled(command, rate, self.sheet, 1000.0, target)
         count, inside = len(wanted), round(1e-3 / STEP)
-        outer = np.zeros((count * inside, 3))
-        if world.cable:
-            outer += strikes(rng, len(outer), world.cable, self.sheet.strike)
-        if world.hand and world.run in (run, -1):
-            outer += push(rng, len(outer), world.hand)
+        force, ground = outside(world, self.sheet, rng, count * inside, run)
         bench.m.opt.gravity[:] = GRAVITY
-        self._outer = outer.reshape(count, inside, 3).mean(axis=1) if outer.any() else None
-        shaken = world.press and world.run in (run, -1)
-        self._ground = ground(rng, len(outer), world)[::inside] if shaken else None
+        self._force = None if force is None else force.reshape(count, inside, 3).mean(axis=1)
+        self._ground = None if ground is None else ground[::inside]
         acceleration, motor, link, torque = bench.simulate(
             target, lambda k: wanted[k] if k >= 0 else target, count,
             settle_ms=round(1000 * SETTLE), rng=rng,
