@@ -19,13 +19,7 @@ import numpy as np
 from loose_env.errors import InvalidSetting
 from scripts.suites.instrument import standins
 from scripts.suites.instrument.machines import DESIGNS, Sheet, nominal_spec
-from scripts.suites.instrument.physics import (
-    KINDS,
-    Chances,
-    Fault,
-    Simulated,
-    World,
-)
+from scripts.suites.instrument.physics import KINDS, Chances, Fault, Simulated, World
 from scripts.suites.instrument.sensing import DAMAGES
 
 Machine = Simulated | standins.StandIn

@@ -16,16 +16,6 @@ POSES, PERIODS, LEAD, REST = 6, 4, 1.0, 0.4
 """Poses; periods of a second in each; time of fading in, and of rest before it [s]."""
 
 
-def multisine(rng: np.random.Generator, highest: float) -> tuple[Array, Array]:
-    """Odd lines from 3 Hz up, of every three one left out, and the phases of least crest factor."""
-    odd = np.arange(3, max(highest, 7) + 1, 2)
-    lines = np.array([line for i, line in enumerate(odd) if i % 3 != 1 or i == len(odd) - 1])
-    time = np.arange(500) / 500
-    tries = rng.uniform(0, 2 * np.pi, (30, len(lines)))
-    peaks = [np.abs(np.cos(2 * np.pi * np.outer(time, lines) + p).sum(axis=1)).max() for p in tries]
-    return 2 * np.pi * lines, tries[int(np.argmin(peaks))]
-
-
 class Null:
     """Shakes all joints at once in a few poses, and leaves every case open."""
 
@@ -58,22 +48,18 @@ class Null:
         spare = np.clip(0.7 * limit - np.abs(data.qfrc_bias), 0.1 * limit, None)
         peak = np.minimum(controller["max_acceleration"], 0.6 * spare / np.diag(inertia))
         time = np.arange(round((REST + LEAD + PERIODS) * rate)) / rate - REST
-        fade = np.clip(time / 0.3, 0, 1) ** 2
+        omega = 2 * np.pi * np.arange(3, max(controller["bandwidth_hz"], 7) + 1, 2)
         command = np.zeros((len(time), n))
         for j in range(n):
-            omega, phase = multisine(rng, float(controller["bandwidth_hz"]))
-            angle = np.outer(time, omega) + phase
+            angle = np.outer(time, omega) + rng.uniform(0, 2 * np.pi, len(omega))
             crest = np.abs(np.cos(angle).sum(axis=1)).max()
             speed = (np.sin(angle) / omega).sum(axis=1) / crest
-            most = 0.8 * controller["max_speed"][j] / np.abs(speed).max()
-            size = min(float(peak[j]), float(most))
-            if controller["command"] == "position":
-                shape = -(np.cos(angle) / omega**2).sum(axis=1) / crest
-            elif controller["command"] == "velocity":
-                shape = speed
-            else:
-                shape = inertia[j, j] * np.cos(angle).sum(axis=1) / crest
-            command[:, j] = size * shape * fade
+            size = min(peak[j], 0.8 * controller["max_speed"][j] / np.abs(speed).max())
+            shapes = {
+                "position": -(np.cos(angle) / omega**2).sum(axis=1) / crest, "velocity": speed,
+                "torque": inertia[j, j] * np.cos(angle).sum(axis=1) / crest,
+            }  # fmt: skip
+            command[:, j] = size * shapes[controller["command"]] * np.clip(time / 0.3, 0, 1) ** 2
         return command + (pose if controller["command"] == "position" else 0.0)
 
     def diagnose(self, folder: Path, variant: str = "") -> dict[str, Any]:

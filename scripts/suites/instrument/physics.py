@@ -244,9 +244,8 @@ class Simulated:
             _add_free(body, f"fault_{play.name}", joint.type, link.axis, play)
         if link.bending_hz:
             across = 0.2 * np.array(getattr(link.parts[0], "end", (0, 0, 0)))
-            body.add_joint(
-                name=f"bend_{link.joint}", type=HINGE, axis=link.bending_axis, pos=across
-            )
+            bend = body.add_joint(name=f"bend_{link.joint}", axis=link.bending_axis, pos=across)
+            bend.type = HINGE
         if seat := faults.get(f"structural_looseness@{link.body}"):
             _add_free(body, f"fault_{seat.name}", SLIDE, seat.direction, seat)
 
@@ -294,10 +293,7 @@ class Simulated:
                 m.jnt_stiffness[bend.id] = omega**2 * self._inertia[dof]
                 m.dof_damping[dof] = 2 * rng.uniform(0.01, 0.03) * omega * self._inertia[dof]
         for fault in self.faults:
-            joint = m.joint(f"fault_{fault.name}")
-            if fault.preload:
-                m.jnt_stiffness[joint.id] = SPRING
-                m.qpos_spring[joint.qposadr[0]] = fault.clearance / 2 + fault.preload / SPRING
+            press_shut(m, f"fault_{fault.name}", fault)
         rotor = of("armature") * spread(0.08)
         m.dof_armature[self._v] = rotor
         total, rate = (rotor + own) * spread(0.1), 2 * np.pi * design.servo_hz * spread(0.1)
@@ -346,7 +342,11 @@ class Simulated:
         motor, link, torque = (np.zeros((-(-ticks // keep), n)) for _ in range(3))
         path = np.zeros((ticks, len(self.faults)))
         places = [m.joint(f"fault_{fault.name}").qposadr[0] for fault in self.faults]
-        behind = [places_of(m, joint) for joint in self.sheet.joints]
+        behind = [
+            [m.jnt_qposadr[j] for j in range(m.njnt) if m.joint(j).name in
+             (joint, f"flex_{joint}", f"fault_backlash@{joint}")]
+            for joint in self.sheet.joints
+        ]  # fmt: skip
         fine = np.array([1e-8 if s else 2 * np.pi / 2**23 for s in self.sheet.slides])
         sample, dt = 0, 1 / control
         reference = target.copy()
@@ -356,13 +356,11 @@ class Simulated:
             slow = 0.5 * slow + 0.5 * (q - last) / dt
             last = q
             asked, way = (wanted[k], slope[k]) if k >= 0 else (before, np.zeros(n))
-            add: Any = 0.0
+            add = asked if self.sheet.command == "torque" else np.zeros(n)
             if position:
                 reference = asked
             elif self.sheet.command == "velocity":
                 reference, way = reference + asked * dt, asked
-            else:
-                add = asked
             weight = d.qfrc_bias[self._v] * self._weight
             if design.control == "cascade":
                 error = self._kp * (reference - q) + design.forward * way - slow
@@ -410,11 +408,12 @@ class Simulated:
                       travel=travel)  # fmt: skip
 
 
-def places_of(model: mujoco.MjModel, joint: str) -> list[int]:
-    """Coordinates of rotor, gear and play, of which the link's angle is the sum."""
-    names = (joint, f"flex_{joint}", f"fault_backlash@{joint}")
-    there = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)}
-    return [there[name] for name in names if name in there]
+def press_shut(model: mujoco.MjModel, name: str, fault: Fault) -> None:
+    """Preload the seat's joint with a long spring."""
+    if fault.preload:
+        joint = model.joint(name)
+        model.jnt_stiffness[joint.id] = SPRING
+        model.qpos_spring[joint.qposadr[0]] = fault.clearance / 2 + fault.preload / SPRING
 
 
 def _add_free(body: Any, name: str, kind: Any, axis: Any, fault: Fault) -> None:

@@ -43,9 +43,8 @@ def logged(played: Played, sheet: Sheet, world: World, chances: Chances, run: in
     seen = played.acceleration - played.acceleration[0]
     for axis, hertz, ratio in world.mount:
         omega = 2 * np.pi * hertz
-        above, below = signal.bilinear(
-            [2 * ratio * omega, omega**2], [1, 2 * ratio * omega, omega**2], fs=1 / STEP
-        )
+        rides = [2 * ratio * omega, omega**2]
+        above, below = signal.bilinear(rides, [1, *rides], fs=1 / STEP)
         seen[:, axis] = signal.lfilter(above, below, seen[:, axis])
     filter_ = signal.butter(2, sensor.corner_hz, fs=1 / STEP, output="sos")
     seen = signal.sosfilt(filter_, seen, axis=0) + played.acceleration[0]
@@ -146,45 +145,39 @@ def _cut(runs: list[Columns], sheet: Sheet, rng: np.random.Generator) -> None:
 
 def _saturated(runs: list[Columns], sheet: Sheet, rng: np.random.Generator) -> None:
     means = {key: runs[0][key].mean() for key in _ACC}
-    peak = max(np.abs(run[key] - means[key]).max() for run in runs for key in _ACC)
+    most = 0.25 * max(np.abs(run[key] - means[key]).max() for run in runs for key in _ACC)
     for run in runs:
-        for key in _ACC:
-            run[key] = means[key] + np.clip(run[key] - means[key], -0.25 * peak, 0.25 * peak)
+        run |= {key: np.clip(run[key], means[key] - most, means[key] + most) for key in _ACC}
 
 
 def _exchanged(runs: list[Columns], sheet: Sheet, rng: np.random.Generator) -> None:
-    a, b = rng.choice(len(sheet.joints), 2, replace=False)
-    one, other = sheet.joints[a], sheet.joints[b]
+    one, other = (sheet.joints[i] for i in rng.choice(len(sheet.joints), 2, replace=False))
     for run in runs:
-        for key in ("sensor.{}_pos", "torque.{}"):
-            if key.format(one) in run:
-                first, second = key.format(one), key.format(other)
-                run[first], run[second] = run[second], run[first]
+        for a, b in [(f"sensor.{one}_pos", f"sensor.{other}_pos"),
+                     (f"torque.{one}", f"torque.{other}")]:  # fmt: skip
+            run |= {a: run[b], b: run[a]} if a in run else {}
 
 
 def _silent(runs: list[Columns], sheet: Sheet, rng: np.random.Generator) -> None:
     for run in runs:
-        for key in _ACC:
-            run[key] = np.full_like(run[key], round(float(run[key][0]), 2))
+        run |= {key: np.full_like(run[key], round(float(run[key][0]), 2)) for key in _ACC}
 
 
 def _in_g(runs: list[Columns], sheet: Sheet, rng: np.random.Generator) -> None:
     for run in runs:
-        for key in _ACC:
-            run[key] = run[key] / G
+        run |= {key: run[key] / G for key in _ACC}
 
 
 def _stopped(runs: list[Columns], sheet: Sheet, rng: np.random.Generator) -> None:
     """From some moment on all joints stand, after a jolt."""
     run = runs[int(rng.integers(len(runs)))]
-    time = run["time"]
-    moment = rng.uniform(0.35, 0.7) * time[-1]
+    time, moment = run["time"], rng.uniform(0.35, 0.7) * run["time"][-1]
     after, late = time >= moment, np.maximum(time - moment, 0)
-    for joint in sheet.joints:
-        key = f"sensor.{joint}_pos"
-        run[key] = np.where(after, np.interp(moment, time, run[key]), run[key])
-        if f"torque.{joint}" in run:
-            run[f"torque.{joint}"] = np.where(after, 0.0, run[f"torque.{joint}"])
+    for key in run:
+        if key.endswith("_pos"):
+            run[key] = np.where(after, np.interp(moment, time, run[key]), run[key])
+        elif key.startswith("torque."):
+            run[key] = np.where(after, 0.0, run[key])
     for key in _ACC:
         still = run[key].mean() + 0.02 * rng.standard_normal(len(time))
         jolt = rng.uniform(10, 30) * np.exp(-late / 0.05) * np.sin(2 * np.pi * 31 * late)

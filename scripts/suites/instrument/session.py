@@ -69,9 +69,7 @@ def check_plan(plan: Plan, sheet: Sheet) -> None:
     runs = list(plan["runs"])
     names = [run["name"] for run in runs]
     if not runs or len(set(names)) < len(names) or not 10 <= rate <= 10_000:
-        raise InvalidData(
-            f"plan: {len(runs)} runs at {rate:g} Hz; give runs with names of their own"
-        )
+        raise InvalidData(f"plan: {len(runs)} runs at {rate:g} Hz; give runs with unlike names")
     seconds = sum(len(run["command"]) for run in runs) / rate
     if seconds > MOST_SECONDS:
         raise InvalidData(f"plan: {seconds:.0f} s of shaking; at most {MOST_SECONDS:.0f} s")
@@ -81,9 +79,7 @@ def check_plan(plan: Plan, sheet: Sheet) -> None:
         command, pose = np.asarray(run["command"], float), np.asarray(run["pose"], float)
         where = f"plan: {run['name']}"
         if command.ndim != 2 or command.shape[1] != n or pose.shape != (n,) or len(command) < 10:
-            raise InvalidData(
-                f"{where}: command {command.shape} of {n} joints; give (samples, {n})"
-            )
+            raise InvalidData(f"{where}: command {command.shape}; give (samples, {n} joints)")
         if not np.isfinite(command).all() or not np.isfinite(pose).all():
             raise InvalidData(f"{where}: command or pose is not finite")
         angles = command if sheet.command == "position" else pose[None]

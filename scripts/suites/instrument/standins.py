@@ -6,10 +6,9 @@ belts (``scara``) and a desktop arm of hobby servos (``desk``).
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -20,20 +19,9 @@ import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.typing import Array
+from scripts.suites.instrument import physics
 from scripts.suites.instrument.machines import STEP, Sensor, Sheet, add_interfaces
-from scripts.suites.instrument.physics import (
-    GRAVITY,
-    SETTLE,
-    SPRING,
-    Chances,
-    Fault,
-    Played,
-    World,
-    outside,
-    resampled,
-    rotation_off,
-    turned,
-)
+from scripts.suites.instrument.physics import GRAVITY, Chances, Fault, Played, World, press_shut
 
 FOLDER = Path(__file__).resolve().parents[4] / "shared" / "standins"
 """Where the stand-ins lie, beside the repository."""
@@ -87,21 +75,15 @@ def absent() -> str:
     return "" if (FOLDER / "common.py").is_file() else f"the stand-ins are not in {FOLDER}"
 
 
-@contextlib.contextmanager
-def _importable() -> Iterator[None]:
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield
-    finally:
-        sys.path.remove(str(FOLDER))
-
-
 @cache
 def _module(name: str) -> ModuleType:
     if words := absent():
         raise InvalidSetting(f"{words}; choose numbers of other machines")
-    with _importable():
+    sys.path.insert(0, str(FOLDER))
+    try:
         return importlib.import_module(name)
+    finally:
+        sys.path.remove(str(FOLDER))
 
 
 def nominal(name: str) -> mujoco.MjSpec:
@@ -140,18 +122,16 @@ class StandIn:
         """Friction, gears and mount of the day, preloads, and the servo's tick with the world."""
         m, day = self.bench.m, self.chances.today(1)
         for fault in self.faults:
-            if fault.preload:
-                joint = m.joint("seat")
-                m.jnt_stiffness[joint.id] = SPRING
-                place = fault.clearance / 2 + fault.preload / SPRING
-                m.qpos_spring[joint.qposadr[0]] = place
+            press_shut(m, "seat", fault)
         friction = np.ones(len(self.sheet.joints))
         if self.chances.day:
             friction += 0.15 * day.uniform(-1, 1, len(friction))
             gears = [j for j in range(m.njnt) if m.joint(j).name.startswith("flex_")]
             m.jnt_stiffness[gears] *= 1 + 0.03 * day.uniform(-1, 1, len(gears))
             site = m.site("tool").id
-            m.site_quat[site] = turned(m.site_quat[site], rotation_off(day, 0.3, 0.7))
+            m.site_quat[site] = physics.turned(
+                m.site_quat[site], physics.rotation_off(day, 0.3, 0.7)
+            )
         servo = self.bench.tick
         self._force: Array | None = None
         self._ground: Array | None = None
@@ -172,15 +152,15 @@ class StandIn:
         """Move to a pose and follow a command given at a rate [Hz]."""
         world, rng, bench = self.world, self.chances.today(3, run), self.bench
         target = np.array(pose, float)
-        wanted, _ = resampled(command, rate, self.sheet, 1000.0, target)
+        wanted, _ = physics.resampled(command, rate, self.sheet, 1000.0, target)
         count, inside = len(wanted), round(1e-3 / STEP)
-        force, ground = outside(world, self.sheet, rng, count * inside, run)
+        force, ground = physics.outside(world, self.sheet, rng, count * inside, run)
         bench.m.opt.gravity[:] = GRAVITY
         self._force = None if force is None else force.reshape(count, inside, 3).mean(axis=1)
         self._ground = None if ground is None else ground[::inside]
         acceleration, motor, link, torque = bench.simulate(
             target, lambda k: wanted[k] if k >= 0 else target, count,
-            settle_ms=round(1000 * SETTLE), rng=rng,
+            settle_ms=round(1000 * physics.SETTLE), rng=rng,
         )  # fmt: skip
         if not np.isfinite(acceleration).all() or np.abs(acceleration).max() > 3000:
             raise InvalidData(f"{self.sheet.name}: the simulation of run {run} diverged")

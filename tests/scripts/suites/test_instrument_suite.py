@@ -133,6 +133,17 @@ def test_a_machine_follows_its_commands_and_a_loose_seat_knocks(name):
     assert high[1] > 1.5 * high[0]
 
 
+@pytest.mark.parametrize("name", ["cobot", "seven", "welder"])
+def test_each_way_of_control_holds_a_pose(name):
+    sheet = cases.SHEETS[name]
+    pose = (np.array(sheet.low) + np.array(sheet.high)) / 2
+    command = np.tile(pose if sheet.command == "position" else 0 * pose, (300, 1))
+    machine = Simulated(DESIGNS[name], Chances(seed=(1,), day=0))
+    played = machine.play(pose, command, 1000.0, 0)
+    assert played.motor == pytest.approx(np.tile(pose, (len(played.motor), 1)), abs=0.02)
+    assert np.abs(np.diff(played.motor, axis=0)).max() < 1e-3
+
+
 def test_a_preload_keeps_a_seat_shut():
     sheet = cases.SHEETS["gantry"]
     pose = (np.array(sheet.low) + np.array(sheet.high)) / 2
