@@ -45,7 +45,7 @@ from typing import Annotated, Any, cast
 
 import loose_env
 from loose_env.cli.command import command, one_of
-from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, words_of
+from loose_env.errors import InvalidData, InvalidSetting, words_of
 from loose_env.io import Checked, Count, plain, write_text
 from scripts.suites.instrument import grading, session
 from scripts.suites.instrument.cases import SERIES, Case, Series, drawn, numbers_of, skipped
@@ -155,7 +155,15 @@ class Place:
         return session.unpack(path)
 
     def played(self, case: Case) -> tuple[Path, Path]:
-        """Folder of the recordings of a case, and its sealed truth; played where they lack."""
+        """Folder of the recordings of a case, and its sealed truth; played where they lack.
+
+        A suite with commitments is taken as it is, whatever the tool's own plan.
+        """
+        if self.committed():
+            name = next((n for n in self.committed() if n.startswith(f"{case.name}-")), "")
+            if not name:
+                raise InvalidSetting(f"{self.blind} has no case {case.number} of this phrase")
+            return self.blind / "recordings" / name, self.blind / "truth" / f"{name}.json"
         plan = self.plan_of(case)
         here = Path(__file__).parent
         code = code_hash(*(here / f"{name}.py" for name in GENERATOR))
@@ -176,12 +184,14 @@ class Place:
 
     def truth(self, sealed: Path) -> Mapping[str, Any]:
         """The sealed truth, which is the committed one where there are commitments."""
-        given = self.blind / "commitments.json"
-        if given.is_file():
-            known = json.loads(given.read_text("utf-8"))
-            if known.get(sealed.stem) != self.commitment(sealed):
-                raise InvalidData(f"{sealed} is not the truth that {given.name} was made from")
+        if (known := self.committed()) and known[sealed.stem] != self.commitment(sealed):
+            raise InvalidData(f"{sealed} is not the truth that the commitments were made from")
         return cast(Mapping[str, Any], json.loads(sealed.read_text("utf-8")))
+
+    def committed(self) -> dict[str, str]:
+        """Commitments of a suite that was made for others; none else."""
+        path = self.blind / "commitments.json"
+        return dict(json.loads(path.read_text("utf-8"))) if path.is_file() else {}
 
     def commitment(self, sealed: Path) -> str:
         """SHA-256 of the phrase and a file of truth: neither can be changed afterwards."""
@@ -190,6 +200,7 @@ class Place:
 
 def make(numbers: Sequence[int], place: Place) -> None:
     """Write recordings, truth, what entrants are told, and commitments to the truth."""
+    (place.blind / "commitments.json").unlink(missing_ok=True)
     sealed = [place.played(drawn(n, place.phrase, place.series))[1] for n in numbers]
     protocol = {"format": "instrument-benchmark/1", "cases": sorted(s.stem for s in sealed),
                 "verdicts": grading.VERDICTS, "kinds": grading.KINDS}  # fmt: skip
@@ -216,7 +227,7 @@ def run_case(
     }  # fmt: skip
     try:
         folder, sealed = place.played(case)
-    except LooseEnvError as error:
+    except InvalidData as error:
         row["error"] = words_of(error)
         truth: Mapping[str, Any] = {**case.truth(), "opened": {}, "shaken": None}
         truth = json.loads(json.dumps(plain(truth)))

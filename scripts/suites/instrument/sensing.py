@@ -89,14 +89,17 @@ def columns_of(log: Log, sheet: Sheet) -> dict[str, Array]:
 
 def write_run(folder: Path, name: str, columns: Mapping[str, Array]) -> None:
     """Write the columns of a run as parquet."""
-    table = pa.table({key: np.asarray(values) for key, values in columns.items()})
-    written_beside(folder / f"{name}.parquet", lambda path: parquet.write_table(table, path))
+    kinds = {key: float if key == "time" or key.endswith("_pos") else np.float32 for key in columns}
+    table = pa.table({key: np.asarray(values, kinds[key]) for key, values in columns.items()})
+    options = {"compression": "zstd", "use_dictionary": False}
+    path = folder / f"{name}.parquet"
+    written_beside(path, lambda beside: parquet.write_table(table, beside, **options))
 
 
 def read_run(folder: Path, name: str) -> dict[str, Array]:
     """Columns of a run."""
     table = parquet.read_table(folder / f"{name}.parquet")
-    return {key: np.array(table[key]) for key in table.column_names}
+    return {key: np.array(table[key], float) for key in table.column_names}
 
 
 def write_raw(folder: Path, name: str, log: Log, sheet: Sheet) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -179,9 +180,8 @@ def play_months(case: Case, plan: Plan, folder: Path) -> dict[str, Any]:
         condition = "suspect" if month else "healthy"
         sensing.write_index(there / "recording", model, runs, joints, condition)
     for month in range(1, MONTHS + 1):
-        shutil.copytree(
-            folder / "month-00" / "recording", folder / f"month-{month:02d}" / "reference"
-        )
+        there = folder / f"month-{month:02d}" / "reference"
+        shutil.copytree(folder / "month-00" / "recording", there, copy_function=os.link)
     shutil.rmtree(folder / "month-00")
     seconds = MONTHS * sum(len(run["command"]) for run in runs) / float(plan["rate_hz"])
     return {**case.truth(), "travel": travel, "shaken": round(seconds, 1)}

@@ -349,6 +349,25 @@ def test_a_command_plays_judges_resumes_and_shows(tmp_path, capsys):
 
 
 @pytest.mark.slow
+def test_others_enter_with_files(tmp_path, capsys):
+    number = next(n for n in range(10_000, 10_009) if cases.machine_of(n) == "gantry")
+    suite, words = tmp_path / "suite", ["--numbers", str(number), "--phrase", "kept back"]
+    words += ["--tool", f"{__name__}:Short", "--out", str(tmp_path / "out")]
+    run.main([*words, "--make", str(suite)])
+    (name,) = json.loads((suite / "protocol.json").read_text())["cases"]
+    (tmp_path / "answers").mkdir()
+    both = {way: answer("tight") for way in grading.WAYS}
+    (tmp_path / "answers" / f"{name}.json").write_text(json.dumps(both))
+    given = [*words, "--blind", str(suite), "--answers", str(tmp_path / "answers")]
+    run.main(given)
+    assert "alone: tight settled" in capsys.readouterr().out
+    sealed = suite / "truth" / f"{name}.json"
+    sealed.write_text(sealed.read_text().replace("gantry", "cobot"))
+    with pytest.raises(SystemExit, match="commitments"):
+        run.main([*given, "--afresh"])
+
+
+@pytest.mark.slow
 @needs_standins
 @pytest.mark.parametrize("name", list(standins.SHEETS))
 def test_stand_ins_are_played(name, tmp_path):
