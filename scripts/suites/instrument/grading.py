@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -141,47 +142,54 @@ def _median(name: str, unit: str) -> Cell:
     return cell
 
 
-def _kind_opened(kind: str) -> Callable[[Any], bool]:
-    return lambda row: row["opened"] == [kind]
+def _all(row: Any) -> bool:
+    return True
 
 
-def _healthy(kind: str) -> Callable[[Any], bool]:
-    return lambda row: row["role"] == "healthy" and row["kind"] == kind
+def _opened(row: Any) -> bool:
+    return bool(row["opened"])
+
+
+def _found(row: Any) -> bool:
+    return _opened(row) and bool(row["loose"])
+
+
+def _two(row: Any) -> bool:
+    return len(row["opened"]) == 2
+
+
+def _shut(row: Any) -> bool:
+    return row["shut"] > 0 and not row["opened"]
+
+
+def _of(name: str, value: Any) -> Callable[[Any], bool]:
+    return lambda row: row[name] == value
 
 
 LINES: tuple[tuple[str, Cell], ...] = (
-    ("found, of faults that opened", _line(lambda r: r["opened"], lambda r: r["loose"])),
-    ("  a seat alone", _line(_kind_opened(KINDS[0]), lambda r: r["loose"])),
-    ("  play alone", _line(_kind_opened(KINDS[1]), lambda r: r["loose"])),
-    ("  two at once", _line(lambda r: len(r["opened"]) == 2, lambda r: r["loose"])),
-    ("false alarms", _line(lambda r: r["role"] == "healthy", lambda r: r["alarm"])),
-    *((f"  {kind}", _line(_healthy(kind), lambda r: r["alarm"])) for kind in HEALTHY),
-    ("settled and right, of those found",
-     _line(lambda r: r["opened"] and r["loose"], lambda r: r["settled"] and r["first"])),
-    ("first place right, of those found",
-     _line(lambda r: r["opened"] and r["loose"], lambda r: r["first"])),
-    ("first two places right or a neighbour, of those found",
-     _line(lambda r: r["opened"] and r["loose"], lambda r: r["near"])),
-    ("settled and wrong, of all", _line(lambda r: True, lambda r: r["wrong"])),
-    ("two at once: both in the first three places",
-     _line(lambda r: len(r["opened"]) == 2, lambda r: r["both"])),
-    ("two at once: several said",
-     _line(lambda r: len(r["opened"]) == 2, lambda r: r["several"])),
-    ("several said of one or none",
-     _line(lambda r: len(r["opened"]) < 2, lambda r: r["several"])),
+    ("found, of faults that opened", _line(_opened, itemgetter("loose"))),
+    ("  a seat alone", _line(_of("opened", [KINDS[0]]), itemgetter("loose"))),
+    ("  play alone", _line(_of("opened", [KINDS[1]]), itemgetter("loose"))),
+    ("  two at once", _line(_two, itemgetter("loose"))),
+    ("false alarms", _line(_of("role", "healthy"), itemgetter("alarm"))),
+    *((f"  {kind}", _line(_of("kind", kind), itemgetter("alarm"))) for kind in HEALTHY),
+    ("settled and right, of those found", _line(_found, lambda r: r["settled"] and r["first"])),
+    ("first place right, of those found", _line(_found, itemgetter("first"))),
+    ("first two places right or a neighbour, of those found", _line(_found, itemgetter("near"))),
+    ("settled and wrong, of all", _line(_all, itemgetter("wrong"))),
+    ("two at once: both in the first three places", _line(_two, itemgetter("both"))),
+    ("two at once: several said", _line(_two, itemgetter("several"))),
+    ("several said of one or none", _line(lambda r: not _two(r), itemgetter("several"))),
     ("direction, median", _angle(0.5)),
     ("direction, 90th percentile", _angle(0.9)),
-    ("correct files refused", _line(lambda r: True, lambda r: r["verdict"] == "refused")),
-    ("no verdict, or open without a remark", _line(lambda r: True, lambda r: r["dumb"])),
-    ("faults that never opened called tight",
-     _line(lambda r: r["shut"] and not r["opened"], lambda r: r["tight_shut"])),
-    ("faults that never opened said to be not tested",
-     _line(lambda r: r["shut"] and not r["opened"], lambda r: r["told"])),
-    ("faults that never opened called loose",
-     _line(lambda r: r["shut"] and not r["opened"], lambda r: r["loose"])),
+    ("correct files refused", _line(_all, _of("verdict", "refused"))),
+    ("no verdict, or open without a remark", _line(_all, itemgetter("dumb"))),
+    ("faults that never opened called tight", _line(_shut, itemgetter("tight_shut"))),
+    ("faults that never opened said to be not tested", _line(_shut, itemgetter("told"))),
+    ("faults that never opened called loose", _line(_shut, itemgetter("loose"))),
     ("shaking, median", _median("shaken", "s")),
     ("CPU time of a diagnosis, median", _median("cpu", "s")),
-)  # fmt: skip
+)
 """Lines of the table: what, and how it is counted."""
 
 
@@ -234,15 +242,19 @@ def damaged_table(rows: Rows) -> str:
     for way in WAYS:
         own = of_way(rows, way)
         lines += [f"## {TITLES[way]}, damaged files", "",
-                  "| damage | refused with a remedy | or another verdict with a remark "
-                  "| silent | no answer |", "|---|---|---|---|---|"]  # fmt: skip
+                  "| damage | refused with a remedy | or another verdict, not wrong, with a "
+                  "remark | silent or wrong | no answer |", "|---|---|---|---|---|"]  # fmt: skip
         for kind in (*DAMAGES, "all"):
             each = [row for row in own if kind in (row["damage"], "all")]
             if not each:
                 continue
             refused = [row["verdict"] == "refused" and row["remedy"] for row in each]
             none = [row["verdict"] == "failed" for row in each]
-            told = [row["said"] and not r for row, r in zip(each, refused, strict=True)]
+            told = [
+                row["said"] and row["verdict"] in ("loose", "tight", "open")
+                and not (row["wrong"] or row["alarm"])
+                for row in each
+            ]  # fmt: skip
             silent = len(each) - sum(refused) - sum(none) - sum(told)
             cells = [share(n, len(each)) for n in (sum(refused), sum(told), silent, sum(none))]
             lines.append(f"| {kind} | {' | '.join(cells)} |")
