@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -219,6 +220,9 @@ def read_recording(folder: str | Path, *, model: str | Path | None = None) -> Re
     if not there:
         hint = "; 'loose import' makes one from a log" if home.is_file() else ""
         raise InvalidData(f"there is no folder {str(folder)!r}; a recording is a folder{hint}")
+    if not os.path.lexists(home / DESCRIPTION):
+        hint = f"there is no file {DESCRIPTION!r} in {home}; 'loose import' makes one from a log"
+        raise InvalidData(f"{home.name}: {hint}")
     description = read_description(existing_file(home, DESCRIPTION, f"{home.name}"))
     if model is None:
         model = existing_file(home, description.model, f"{DESCRIPTION}: model")

@@ -12,6 +12,7 @@ import numpy as np
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
+    ChannelVerdict,
     Correlation,
     EffectLocation,
     GapResult,
@@ -143,8 +144,16 @@ def _channel_rows(result: GapResult) -> list[list[str]]:
     fine = [c for c in result.channels if c.verdict == "not needed"]
     quiet = [c for c in fine if c.channel.startswith("sensor.")]
     quiet = quiet if len(quiet) > 1 else []
+    found = {(e.kind, e.where) for e in result.effects}
+
+    def kinds(c: ChannelVerdict) -> str:
+        open_ = c.verdict == "unexplained" and found.isdisjoint(
+            (e.kind, e.where) for e in c.effects
+        )
+        return f"not named: {_kinds(c.effects)}" if open_ and c.effects else _kinds(c.effects)
+
     rows = [
-        [_reading(c.channel), c.verdict, _kinds(c.effects), *_sides(c.before, c.after)]
+        [_reading(c.channel), c.verdict, kinds(c), *_sides(c.before, c.after)]
         for c in result.channels
         if c not in quiet
     ]
@@ -285,6 +294,8 @@ def _separating(
         advice = how_to_separate(one.kind, one.where, other.kind, other.where)
         said = [words(one), words(other)]
         own = found.setdefault(advice[:1].lower() + advice[1:], {})
+        if one.kind == other.kind:  # of the same words
+            said = [effect_words(e.kind, e.where) for e in (one, other)]
         own.setdefault(frozenset(said), " from ".join(said))
     return [f"To {verb} {named_list([*v.values()])}: {advice}" for advice, v in found.items()]
 

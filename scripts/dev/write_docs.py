@@ -113,7 +113,7 @@ def tolerance_table() -> list[str]:
     """Tolerances of a nominal model, from their dataclass."""
     source = inspect.getsource(Tolerances)
     rows = re.findall(
-        r'^    (\w+): float = (\S+)\n    """(.+?)"""', source, re.MULTILINE | re.DOTALL
+        r'^    (\w+): \w+ = ([\d.]+)\n    """(.+?)"""', source, re.MULTILINE | re.DOTALL
     )
     lines = [f"| `{name}` | {sd} | {' '.join(of.split()).rstrip('.')} |" for name, sd, of in rows]
     return ["| `--tolerances.` | standard deviation | of |", "|---|---|---|", *lines]

@@ -149,6 +149,8 @@ def test_the_headline_says_what_is_missing_and_what_is_not_explained() -> None:
     )
     assert gap_headline(result("unexplained", channels=OPEN)) == "Nothing tried explains shoulder."
     assert "cannot tell" in gap_headline(result("unexplained", channels=OPEN[1:]))
+    tried = replace(OPEN[0], effects=(FRICTION,))
+    assert "not named: " in gap_text(result("unexplained", channels=(tried,)))
     assert gap_headline(result("no_gap", channels=OPEN[1:])) == (
         "No model error found; the recording does not tell about wrist."
     )

@@ -142,7 +142,7 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
     """Evidence of a recording for all effects of the catalogue, before any is selected."""
     for kind in settings.kinds:
         effect_class(kind)  # refuses an unknown one before any work
-    _check_length(recording)
+    _check_runs(recording)
     machine = NominalModel(recording.spec())
     say(f"motion of {len(recording.runs)} run{'s' * (len(recording.runs) > 1)}")
     motion = smooth(recording, machine)
@@ -179,15 +179,20 @@ def _split(recording: Recording, settings: GapSettings) -> tuple[Recording, Reco
         for out in (False, True)
     ]
     if held:
-        _check_length(parts[1])
+        _check_runs(parts[1])
     return parts[0], parts[1] if held else None
 
 
-def _check_length(recording: Recording) -> None:
-    """Refuse runs none of which has a period of the lowest band."""
+def _check_runs(recording: Recording) -> None:
+    """Refuse runs without a period of the lowest band, or in which no reading changes."""
     longest = max(run.time[-1] - run.time[0] for run in recording.runs)
     if longest < 1 / LOWEST_HZ:
         raise InvalidData(
             f"the longest run lasts {longest:.2g} s and has no period of {LOWEST_HZ:g} Hz, the "
             "lowest band of motion; record some seconds"
+        )
+    if not any(np.any(v != v[:1]) for run in recording.runs for v in run.sensors.values()):
+        raise InvalidData(
+            "no reading changes in any run: nothing moved, or the log repeats its first row; "
+            "record runs in which the joints move"
         )
