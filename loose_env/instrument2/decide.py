@@ -15,26 +15,40 @@ from loose_env.instrument2.records import Record
 from loose_env.instrument2.reference import Change
 from loose_env.typing import Array
 
-# Numbers that decide. Each was set on development machines and is left out, halved and doubled on
-# judged ones by `python -m scripts.suites.instrument --ablate`.
-RHYTHM = 0.40
-"""Correlation of foretold and heard envelope from which something knocks [1]: 36 healthy sessions
-of five kinds of machine reach 0.07 to 0.32."""
-RHYTHM_BESIDE = 0.30
-"""The same beside a healthy session in which the top band was quieter [1]."""
-TOP_BESIDE_DB = 1.5
-"""Rise of the top band that must go with it [dB]: what another day's friction does."""
-TOP_DB, EVEN_DB, ODD_DB = 3.0, 1.5, 2.0
-"""Rise over a healthy session from which something is loose, whatever the rhythm [dB]."""
-SAMPLES = 60.0
-"""Independent samples of an envelope's rhythm in a session [1]: knocks ring for some 5 ms, and
-loads change sign some ten times a second in each of six poses."""
-SOFTER = 20.0
-"""Weight of a joint's softening against a healthy session [1]: lines that see it."""
-STIFF = 1.6
-"""Growth of the tool motion left by the healthy gears from which a joint became softer [1]."""
-SURE = 0.9
-"""Probability of a place from which it is settled [1]."""
+
+@dataclass(frozen=True, kw_only=True)
+class Numbers:
+    """Numbers that decide, set on development machines.
+
+    `python -m scripts.suites.instrument.run --ablate` leaves each out on judged recordings.
+    """
+
+    rhythm: float = 0.40
+    """Correlation of foretold and heard envelope from which something knocks [1]: healthy machines
+    of nine unlike kinds reach 0.07 to 0.32."""
+    rhythm_beside: float = 0.30
+    """The same beside a healthy session in which the top band was quieter [1]."""
+    top_beside_db: float = 1.5
+    """Rise of the top band that must go with it [dB]: what another day's friction does."""
+    top_db: float = 3.0
+    """Rise of the top band over a healthy session from which something knocks [dB]."""
+    even_db: float = 1.5
+    """Rise of the even lines from which a seat or preloaded play opened [dB]."""
+    odd_db: float = 2.0
+    """Rise of the odd lines left out from which play opened [dB]."""
+    samples: float = 60.0
+    """Independent samples of an envelope's rhythm in a session [1]: knocks ring for some 5 ms, and
+    loads change sign some ten times a second in each of six poses."""
+    vectors: float = 3.0
+    """Independent vectors that a pose's ringing counts for [1]: it rings in a few modes alone."""
+    softer: float = 20.0
+    """Weight of a joint's softening against a healthy session [1]: lines that see it."""
+    stiff: float = 1.6
+    """Growth of the tool motion left by the healthy gears from which a joint became softer [1]."""
+    sure: float = 0.9
+    """Probability of a place from which it is settled [1]."""
+
+
 FEWEST_POSES = 3
 """Poses that a verdict needs: fewer do not tell places apart."""
 _BOOTSTRAPS = 400
@@ -63,6 +77,7 @@ def score(
     gears: Gears,
     rng: np.random.Generator,
     *,
+    numbers: Numbers,
     change: Change | None = None,
     healthy: Sequence[Record] | None = None,
 ) -> Scores:
@@ -73,18 +88,18 @@ def score(
         @ gears.rotation.T
         for k, r in enumerate(records)
     ]
-    directions = direction_scores(rhythm.throws, covariances)
+    directions = numbers.vectors * direction_scores(rhythm.throws, covariances)
     extra = np.array([-_DIRECTION_COST * (kind == BOLTS) for kind, _, _ in rhythm.labels])
-    if change is not None and change.stiff > STIFF:
+    if change is not None and change.stiff > numbers.stiff:
         for h, (kind, i, _) in enumerate(rhythm.labels):
             if kind != BOLTS:
-                extra[h] += SOFTER * change.softer[i]
+                extra[h] += numbers.softer * change.softer[i]
 
     def of(weight: Array) -> Array:
         """Scores (B, H) of sessions made of poses by weight (B, R)."""
         cov, told, heard = (weight @ rhythm.moments[:, k] for k in range(3))
         timing = np.clip(cov / np.sqrt(np.maximum(told * heard, 1e-30)), 0, 0.98)
-        found: Array = -0.5 * SAMPLES * np.log(1 - timing**2) + weight @ directions + extra
+        found: Array = -0.5 * numbers.samples * np.log(1 - timing**2) + weight @ directions + extra
         return found
 
     names = np.array(names_of(arm, rhythm))
@@ -111,35 +126,39 @@ class Alarm:
     """Each statistic by its name."""
 
 
-def detect(rhythm: Rhythm, *, change: Change | None = None) -> Alarm:
+def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) -> Alarm:
     """Say whether something knocks: by its rhythm, or by what rose over the healthy session."""
     timing = float(rhythm.timing.max())
     evidence = {"rhythm": timing, "friction": rhythm.friction}
     if change is None:
-        said = timing > RHYTHM
+        said = timing > numbers.rhythm
         words = (
             f"the top band rings in the rhythm of a knock: correlation {timing:.2f} "
-            f"(limit {RHYTHM:.2f})"
+            f"(limit {numbers.rhythm:.2f})"
         )
         return Alarm(loose=said, reasons=(words,), evidence=evidence)
     evidence |= {"top_db": change.top, "even_db": change.even, "odd_db": change.odd}
     evidence["stiff"] = change.stiff
     tests = (
         (
-            timing > (RHYTHM_BESIDE if change.top > TOP_BESIDE_DB else RHYTHM),
+            timing
+            > (numbers.rhythm_beside if change.top > numbers.top_beside_db else numbers.rhythm),
             f"the top band rings in the rhythm of a knock: correlation {timing:.2f} "
-            f"(limit {RHYTHM_BESIDE:.2f} beside a healthy session)",
+            f"(limit {numbers.rhythm_beside:.2f} beside a healthy session)",
         ),
         (
-            change.top > TOP_DB,
+            change.top > numbers.top_db,
             f"the top band rings {change.top:.1f} dB louder than on the healthy day "
-            f"(limit {TOP_DB:g} dB)",
+            f"(limit {numbers.top_db:g} dB)",
         ),
         (
-            change.even > EVEN_DB,
-            f"even lines rose by {change.even:.1f} dB (limit {EVEN_DB:g} dB)",
+            change.even > numbers.even_db,
+            f"even lines rose by {change.even:.1f} dB (limit {numbers.even_db:g} dB)",
         ),
-        (change.odd > ODD_DB, f"odd lines rose by {change.odd:.1f} dB (limit {ODD_DB:g} dB)"),
+        (
+            change.odd > numbers.odd_db,
+            f"odd lines rose by {change.odd:.1f} dB (limit {numbers.odd_db:g} dB)",
+        ),
     )
     reasons = tuple(words for said, words in tests if said)
     nearest = (f"the rhythm of no place is heard: correlation {timing:.2f}",)

@@ -207,7 +207,7 @@ def correlation(
 
 
 def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
-    """Log likelihood of each hypothesis by pose (R, H): the ringing along one direction.
+    """Log likelihood of each hypothesis by pose and independent vector (R, H).
 
     Parameters
     ----------
@@ -226,12 +226,10 @@ def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
         clean /= np.trace(clean)
         along = np.clip(np.einsum("ha,ab,hb->h", u, clean, u), 1 / 3, 1 - _SPREAD)
         told = np.log(along) + 2 * np.log((1 - along) / 2) - 3 * np.log(1 / 3)
-        found.append(-0.5 * _VECTORS * w * told)
+        found.append(-0.5 * w * told)
     return np.array(found)
 
 
-_VECTORS = 3.0
-"""Independent vectors that a pose's ringing counts for: it rings in a few modes alone [1]."""
 _SPREAD = 0.02
 """Share of a knock's ringing that goes astray, modes of the links [1]."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -49,7 +49,7 @@ class DiagnoseSettings:
     loose_env.errors.InvalidSetting: sure is a probability between 0.5 and 1, got 1.5
     """
 
-    sure: float = decide.SURE
+    sure: float = decide.Numbers.sure
     """Probability of a place from which it is settled."""
     reference: bool = True
     """True to compare with the healthy runs that the recording holds."""
@@ -75,6 +75,8 @@ def diagnose(
     recording: Recording,
     settings: DiagnoseSettings | None = None,
     *,
+    plan: Plan | None = None,
+    numbers: decide.Numbers | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Say what knocks in a session that was planned by `plan`, and what was not tested.
@@ -82,9 +84,13 @@ def diagnose(
     Parameters
     ----------
     recording : Recording
-        Runs of the plan; ``plan.json`` lies in its folder, or beside it.
+        Runs of the plan.
     settings : DiagnoseSettings, optional
         What is asked for.
+    plan : Plan, optional
+        The plan; by default the one that lies in the recording's folder, or beside it.
+    numbers : Numbers, optional
+        Numbers that decide, for ablations.
     say : callable
         Receives what is being done, line by line.
 
@@ -95,10 +101,11 @@ def diagnose(
     """
     started = time.process_time()
     own = settings or DiagnoseSettings()
-    plan, arm = read_plan(recording.folder), read_arm(recording.model_path)
+    limits = replace(numbers or decide.Numbers(), sure=own.sure)
+    plan, arm = plan or read_plan(recording.folder), read_arm(recording.model_path)
     signal = plan.signal.signal
     session = _read(arm, recording, plan, own)
-    done = _Finished(recording, plan, own, session, started)
+    done = _Finished(recording, plan, limits, session, started)
     if len(session.suspect) < decide.FEWEST_POSES:
         return done.unread(arm)
     twisted = exchanged(session.suspect, signal, arm.joints)
@@ -111,9 +118,10 @@ def diagnose(
     heard = hear(arm, session.suspect, models, gears, signal, healthy=session.healthy or None)
     say(f"following the loads of {2 * arm.n} places")
     rhythm = rhythm_of(heard, knocks.sphere(knocks.DIRECTIONS))
-    alarm = decide.detect(rhythm, change=compared)
+    alarm = decide.detect(rhythm, limits, change=compared)
     scores = decide.score(
         arm, rhythm, session.suspect, gears, np.random.default_rng(0),
+        numbers=limits,
         change=compared, healthy=session.healthy or None,
     )  # fmt: skip
     return done.judged(arm, heard, rhythm, alarm, scores, gears)
@@ -205,7 +213,7 @@ class _Finished:
 
     recording: Recording
     plan: Plan
-    settings: DiagnoseSettings
+    numbers: decide.Numbers
     session: _Session
     started: float
     say = []
@@ -243,7 +251,7 @@ class _Finished:
         told = foretold(heard, rhythm, scores.best[top])
         several = alarm.loose and self._another(heard, rhythm, scores.best[top])
         settled = (
-            alarm.loose and scores.probability[top] >= self.settings.sure and not several
+            alarm.loose and scores.probability[top] >= self.numbers.sure and not several
             and not hobby
         )  # fmt: skip
         places = _places(arm, rhythm, alarm, scores, settled=settled)
@@ -284,7 +292,7 @@ class _Finished:
                 beyond.labels[int(np.argmax(np.where(other, beyond.timing, -1)))],
             )
         )
-        return float(beyond.timing[other].max()) > decide.RHYTHM
+        return float(beyond.timing[other].max()) > self.numbers.rhythm
 
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
         """Runs with what the best place foretells, and the healthy day's lines."""
@@ -333,7 +341,7 @@ class _Finished:
             version=__version__,
             seconds=round(time.process_time() - self.started, 2),
             shaken_s=round(sum(r.time[-1] - r.time[0] for r in self.recording.runs), 2),
-            settings=asdict(self.settings),
+            settings=asdict(self.numbers),
             **given,
         )
 
