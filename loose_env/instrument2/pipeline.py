@@ -216,7 +216,6 @@ class _Finished:
     numbers: decide.Numbers
     session: _Session
     started: float
-    say = []
 
     def unread(self, arm: SuspectArm) -> Diagnosis:
         """Result of a session with too few records."""
@@ -286,12 +285,6 @@ class _Finished:
         ]
         beyond = rhythm_of(heard, rhythm.directions[::4], beside=told)
         other = [label[:2] != (kind, i) for label in beyond.labels]
-        self.say.append(
-            (
-                float(beyond.timing[other].max()),
-                beyond.labels[int(np.argmax(np.where(other, beyond.timing, -1)))],
-            )
-        )
         return float(beyond.timing[other].max()) > self.numbers.rhythm
 
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
@@ -364,7 +357,7 @@ def _untold(arm: SuspectArm) -> tuple[Place, ...]:
                 rhythm=0.0,
                 tested=0.0,
                 why="no run can be used",
-            )  # fmt: skip
+            )
         )
     return tuple(found)
 
@@ -407,7 +400,7 @@ def _places(
                 tested=round(shares[place], 3),
                 direction=direction,
                 why=why,
-            )  # fmt: skip
+            )
         )
     return tuple(found)
 

@@ -258,9 +258,7 @@ def _ringing(
     periods: int,
     period: float,
 ) -> tuple[Array, float, Array, float, bool]:
-    """Envelope of the top band on the grid, its floor and covariance, how well it repeats, and
-    whether it is foreign.
-    """
+    """Envelope of the top band on the grid, floor, covariance, repeats, and if it is foreign."""
     sos = butter(4, band, "bandpass", fs=rate, output="sos")
     h = sosfiltfilt(sos, tool - tool.mean(0), axis=0)
     n = max(1, round(_ENVELOPE_S * rate))

@@ -127,9 +127,8 @@ class Diagnosis:
         """Place of a name, as ``backlash@elbow``."""
         found = next((p for p in self.places if p.name == name), None)
         if found is None:
-            raise InvalidData(
-                f"there is no place {name!r}; the places are {', '.join(p.name for p in self.places)}"
-            )
+            listed = ", ".join(p.name for p in self.places)
+            raise InvalidData(f"there is no place {name!r}; the places are {listed}")
         return found
 
     @property
