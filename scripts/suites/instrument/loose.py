@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from loose_env.instrument2.decide import Numbers
-from loose_env.instrument2.pipeline import DiagnoseSettings, diagnose
-from loose_env.instrument2.plan import Plan, PlanSettings, commands_of, plan
+from loose_env.instrument.decide import Numbers
+from loose_env.instrument.pipeline import DiagnoseSettings, diagnose
+from loose_env.instrument.plan import Plan, PlanSettings, commands_of, plan
 from loose_env.recording import Recording, read_recording
 
 LEFT_OUT: Mapping[str, Mapping[str, float]] = {
