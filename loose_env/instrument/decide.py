@@ -45,6 +45,9 @@ class Numbers:
     """Weight of a joint's softening against a healthy session [1]: lines that see it."""
     stiff: float = 1.6
     """Growth of the tool motion left by the healthy gears from which a joint became softer [1]."""
+    second: float = 0.6
+    """Correlation of a second place's knocks, beside what the first foretells, from which both
+    knock [1]."""
     sure: float = 0.9
     """Probability of a place from which it is settled [1]."""
 
@@ -94,6 +97,9 @@ def score(
         for h, (kind, i, _) in enumerate(rhythm.labels):
             if kind != BOLTS:
                 extra[h] += numbers.softer * change.softer[i]
+
+    # A place that no pose lets knock is not heard, whatever the direction of the ringing.
+    extra = np.where(rhythm.moments[:, 1].sum(0) > 0, extra, -np.inf)
 
     def of(weight: Array) -> Array:
         """Scores (B, H) of sessions made of poses by weight (B, R)."""

@@ -12,9 +12,9 @@ from loose_env.typing import Array
 
 DIRECTIONS = 240
 """Directions of a seat's slide that are tried, over half the sphere: 6 degrees apart."""
-SEAT_FRICTION_N = 3.0
-"""Friction of a loosened seat [N]: of a bolted flange whose bolts have lost their preload, a
-hundredth of what they clamped (Izumi et al. 2005)."""
+SEAT_FRICTION_N, SEAT_FRICTION = 3.0, 0.3
+"""Friction of a loosened seat: of steel on steel under the weight that it carries [1], and at most
+what bolts without preload leave [N]."""
 TEETH_FRICTION = (0.06, 6.0)
 """Friction on the load's side of a joint's teeth [N·m; N where it slides]."""
 _RING_S = 0.005
@@ -49,6 +49,8 @@ class Loads:
     """Force of each seat on all beyond it, link frame (n, GRID, 3) [N]."""
     teeth: Array
     """Torque of each joint's teeth (n, GRID) [N·m, N]."""
+    mass: Array
+    """Mass beyond each seat (n,) [kg]."""
     throws: Array
     """Acceleration of the tool by unit force across each seat (n, 3, 3) [1/kg]."""
     stiff: Array
@@ -76,6 +78,7 @@ def loads_of(model: PoseModel, acceleration: Array, stiffening: Array) -> Loads:
     return Loads(
         seats=np.array(seats),
         teeth=(acceleration @ inertia + model.torque).T,
+        mass=model.mass,
         throws=throws,
         stiff=stiff,
         turns=turns,
@@ -153,7 +156,8 @@ def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period
 
 def _friction(loads: Loads, directions: int, slides: Array) -> Array:
     """Friction of every hypothesis (n D + n,) [N, N·m]."""
-    seats = np.full(len(loads.seats) * directions, SEAT_FRICTION_N)
+    each = np.minimum(SEAT_FRICTION_N, SEAT_FRICTION * 9.81 * loads.mass)
+    seats = np.repeat(each, directions)
     return np.concatenate([seats, np.where(slides, TEETH_FRICTION[1], TEETH_FRICTION[0])])
 
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
@@ -130,14 +131,18 @@ def diagnose(
 def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettings) -> _Session:
     """Read all runs; those that a cable or a hand rang in are left out, and said."""
     signal = plan.signal.signal
-    levels = {run.file: run.level for run in plan.runs}
+    levels = {Path(run.file).stem: run.level for run in plan.runs}
     records: dict[str, list[Record]] = {"suspect": [], "healthy": []}
     runs, remarks = [], []
     for run in recording.runs:
         if run.condition == "healthy" and not own.reference:
             continue
         record = read_run(
-            arm, run, signal, level=levels.get(run.name, 1.0), corner_hz=plan.settings.corner_hz
+            arm,
+            run,
+            signal,
+            level=levels.get(Path(run.name).stem, 1.0),
+            corner_hz=plan.settings.corner_hz,
         )
         if isinstance(record, Unusable):
             why = f"{record.why}: {record.remedy}"
@@ -149,7 +154,8 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
         runs.append(_seen(arm, record, signal))
         remarks += [f"{run.name}: {remark}" for remark in record.remarks]
         records[run.condition].append(record)
-    missing = [r.file for r in plan.runs if r.file not in {run.name for run in recording.runs}]
+    there = {Path(run.name).stem for run in recording.runs}
+    missing = [r.file for r in plan.runs if Path(r.file).stem not in there]
     late = [f for f in missing if f.startswith("run-")]
     if late:
         remarks.append(f"{len(late)} of the planned runs are not there, such as {late[0]}")
@@ -248,7 +254,8 @@ class _Finished:
         hobby = self.plan.hobby
         top = scores.order[0]
         told = foretold(heard, rhythm, scores.best[top])
-        several = alarm.loose and self._another(heard, rhythm, scores.best[top])
+        second = self._beside(heard, rhythm, scores.best[top]) if alarm.loose else 0.0
+        several = second > self.numbers.second
         settled = (
             alarm.loose and scores.probability[top] >= self.numbers.sure and not several
             and not hobby
@@ -265,11 +272,11 @@ class _Finished:
         return self._result(
             "loose" if alarm.loose else "tight", headline, remedy, places,
             settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
-            evidence={**alarm.evidence, "gears_left": gears.left}, runs=runs,
+            evidence={**alarm.evidence, "gears_left": gears.left, "second": second}, runs=runs,
         )  # fmt: skip
 
-    def _another(self, heard: Heard, rhythm: Rhythm, best: int) -> bool:
-        """True if another place knocks beside what the best one foretells at any clearance."""
+    def _beside(self, heard: Heard, rhythm: Rhythm, best: int) -> float:
+        """Correlation of another place's knocks beside what the best one foretells."""
         kind, i, d = rhythm.labels[best]
         own = rhythm.directions[[max(d, 0)]]
         row = i if kind == BOLTS else len(heard.slides) + i
@@ -285,7 +292,7 @@ class _Finished:
         ]
         beyond = rhythm_of(heard, rhythm.directions[::4], beside=told)
         other = [label[:2] != (kind, i) for label in beyond.labels]
-        return float(beyond.timing[other].max()) > self.numbers.rhythm
+        return float(beyond.timing[other].max())
 
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
         """Runs with what the best place foretells, and the healthy day's lines."""

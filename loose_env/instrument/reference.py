@@ -17,6 +17,11 @@ _NEAR = 0.05
 """Largest distance of a joint between two poses that are one [rad, m]: what a controller leaves."""
 
 
+_CLEAR = 10.0
+"""Power over its noise from which lines of distortion are compared [1]: below, a few lines scatter
+by more than a decibel."""
+
+
 def decibels(power: Array | float) -> Array:
     """Power in decibels; nothing is -140 dB."""
     found: Array = 10 * np.log10(np.maximum(np.asarray(power, dtype=float), 1e-14))
@@ -55,8 +60,9 @@ def features(records: Sequence[Record], signal: Multisine) -> Features:
     even = np.arange(4, int(signal.excited.max()), 2)
 
     def share(record: Record, lines: Array) -> float:
-        power = np.maximum(np.abs(record.tool[lines]) ** 2 - record.tool_noise[lines], 0)
-        return float(power.sum(1).mean() / max(record.motion**2, 1e-12))
+        power = (np.abs(record.tool[lines]) ** 2).sum(1).mean()
+        noise = record.tool_noise[lines].sum(1).mean()
+        return float(max(power - noise, _CLEAR * noise) / max(record.motion**2, 1e-12))
 
     top = [np.mean(r.envelope) - r.floor for r in records]
     return Features(
