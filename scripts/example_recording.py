@@ -5,7 +5,7 @@ and servo gains are 1 to 3 % off the model that goes with the recording, its sen
 the bearing of its second joint has run dry: 2 N·m of friction that the model does not have.
 
 For `loose diagnose` a six-joint arm with servos and dry friction plays a session of `loose plan`.
-Its masses are a few per cent off the model, and its forearm slides by 0.1 mm on its joint.
+Its masses are a few per cent off the model, and its third link slides by 0.2 mm on its joint.
 
 Usage: python scripts/example_recording.py --out example
        python scripts/example_recording.py --for diagnose --out example
@@ -23,14 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tyro.conf import arg
 
-from loose_env.arms import DESK_ARM
+from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.cli.command import command
 from loose_env.errors import InvalidSetting
 from loose_env.instrument import PLAN, PlanSettings, SuspectArm, commands_of, plan
 from loose_env.io import write_text
 from loose_env.recording import Recording, Run, write_recording
 
-LOOSE = ("forearm", (0.3, -0.95, -0.06), 1e-4)
+LOOSE = ("link3", (0.0, 0.0, 1.0), 2e-4)
 """The loose link, the direction of its slide in its own frame, and its clearance [m]."""
 SERVO_HZ, DRY = 25.0, 0.02
 """Bandwidth of the servos [Hz], and friction of a joint over its inertia's torque at 10 rad/s²."""
@@ -140,7 +140,7 @@ def example(folder: Path, *, seed: int = 1) -> Recording:
 def loose_arm(
     folder: Path, *, seed: int = 1, loose: bool = True, reference: bool = False
 ) -> Recording:
-    """Plan a session for an arm with a loose forearm, play it, and write the recording.
+    """Plan a session for an arm with a loose third link, play it, and write the recording.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def loose_arm(
     if folder.exists() and any(folder.iterdir()):
         raise InvalidSetting(f"{folder} is not empty; give a new or empty folder")
     settings = PlanSettings(controller="ros2_jtc", rate_hz=1000.0, reference=reference)
-    made, arm = plan(DESK_ARM, settings)
+    made, arm = plan(SIX_AXIS_SERVO_ARM, settings)
     home = folder if folder.name == "recording" else folder.parent
     runs = []
     for number, run in enumerate(made.runs):
@@ -185,12 +185,12 @@ def loose_arm(
 
 
 def suspect(rng: np.random.Generator, loose: bool) -> mujoco.MjModel:
-    """The desk arm with other masses, dry friction, and a forearm that may slide."""
-    spec = mujoco.MjSpec.from_file(str(DESK_ARM))
+    """The arm with other masses, and a third link that may slide."""
+    spec = mujoco.MjSpec.from_file(str(SIX_AXIS_SERVO_ARM))
     for body in spec.bodies[1:]:
         body.mass *= float(1 + 0.05 * rng.standard_normal())
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
+    for element in (*spec.actuators, *spec.keys):
+        spec.delete(element)
     if loose:
         link, direction, gap = LOOSE
         seat = spec.body(link).add_joint(

@@ -456,5 +456,5 @@ def _words(
 
 def _work(place: Place) -> str:
     if place.kind == BOLTS:
-        return f"Torque the bolts of link {place.at}, then repeat the session."
-    return f"Measure the backlash of joint {place.at}'s reducer, and repeat after the repair."
+        return f"Torque the bolts at {place.words}, then repeat the session."
+    return f"Measure the play at {place.words}, and repeat the session after the repair."

@@ -48,8 +48,13 @@ class Place:
     def words(self) -> str:
         """Place for a reader."""
         if self.kind == BOLTS:
-            return f"the seat of link {self.at}"
-        return f"the gear of joint {self.at}"
+            return f"the seat of {_named('link', self.at)}"
+        return f"the gear of {_named('joint', self.at)}"
+
+
+def _named(noun: str, name: str) -> str:
+    """Name with its noun, where the name does not say it."""
+    return name if noun in name.lower() else f"{noun} {name}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -471,7 +471,7 @@ def _loose(*words: str) -> None:
 
 # ------------------------------------------------------------- recordings of loose diagnose
 
-DIAGNOSES = {"healthy": False, "loose forearm": True}
+DIAGNOSES = {"healthy": False, "loose link 3": True}
 """Sessions that `loose diagnose` judges: whether something is loose."""
 
 

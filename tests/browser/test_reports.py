@@ -11,7 +11,7 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 import loose_env
-from loose_env.arms import DESK_ARM, vera
+from loose_env.arms import SIX_AXIS_SERVO_ARM, vera
 from loose_env.envs import DiagnosisSettings
 from loose_env.instrument import PlanSettings, plan, trend
 from loose_env.io import write_text
@@ -80,7 +80,7 @@ def trend_page(folder: Path) -> Path:
 
 
 def plan_page(folder: Path) -> Path:
-    made, _ = plan(DESK_ARM, PlanSettings(controller="ros2_jtc", reference=True))
+    made, _ = plan(SIX_AXIS_SERVO_ARM, PlanSettings(controller="ros2_jtc", reference=True))
     # Paths as long as people have them: no command may push the page out of a phone's window.
     long = "measurements/2026-03-18 cell 4 after the collision/session one of three"
     paths = {"folder": Path(long), "model": Path(f"{long}/the arm of cell 4.xml")}

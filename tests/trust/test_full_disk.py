@@ -58,8 +58,8 @@ SCRIPTS: dict[str, tuple[str, Callable[[Path], list[str]]]] = {
 """Scripts that write, as short as they can be: their file and their words."""
 COMMANDS: dict[str, Callable[[Path], list[str]]] = {
     "gap": lambda home: [str(home / "recording"), "--kinds", "viscous_friction", "--threads", "1"],
-    "diagnose": lambda home: [str(home / "session" / "recording"), "--poses", "2"],
-    "plan": lambda home: [str(home / "session" / "recording" / "model.xml"), "--poses", "4"],
+    "diagnose": lambda home: [str(home / "session" / "recording"), ],
+    "plan": lambda home: [str(home / "session" / "recording" / "model.xml")],
     "import": lambda home: [
         f"t={home / 'recording' / 'run-0.csv'}", "--mapping", str(home / "mapping.toml")],
 }  # fmt: skip

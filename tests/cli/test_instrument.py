@@ -1,0 +1,92 @@
+"""`loose inspect`, `plan`, `diagnose` and `trend` as a user types them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loose_env.arms import SIX_AXIS_SERVO_ARM
+from loose_env.cli.main import main
+from loose_env.instrument import read_diagnosis, read_plan
+from scripts.example_recording import loose_arm
+
+Capture = pytest.CaptureFixture[str]
+ARM = str(SIX_AXIS_SERVO_ARM)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with a session of a loose arm and one of a healthy arm."""
+    folder = tmp_path_factory.mktemp("cli")
+    loose_arm(folder / "june" / "recording")
+    loose_arm(folder / "may" / "recording", loose=False)
+    return folder
+
+
+def last_line(capsys: Capture) -> str:
+    return capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_inspect_says_what_a_session_could_test(capsys: Capture) -> None:
+    assert main(["inspect", ARM, "--controller", "ros2_jtc"]) == 0
+    shown = capsys.readouterr().out
+    assert "link3" in shown and "not tested" in shown
+
+
+def test_a_plan_is_written_for_the_machine_and_goes_on(home: Path, tmp_path: Path) -> None:
+    out = tmp_path / "session"
+    assert main(["plan", ARM, "--controller", "ros2_jtc", "--out", str(out)]) == 0
+    made = read_plan(out)
+    assert [run.file for run in made.runs] == [f"run-{k:02d}.csv" for k in range(1, 7)]
+    table = np.genfromtxt(out / "run-01.csv", delimiter=",", names=True)
+    assert table.dtype.names[0] == "time" and len(table) == 1000
+    entries = json.loads((out / "recording" / "recording.json").read_text())["runs"]
+    assert all(entry["planned"] for entry in entries)
+
+
+def test_a_session_is_diagnosed_and_planned_on(home: Path, tmp_path: Path, capsys: Capture) -> None:
+    session, out = home / "june", tmp_path / "found"
+    assert main(["diagnose", str(session / "recording"), "--out", str(out)]) == 0
+    found = read_diagnosis(out)
+    assert found.verdict == "loose" and found.headline in capsys.readouterr().out
+    assert main(["plan", ARM, "--known", str(out), "--out", str(tmp_path / "next")]) == 0
+    assert main(["diagnose", str(session / "recording"), "--out", str(session)]) == 1
+    assert "give a new or empty folder" in last_line(capsys)
+
+
+def test_a_healthy_recording_is_a_reference(home: Path, tmp_path: Path) -> None:
+    june, may = (str(home / month / "recording") for month in ("june", "may"))
+    out = tmp_path / "found"
+    assert main(["diagnose", june, "--healthy", may, "--out", str(out), "--quiet"]) == 0
+    found = read_diagnosis(out)
+    assert found.reference and found.evidence["top_db"] > 3
+
+
+def test_months_are_compared(home: Path, tmp_path: Path) -> None:
+    may, june = (str(home / month / "recording") for month in ("may", "june"))
+    out = tmp_path / "trend"
+    assert main(["trend", may, june, "--out", str(out), "--quiet"]) == 0
+    assert json.loads((out / "trend.json").read_text())["since"] == "june"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["plan", ARM, "--poses", "2"], "poses is 3 to 24"),
+        (["plan", ARM, "--controller", "abb"], "there is no controller 'abb'"),
+        (["plan", ARM, "--bandwidth-hz", "5"], "8 Hz or more"),
+        (["plan", "none.xml"], "none.xml"),
+        (["trend", "HOME/may/recording"], "two sessions or more"),
+        (["diagnose", "HOME/nothing"], "there is no folder"),
+    ],
+)
+def test_mistakes_end_in_a_line(
+    words: list[str], says: str, home: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    given = [word.replace("HOME", str(home)) for word in words]
+    assert main([*given, "--out", str(tmp_path / "out")]) in (1, 2)
+    message = last_line(capsys)
+    assert says in message and not (tmp_path / "out").exists()
