@@ -173,6 +173,8 @@ class Plan:
     runs: tuple[PlannedRun, ...]
     tested: Mapping[str, float]
     """Place -> share of its directions that the poses test at full level [1]."""
+    slides: tuple[str, ...] = ()
+    """Joints that slide, among those that turn."""
     hobby: bool = False
     notes: tuple[str, ...] = ()
     format: str = FORMAT
@@ -263,6 +265,7 @@ def plan(
         ),
         runs=runs,
         tested=dict(zip(arm.places, share.round(3).tolist(), strict=True)),
+        slides=tuple(j for j, slide in zip(arm.joints, arm.slides, strict=True) if slide),
         hobby=preset(own.controller).hobby,
         notes=arm.notes,
     )

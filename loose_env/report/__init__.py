@@ -15,7 +15,6 @@ from loose_env.report.diagnosis import (
     diagnosis_html,
     diagnosis_text,
     write_diagnosis,
-    write_page,
 )
 from loose_env.report.figures import AGENTS, WIDTH, new_figure, quiet_axes
 from loose_env.report.gap import (
@@ -44,7 +43,7 @@ from loose_env.report.page import (
 )
 from loose_env.report.plan import plan_commands, summary, write_plan_page
 from loose_env.report.rerun import require_rerun, write_rerun
-from loose_env.report.trend import write_trend_page
+from loose_env.report.trend import trend_text, write_trend_page
 
 __all__ = [
     "AGENTS",
@@ -82,10 +81,10 @@ __all__ = [
     "summary",
     "template",
     "to_svg",
+    "trend_text",
     "write_comparison",
     "write_diagnosis",
     "write_gap_report",
-    "write_page",
     "write_plan_page",
     "write_rerun",
     "write_trend_page",

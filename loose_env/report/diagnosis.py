@@ -1,176 +1,193 @@
-"""Report of a diagnosis as text, HTML and pages: headline, next steps, hypotheses, runs."""
+"""Report of a diagnosis as text, HTML and page: what knocks, what to do, what was not tested."""
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loose_env.arms import Arm
-from loose_env.errors import InvalidData, MissingExtra
-from loose_env.instrument import (
-    HEALTHY,
-    PROBABLE,
-    Diagnosis,
-    NextMeasurement,
-    RecordSeen,
-    Trend,
-    path_word,
-    read_recorded_arm,
-)
+from loose_env.arms import Arm, arm_from_file
+from loose_env.envs import INK, MEASURED, MUTED, TRUTH, ArmDrawing
+from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
+from loose_env.faults import Backlash, StructuralLooseness
+from loose_env.instrument2.arm import BOLTS
+from loose_env.instrument2.plan import RECORDING, read_plan
+from loose_env.instrument2.result import Diagnosis, Place, RunSeen
 from loose_env.io import begun, sentence, write_text
-from loose_env.report.diagnosis_figures import (
-    arm_figure,
-    loop_figure,
-    posterior_figure,
-    shown_hypotheses,
-    transmission_cards,
+from loose_env.report.figures import (
+    DASHED,
+    labels,
+    legend,
+    new_figure,
+    panels,
+    plain_log_ticks,
 )
 from loose_env.report.page import (
     Brief,
     FigureCard,
     Section,
     Table,
-    graded_parts,
-    named_list,
     render_page,
     warnings_section,
 )
-from loose_env.report.trend import write_trend_page
-from loose_env.report.words import (
-    joint_words,
-    link_words,
-    percent,
-    position_text,
-    short_name,
-    slides,
-    with_plain_names,
-)
+from loose_env.report.words import path_word, percent, place_label
 
-_HEADLINE = 44  # letters of a hypothesis in the headline, at most
-_LISTED, _RANKED = 1e-3, 6  # probability from which a hypothesis is listed, and their number
-_LOOPS, _BARS = 12, 24  # records whose loops and whose posterior are drawn
-_COLUMNS = (
-    "Direction: unit vector in the link's frame, half opening of its 95 % cone. Free travel: from "
-    "stop to stop, with 95 % interval. Runs: those that raised the probability. Two faults at "
-    "once, or one of another kind, are no hypothesis."
-)
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LIGHTS: Mapping[str, tuple[str, str]] = {
+    "loose": ("LOOSE", "#d55e00"),
+    "suspect": ("suspect", "#e69f00"),
+    "not tested": ("not tested", "#8a8f98"),
+    "tight": ("tight", "#009e73"),
+}
+"""Verdict of a place -> its word and its colour, in the order of a table."""
+_EVIDENCE = {
+    "rhythm": ("Correlation of the best place's foretold knocks with what was heard", "", "rhythm"),
+    "top_db": ("Rise of the top band over the healthy session", " dB", "top_db"),
+    "even_db": ("Rise of the even lines", " dB", "even_db"),
+    "odd_db": ("Rise of the odd lines left out", " dB", "odd_db"),
+    "stiff": ("Growth of the tool's motion that the healthy gears leave", "", "stiff"),
+    "friction": ("Correlation of the friction's rhythm with what was heard", "", ""),
+    "gears_left": ("Share of the tool's slow motion that the model leaves", "", ""),
+}
+"""Statistic -> its words, unit, and the setting that is its limit."""
+_FLOOR = 1e-4  # share of the highest line below which none is drawn
 
 
-def diagnosis_headline(diagnosis: Diagnosis, arm: Arm) -> str:
-    """Outcome of a diagnosis in one line, worded by the verdict and its probability.
+def diagnosis_headline(d: Diagnosis) -> str:
+    """Outcome of a diagnosis in one sentence."""
+    return sentence(d.headline)
 
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> from loose_env.instrument import Fault
-    >>> found = Diagnosis(
-    ...     fault=Fault(kind="healthy"),
-    ...     probability=1.0,
-    ...     posterior={"healthy": 1.0},
-    ...     verdict="model_mismatch",
-    ... )
-    >>> diagnosis_headline(found, planar(2))
-    'The model is not that of this arm: correct it first.'
+
+def diagnosis_text(d: Diagnosis, *, folder: str = "") -> str:
+    """Diagnosis in a few lines for a terminal.
+
+    Parameters
+    ----------
+    d : Diagnosis
+        Result.
+    folder : str
+        Path of the recording, for commands to be typed.
     """
-    said = short_name(arm, diagnosis.fault.hypothesis)
-    if len(said) > _HEADLINE:  # the number alone: the name stands below the headline
-        said = re.sub(r" \([^()]*\)", "", said)
-    if diagnosis.verdict == "model_mismatch":
-        return "The model is not that of this arm: correct it first."
-    if diagnosis.verdict != "open":
-        return f"{begun(said)}."
-    probability = diagnosis.probability
-    if diagnosis.fault.kind == HEALTHY and np.isfinite(diagnosis.nothing_opened):
-        probability = diagnosis.nothing_opened  # as the verdict has it
-    if probability >= PROBABLE:
-        return f"Probably {said}."
-    return f"Not decided. Most likely so far: {said}."
+    return _brief(d, folder).text()
 
 
-def _brief(diagnosis: Diagnosis, arm: Arm, folder: str, *, warnings: bool) -> Brief:
-    names = {name: short_name(arm, name) for name in diagnosis.posterior}
-    table = hypothesis_table(diagnosis, arm)
-    cells: list[list[Any]] = [table.columns, *(list(row.values()) for row in table.rows)]
-    for row, share in zip(cells, ["", *(p for _, p in _listed(diagnosis))], strict=True):
-        row.insert(1, share)
-    graded = [(s, with_plain_names(w, names)) for s, w in diagnosis.graded_warnings]
+def diagnosis_html(d: Diagnosis, *, folder: str = "") -> str:
+    """Diagnosis as a fragment of HTML for a notebook, without style sheet of its own."""
+    return _brief(d, folder).html()
+
+
+def _brief(d: Diagnosis, folder: str) -> Brief:
+    table = place_table(d)
+    cells: list[Any] = []
+    if table.rows:
+        cells = [table.columns, *(list(row.values()) for row in table.rows)]
     return Brief(
-        headline=diagnosis_headline(diagnosis, arm),
+        headline=diagnosis_headline(d),
         parts=[
+            ("Next", "next: ", [sentence(d.remedy)]),
+            ("Commands", "  ", diagnosis_commands(d, folder)),
             ("", "  ", cells),
-            ("Open", "open: ", _reasons(diagnosis, arm)),
-            ("Next", "next: ", diagnosis_steps(diagnosis, arm)),
-            ("Next measurement", "  ", _measurement(diagnosis, arm)),
-            ("Commands", "  ", _commands(diagnosis, folder)),
-            *(graded_parts(graded) if warnings else []),
+            ("Reasons", "because: ", [sentence(words) for words in d.reasons]),
+            ("Remarks", "note: ", _remarks(d)),
         ],
     )
 
 
-def diagnosis_text(
-    diagnosis: Diagnosis, arm: Arm, *, folder: str = "", warnings: bool = True
-) -> str:
-    """Diagnosis in a few lines of text.
+def _remarks(d: Diagnosis) -> list[str]:
+    return [sentence(words) for words in dict.fromkeys(d.remarks)]
+
+
+def diagnosis_commands(d: Diagnosis, recording: str = "", result: str = "") -> list[str]:
+    """Commands that carry out the next step, none where a hand has to.
 
     Parameters
     ----------
-    diagnosis : Diagnosis
+    d : Diagnosis
         Result.
-    arm : Arm
-        The nominal arm that it was found with.
-    folder : str
-        Path of the recording, for commands to be typed.
-    warnings : bool
-        True to end with the warnings.
+    recording, result : str
+        Paths of the recording and of the folder with ``result.json``, as the reader types them;
+        by default those of the folder ``session``.
     """
-    return _brief(diagnosis, arm, folder, warnings=warnings).text()
+    own = Path(recording or f"session/{RECORDING}")
+    session = own.parent if own.name == RECORDING else own.with_name(f"{own.name}-next")
+    known = result or str(session / "diagnosis")
+    again = f"loose diagnose {path_word(session / RECORDING)} --out {path_word(known)}"
+    if d.verdict == "refused":
+        return [f"loose doctor {path_word(own)}", again.replace(str(session / RECORDING), str(own))]
+    model = path_word(own / Path(d.model).name)
+    if d.hobby:
+        return [f"loose trend EARLIER {path_word(own)} --out trend"]
+    if d.settled or d.several:
+        return [
+            f"loose plan {model} --out session-after",
+            f"loose diagnose session-after/{RECORDING} --out session-after/diagnosis",
+        ]
+    if d.verdict == "tight" and not d.untested:
+        return []
+    if d.verdict == "open":
+        return [again]
+    return [
+        f"loose plan {model} --out {path_word(session)} --known {path_word(known)}",
+        again,
+    ]
 
 
-def diagnosis_html(diagnosis: Diagnosis, arm: Arm, *, folder: str = "") -> str:
-    """Diagnosis as a fragment of HTML, with the probabilities drawn as bars.
-
-    Parameters
-    ----------
-    diagnosis, arm, folder
-        As for `diagnosis_text`.
-    """
-    return _brief(diagnosis, arm, folder, warnings=True).html()
+def place_table(d: Diagnosis) -> Table:
+    """The traffic lights: a row for each link's seat and each joint's gear, worst first."""
+    order = list(LIGHTS)
+    rows = []
+    for place in sorted(d.places, key=lambda p: order.index(p.verdict)):  # best first is kept
+        suspected = place.verdict in ("loose", "suspect")
+        rows.append(
+            {
+                "Place": place_label(place.name),
+                "Verdict": LIGHTS[place.verdict][0],
+                "Probability": percent(place.probability) if suspected else "-",
+                "Rhythm": f"{place.rhythm:.2f}" if any(r.used for r in d.runs) else "-",
+                "Tested": f"{100 * place.tested:.0f} %",
+                "Reason": place.why or "-",
+            }
+        )
+    limit = d.settings.get("rhythm")
+    note = (
+        "Probability: that it is the loose one, if one is. Rhythm: correlation of its foretold "
+        "knocks with what the accelerometer heard"
+        + (f"; a knock from {limit:g} on" if isinstance(limit, float) else "")
+        + ". Tested: share of its directions in which the load reversed, so that it would have "
+        "knocked. One that is not tested may be loose."
+    )
+    return Table(rows=rows, note=note)
 
 
 def write_diagnosis(
     folder: Path,
-    diagnosis: Diagnosis,
-    model: Path,
+    d: Diagnosis,
+    model_path: str | Path,
     *,
-    recording: str = "",
+    recording: str,
     given: str = "",
-    trend: Trend | None = None,
-    say: Callable[[str], None] = lambda _: None,
+    say: Callable[[str], None] = print,
 ) -> list[Path]:
-    """Write the pages and ``result.json``, the result last.
+    """Write ``report.html`` and ``result.json``, the result last.
 
-    An earlier result never stands beside a later page. What was found is written also where the
-    page cannot be drawn.
+    What was found is written also where the page cannot be drawn.
 
     Parameters
     ----------
     folder : Path
         Where they go; made where there is none.
-    diagnosis : Diagnosis
+    d : Diagnosis
         Result.
-    model : Path
-        Model of the recording.
+    model_path : str or Path
+        Model of the recording, for the picture of the arm.
     recording : str
         Name of the recording, for the head of the page.
     given : str
-        Its folder as the reader would type it, for commands on the page.
-    trend : Trend, optional
-        Change since earlier sessions: ``trend.html`` and ``trend.json`` too.
+        Its path as the reader types it, for the commands on the page.
     say : callable
         Receives the reason why there is no page.
 
@@ -179,452 +196,255 @@ def write_diagnosis(
     list of Path
         The files written.
     """
-    written = []
-    page = folder / "report.html"
-    for name in ("result.json", "trend.json", "trend.html"):
-        (folder / name).unlink(missing_ok=True)
+    written, page = [], Path(folder) / "report.html"
+    (Path(folder) / "result.json").unlink(missing_ok=True)
     try:
-        arm = read_recorded_arm(model).shown
-        written.append(write_page(page, diagnosis, arm, recording=recording, folder=given))
-        if trend is not None:
-            written.append(write_trend_page(folder / "trend.html", trend, recording=recording))
-    except (MissingExtra, InvalidData) as error:
+        html = _page(d, Path(model_path), recording, diagnosis_commands(d, given, str(folder)))
+        written.append(write_text(page, html))
+    except MissingExtra as error:
         page.unlink(missing_ok=True)  # that of an earlier result
         say(f"no report.html: {error}")
-    if trend is not None:
-        written.append(trend.write(folder / "trend.json"))
-    written.append(diagnosis.write(folder / "result.json"))  # last: it says that all is there
+    written.append(d.write(Path(folder) / "result.json"))  # last: it says that all is there
     return written
 
 
-def write_page(
-    path: str | os.PathLike[str],
-    diagnosis: Diagnosis,
-    arm: Arm,
-    *,
-    recording: str = "",
-    folder: str = "",
-) -> Path:
-    """Write the page of a diagnosis.
-
-    Parameters
-    ----------
-    path : path-like
-        Path of the page; its folder is made if missing.
-    diagnosis : Diagnosis
-        Diagnosis.
-    arm : Arm
-        The nominal arm that it was found with.
-    recording : str
-        Name of the recording, for the head of the page.
-    folder : str
-        Path of the recording, for commands to be typed.
-
-    Returns
-    -------
-    Path
-        The file written.
-
-    Raises
-    ------
-    InvalidData
-        If the diagnosis names a joint or a link that the arm does not have.
-    MissingExtra
-        If jinja2 or matplotlib is not installed.
-    """
-    commands = _commands(diagnosis, folder or recording)
-    page = render_page(
-        diagnosis_headline(diagnosis, arm),
+def _page(d: Diagnosis, model: Path, recording: str, commands: Sequence[str]) -> str:
+    cards, left_out = _cards(d, model)
+    doctor = [f"{f.run}: {f.found}. {f.remedy}" for f in d.preflight if f.severity == "error"]
+    return render_page(
+        diagnosis_headline(d),
         [
             Section(
                 heading="What to do next",
-                points=diagnosis_steps(diagnosis, arm),
+                points=[sentence(d.remedy)] if not commands else [sentence(d.remedy), _SHELL],
                 code="\n".join(commands),
             ),
-            Section(heading="Hypotheses", tables=[hypothesis_table(diagnosis, arm)]),
-            Section(
-                heading="Measured and predicted transmission",
-                cards=transmission_cards(diagnosis, arm),
+            Section(heading="Links and joints", tables=[place_table(d)]),
+            Section(heading="Pictures", intro=left_out, cards=cards),
+            Section(heading="Reasons", points=[sentence(words) for words in d.reasons]),
+            warnings_section(
+                [*(("critical", w) for w in doctor), *(("note", w) for w in _remarks(d))]
             ),
-            warnings_section(diagnosis.graded_warnings),
-            Section(
-                heading="Arm and probabilities",
-                cards=[_arm_card(diagnosis, arm), *_posterior_cards(diagnosis, arm)],
-            ),
-            _next_section(diagnosis, arm),
-            _loops_section(diagnosis, arm),
-            _records_section(diagnosis, arm),
+            Section(heading="Numbers", tables=[_evidence_table(d)]),
+            Section(heading="Runs", tables=[_runs_table(d)]),
         ],
-        kicker=[recording, "diagnosis of a loose link or joint", diagnosis.date[:10]],
-        text=summary_words(diagnosis, arm),
-        notes=_notes(diagnosis, arm),
+        kicker=[recording, "diagnosis of a loose link or joint", d.date[:10]],
+        text=_summary(d),
+        notes=_notes(d),
+        colours={place_label(p.name): LIGHTS[p.verdict][1] for p in d.places},
     )
-    return write_text(Path(path), page)
 
 
-def hypothesis_table(diagnosis: Diagnosis, arm: Arm) -> Table:
-    """The one table of a diagnosis, most probable hypothesis first."""
-    kept = _listed(diagnosis)
-    rows = [
-        {
-            "Hypothesis": begun(short_name(arm, name)),
-            "Probability": percent(p),
-            "Direction": _direction_words(diagnosis, name),
-            "Free travel": travel_words(diagnosis, arm)
-            if name == diagnosis.fault.hypothesis
-            else "–",
-            "Runs": _runs(diagnosis, name),
-        }
-        for name, p in kept
-    ]
-    note, left = [data_words(diagnosis)], len(diagnosis.posterior) - len(kept)
-    if left > 1:
-        together = percent(max(0.0, 1 - sum(p for _, p in kept)))
-        note.append(f"The other {left} hypotheses have {together} together.")
-    return Table(rows=rows, note=" ".join([*note, _COLUMNS]))
+_SHELL = "Then type:"
 
 
-def _listed(diagnosis: Diagnosis) -> list[tuple[str, float]]:
-    """Hypotheses of the table with their probabilities, most probable first."""
-    ranked = sorted(diagnosis.posterior.items(), key=lambda item: -item[1])
-    return [item for k, item in enumerate(ranked) if item[1] >= _LISTED or k == 0][:_RANKED]
-
-
-def _direction_words(diagnosis: Diagnosis, hypothesis: str) -> str:
-    """Direction of a hypothesis's slide; a dash for others."""
-    kind, _, where = hypothesis.partition("@")
-    if kind != "structural_looseness":
-        return "–"
-    fault, axis, half = diagnosis.fault, None, None
-    if fault.hypothesis == hypothesis:
-        axis, half = fault.direction, fault.direction_half_angle_deg
-    elif where in diagnosis.directions:
-        axis = diagnosis.directions[where].axis
-        half = diagnosis.directions[where].half_angle_deg
-    if axis is None:
-        return "not identified"
-    return _vector(axis) + ("" if half is None else f" ±{half:.0f}°")
-
-
-def _vector(values: Iterable[float]) -> str:
-    return f"({', '.join(f'{x:.2f}' for x in values)})".replace("-", "−")
-
-
-def travel_words(diagnosis: Diagnosis, arm: Arm) -> str:
-    """Free travel of the fault with its interval; "not identified" where there is none."""
-    fault = diagnosis.fault
-    if fault.kind == HEALTHY:
-        return "–"
-    if fault.gap_m is None:
-        return "not identified"
-    turns = fault.kind == "backlash" and not slides(arm, str(fault.where))
-    scale, unit = (60 * 180 / np.pi, "arc minutes") if turns else (1e3, "mm")
-    ends = fault.gap_interval_m
-    between = "" if ends is None else f" ({scale * ends[0]:.2g} to {scale * ends[1]:.2g})"
-    return f"{scale * fault.gap_m:.2g}{between} {unit}"
-
-
-def _runs(diagnosis: Diagnosis, hypothesis: str) -> str:
-    """Runs that raised the probability of a hypothesis, of those that could be used."""
-    before = float(diagnosis.settings.get("healthy_prior", 0.5))
-    if hypothesis != HEALTHY:
-        before = (1 - before) / max(len(diagnosis.posterior) - 1, 1)
-    used = [r.probabilities.get(hypothesis, 0.0) for r in diagnosis.records if r.probabilities]
-    risen = sum(after > b for b, after in zip([before, *used[:-1]], used, strict=False))
-    return f"{risen} of {len(used)}" if used else "–"
-
-
-def data_words(diagnosis: Diagnosis) -> str:
-    """Records and poses that a diagnosis rests on."""
-
-    def count(number: int, noun: str) -> str:
-        return f"one {noun}" if number == 1 else f"{number} {noun}s"
-
-    suspect = [r for r in diagnosis.records if r.condition != HEALTHY]
-    poses = {tuple(round(v, 3) for v in r.pose.values()) for r in suspect}
-    healthy = len(diagnosis.records) - len(suspect)
-    said = begun(f"{count(len(suspect), 'record')} in {count(len(poses), 'pose')}")
-    unused = sum(not r.probabilities for r in suspect)
-    if unused:
-        said += f", {unused} of which could not be used"
-    if healthy:
-        return f"{said}, beside {count(healthy, 'record')} of the healthy arm."
-    return f"{said}. There is no record of the healthy arm: the model stands in its place."
-
-
-def summary_words(diagnosis: Diagnosis, arm: Arm) -> list[str]:
-    """Probability and meaning of the outcome, and reasons why it is open."""
-    if diagnosis.verdict != "model_mismatch":
-        said = begun(short_name(arm, diagnosis.fault.hypothesis))
-        first = f"{said}: {percent(diagnosis.probability)}. {_meaning(diagnosis, arm)}"
-        return [first, *_reasons(diagnosis, arm)]
-    first = (
-        "Model and record differ by more than the model's tolerances and any single fault explain: "
-        "no fault is identified."
+def _summary(d: Diagnosis) -> list[str]:
+    used = [r for r in d.runs if r.used and r.condition == "suspect"]
+    beside = (
+        "compared with a healthy session"
+        if d.reference
+        else "without a healthy session beside: the model stands in its place"
     )
-    if np.isfinite(diagnosis.misfit):
-        first += f" The best model leaves {100 * diagnosis.misfit:.0f} % of the record unexplained."
-    return [first, *_reasons(diagnosis, arm)]
-
-
-def _reasons(diagnosis: Diagnosis, arm: Arm) -> list[str]:
-    """Reasons why no fault is identified, with the hypotheses in words."""
-    if diagnosis.verdict not in ("open", "model_mismatch"):
-        return []
-    names = {name: short_name(arm, name) for name in diagnosis.posterior}
-    return [sentence(with_plain_names(reason, names)) for reason in diagnosis.open_because]
-
-
-def _meaning(diagnosis: Diagnosis, arm: Arm) -> str:
-    fault = diagnosis.fault
-    if fault.where is None:
-        shown = ""
-        if np.isfinite(diagnosis.nothing_opened):
-            shown = f" (that nothing opened in any run: {percent(diagnosis.nothing_opened)})"
-        return (
-            f"All motion is transmitted as in the healthy arm{shown}. A seat that friction or "
-            "weight kept shut cannot be told from a healthy one."
+    runs = "one run" if len(used) == 1 else f"{len(used)} runs"
+    said = [f"{begun(runs)}, {d.shaken_s:.0f} s of shaking, {beside}."]
+    top = d.places[0] if d.places else None
+    if top is not None and top.verdict in ("loose", "suspect"):
+        said.insert(0, f"{begun(top.words)}: {percent(top.probability)}, if one place is loose.")
+    if d.hobby:
+        said.append(
+            "Every arm of this class has play from the start: only a change over months tells."
         )
-    if fault.kind == "backlash":
-        return "Its motor and its link are not tightly connected."
-    joint = arm.joints[arm.seat_bodies.index(fault.where)]
-    return f"It slides where it is fastened to {joint_words(arm, joint)}."
+    return said
 
 
-def _commands(diagnosis: Diagnosis, folder: str) -> list[str]:
-    """Commands that correct the model and diagnose again, where it is not that of the arm."""
-    if diagnosis.verdict != "model_mismatch":
-        return []
-    ends = ("", "-gap", "-gap/model.xml", "-corrected")
-    recording, gap, model, out = (path_word(f"{folder or 'RECORDING'}{end}") for end in ends)
-    return [
-        f"loose gap {recording} --out {gap}",
-        f"loose diagnose {recording} --model {model} --out {out}",
-    ]
-
-
-def diagnosis_steps(diagnosis: Diagnosis, arm: Arm) -> list[str]:
-    """Next steps of a diagnosis, in order."""
-    if diagnosis.verdict == "model_mismatch":
-        return [
-            "Correct the model by the same recording (first command below). Record free motions "
-            "too, slow and fast, where it finds too little.",
-            "Diagnose again with the corrected model (second command).",
-        ]
-    found, fault = [], diagnosis.fault
-    if diagnosis.next is not None:
-        names = {name: short_name(arm, name) for name in diagnosis.posterior}
-        found.append(_measure(diagnosis.next, arm, names))
-    if diagnosis.verdict == "open":
-        if diagnosis.next is None:
-            found.append(
-                "Measure in further poses, each far from those before, or louder: what is at hand "
-                "does not decide it."
-            )
-        return [*found, "Take nothing apart yet: the case is open."]
-    if fault.where is None:
-        return [
-            *found,
-            "Nothing needs to be done. Keep this recording: it is the reference of the healthy "
-            "arm.",
-        ]
-    look = (
-        f"Look at the drive of {joint_words(arm, fault.where)}: gear, coupling, key, belt."
-        if fault.kind == "backlash"
-        else f"Look at what fastens {link_words(arm, fault.where)}: bolts, dowels, cracks at the "
-        "flange."
-    )
-    again = (
-        "Measure once more in the same poses after the repair: the transmission should be that of "
-        "the healthy arm again."
-    )
-    return [*found, look, again]
-
-
-def _measure(following: NextMeasurement, arm: Arm, plain: Mapping[str, str]) -> str:
-    names = [joint_words(arm, joint) for joint in following.joints]
-    shaken = named_list(names) + (" in turn" if len(names) > 1 else "")
-    reason = following.reason.strip()
-    return (
-        f"Measure once more in the pose shown below: shake {shaken} for {following.seconds:g} s, "
-        f"hold the others. {sentence(with_plain_names(reason, plain)) if reason else ''}"
-    ).rstrip()
-
-
-def _measurement(diagnosis: Diagnosis, arm: Arm) -> list[str]:
-    """Pose and excitation of the next measurement in two lines."""
-    following = diagnosis.next
-    if following is None or diagnosis.verdict == "model_mismatch":
-        return []
-    pose = [f"{joint_words(arm, j)} {position_text(arm, j, q)}" for j, q in following.pose.items()]
-    shaken = [
-        f"{joint_words(arm, joint)} by {torque:.3g} {'N' if slides(arm, joint) else 'N·m'} rms"
-        for joint, torque in zip(following.joints, following.torques, strict=True)
-    ]
-    low, high = following.band_hz
-    return [
-        f"pose: {', '.join(pose)}",
-        f"shake: {', '.join(shaken)}, {low:g} to {high:g} Hz, {following.seconds:g} s",
-    ]
-
-
-def _arm_card(diagnosis: Diagnosis, arm: Arm) -> FigureCard:
-    fault = diagnosis.fault
-    suspect = [r for r in diagnosis.records if r.condition != HEALTHY]
-    last = suspect[-1] if suspect else None
-    marked = "Nothing is marked: nothing is suspected."
-    if fault.where is not None:
-        said = short_name(arm, fault.hypothesis)
-        marked = f"Marked: {said} ({percent(diagnosis.probability)})."
-    if any(name != f"joint{k}" for k, name in enumerate(arm.joints, 1)):
-        names = [f"{k} {name}" for k, name in enumerate(arm.joints, 1)]
-        marked += f" Joints from the base: {', '.join(names)}."
-    return FigureCard(
-        title="The last pose measured" if last else "The arm, all joints at zero",
-        image=arm_figure(
-            arm, last.pose if last else {}, fault=fault, excited=last.excited if last else None
-        ),
-        caption=marked,
-    )
-
-
-def _posterior_cards(diagnosis: Diagnosis, arm: Arm) -> list[FigureCard]:
-    seen = [(k, r) for k, r in enumerate(diagnosis.records, 1) if r.probabilities]
-    if not seen:
-        return []
-    drawn, dropped = seen[-_BARS:], max(len(seen) - _BARS, 0)
-    steps = [dict(r.probabilities) for _, r in drawn]
-    names = {h: short_name(arm, h) for h in shown_hypotheses(steps)}
-    return [
-        FigureCard(
-            title="Probability by record",
-            image=posterior_figure(steps, [f"record {k}" for k, _ in drawn], names),
-            caption="Probability of every explanation after each record and all before it, in per "
-            "cent. A record supports an explanation that predicted the measurement. The "
-            "records are numbered as in the table at the end."
-            + (f" The first {dropped} are not drawn." if dropped else ""),
-        )
-    ]
-
-
-def _next_section(diagnosis: Diagnosis, arm: Arm) -> Section:
-    following = diagnosis.next
-    if following is None:
-        return Section()
-    units = {joint: "m" if slides(arm, joint) else "rad" for joint in following.pose}
-    pose = [
-        {
-            "Joint": joint_words(arm, joint),
-            "Hold at": position_text(arm, joint, value),
-            "In the recording": f"{value:.4f} {units[joint]}",
-        }
-        for joint, value in following.pose.items()
-    ]
-    numbers = zip(following.joints, following.levels, following.torques, strict=True)
-    excitation = [
-        {
-            "Joint to shake": joint_words(arm, joint),
-            "Acceleration, rms": f"{level:.3g} {units[joint]}/s²",
-            "Drive, rms": f"{torque:.3g} {'N' if slides(arm, joint) else 'N·m'}",
-        }
-        for joint, level, torque in numbers
-    ]
-    many = "s in yellow one after the other" if len(following.joints) > 1 else " in yellow"
-    low, high = following.band_hz
-    intro = [
-        f"Random noise from {low:g} to {high:g} Hz for {following.seconds:g} s, sampled at "
-        f"{following.rate_hz:g} Hz, one run for each joint."
-    ]
-    if following.gain > 0:
-        intro.append(
-            f"Expected information: {following.gain:.2g} bits about the fault; one bit halves the "
-            "possibilities."
-        )
-    note = (
-        "The drive is what the nominal model needs for this acceleration; check it against the "
-        "drive's limits before it is played."
-    )
-    card = FigureCard(
-        title="The pose to measure next",
-        image=arm_figure(arm, following.pose, fault=diagnosis.fault, excited=following.joints),
-        caption=f"Shake the joint{many}, hold the others.",
-    )
-    return Section(
-        heading="The next measurement",
-        intro=intro,
-        cards=[card],
-        beside=True,
-        tables=[
-            Table(rows=pose, note="Positions from the base, every joint held there."),
-            Table(title="Excitation", rows=excitation, note=note),
-        ],
-    )
-
-
-def _loops_section(diagnosis: Diagnosis, arm: Arm) -> Section:
-    drawn = [(k, r) for k, r in enumerate(diagnosis.records, 1) if r.loops]
-    cards = [
-        FigureCard(
-            title=f"Record {number}: {', '.join(record.excited) or 'nothing'} shaken",
-            image=loop_figure(record),
-            caption=_loop_words(record, arm),
-        )
-        for number, record in drawn[-_LOOPS:]
-    ]
-    dropped = len(drawn) - _LOOPS
-    intro = (
-        "Correlation of the tool with the excited joint, by direction. The distance of the curve "
-        "from the middle is the correlation; on the circle it is 1. Where a link is loose, the "
-        "measured curve turns away from that of the healthy arm. The direction in which motion is "
-        "lost turns from pose to pose only if a joint between the loose link and the tool was "
-        "moved: that is how the link is found."
-    )
-    if dropped > 0:
-        intro += f" The first {dropped} records are not drawn."
-    return Section(heading="Correlation by record", intro=[intro], cards=cards)
-
-
-def _loop_words(record: RecordSeen, arm: Arm) -> str:
-    pose = ", ".join(position_text(arm, joint, value) for joint, value in record.pose.items())
-    said = f"Pose {pose}. " if pose else ""
-    if record.direction_tool is None:
-        return f"{said}No direction in which motion is lost stands out."
-    within = "" if record.half_angle_deg is None else f", within {record.half_angle_deg:.0f}°"
-    return (
-        f"{said}By all records together, motion is lost along {_vector(record.direction_tool)} of "
-        f"the tool's frame here{within}."
-    )
-
-
-def _records_section(diagnosis: Diagnosis, arm: Arm) -> Section:
-    rows, notes = [], ["The pose lists the joints from the base."]
-    for number, record in enumerate(diagnosis.records, 1):
-        best = max(record.probabilities.items(), key=lambda item: item[1], default=None)
-        pose = ", ".join(position_text(arm, j, v) for j, v in record.pose.items())
+def _evidence_table(d: Diagnosis) -> Table:
+    rows = []
+    for name, value in d.evidence.items():
+        words, unit, setting = _EVIDENCE.get(name, (name, "", ""))
+        limit = d.settings.get(setting)
         rows.append(
             {
-                "Record": str(number),
-                "File": record.file,
-                "Arm": record.condition,
-                "Excited joints": ", ".join(record.excited) or "–",
-                "Pose": pose or "–",
-                "Most probable then": f"{short_name(arm, best[0])}, {percent(best[1])}"
-                if best
-                else "–",
+                "Statistic": words,
+                "Value": f"{value:.2f}{unit}" if np.isfinite(value) else "-",
+                "Limit": f"{limit:g}{unit}" if isinstance(limit, (int, float)) else "-",
             }
         )
-        notes += [f"Record {number}: {sentence(note)}" for note in record.notes]
-    return Section(heading="Records", tables=[Table(rows=rows, note=" ".join(notes))])
+    return Table(rows=rows)
 
 
-def _notes(diagnosis: Diagnosis, arm: Arm) -> list[str]:
-    plain = {k: v for k, v in diagnosis.settings.items() if not isinstance(v, dict)}
-    settings = ", ".join(f"{name} {value}" for name, value in plain.items())
-    by = " ".join(filter(None, ["loose-env", diagnosis.version]))
-    hashed = f" (SHA-256 {diagnosis.model_hash})" if diagnosis.model_hash else ""
-    measured = f"Measured {diagnosis.date}. " if diagnosis.date else ""
+def _runs_table(d: Diagnosis) -> Table:
+    rows = [
+        {
+            "File": run.file,
+            "Arm": "healthy" if run.condition == "healthy" else "under test",
+            "Used": "yes" if run.used else "no",
+            "Repeats": f"{run.repeats:.2f}" if run.used else "-",
+            "Reason": run.why or "-",
+        }
+        for run in d.runs
+    ]
+    return Table(
+        rows=rows,
+        note="Repeats: correlation of what was heard between periods; 1 is the same every time.",
+    )
+
+
+def _notes(d: Diagnosis) -> list[str]:
+    settings = ", ".join(f"{k} {v}" for k, v in d.settings.items() if not isinstance(v, dict))
+    measured = f"Measured {d.date}. " if d.date else ""
+    by = " ".join(filter(None, ["loose-env", d.version]))
     return [
-        f"{measured}Diagnosed by {by}. Model: {diagnosis.model}{hashed}, {arm.n} joints. All "
-        "numbers stand in result.json.",
+        f"{measured}Diagnosed by {by} in {d.seconds:.0f} s of processor time. Model: {d.model}. "
+        "All numbers stand in result.json.",
         *([f"Settings: {settings}."] if settings else []),
     ]
+
+
+# Pictures
+
+
+def _cards(d: Diagnosis, model: Path) -> tuple[list[FigureCard], list[str]]:
+    """The pictures that convince, and sentences about those that are left out."""
+    runs = sorted((r for r in d.runs if r.used and r.condition == "suspect"), key=_agreement)[::-1]
+    cards, said = [], []
+    if not runs:
+        return [], []
+    if any(run.heard for run in runs):
+        told = bool(runs[0].foretold)
+        caption = (
+            "Envelope of the top band at the tool over one period of the signal, and the knocks "
+            f"that {d.places[0].words} would make if it were loose, at the best scale. The two "
+            "poses that agree best."
+            if told
+            else "Envelope of the top band at the tool over one period of the signal. The knocks "
+            "of no place fit it."
+        )
+        title = "Rhythm foretold and heard" if told else "What was heard"
+        figure = _rhythm_figure([run for run in runs if run.heard][:2])
+        cards.append(FigureCard(title=title, image=figure, caption=caption))
+    lined = next((run for run in runs if run.lines and max(run.lines) > 0), None)
+    if lined is not None:
+        excited = _excited(model)
+        what = (
+            "Excited lines answer the commands; all others are distortion, which knocks and "
+            "friction make."
+            if excited
+            else "Even lines are never excited: they are distortion, which knocks and friction make."
+        )
+        beside = (
+            " Grey: the same pose on the healthy day; what rose above it is new."
+            if lined.healthy_lines
+            else " There is no healthy session to compare with."
+        )
+        cards.append(
+            FigureCard(
+                title=f"Lines of the tool, {lined.file}",
+                image=_lines_figure(lined, excited),
+                caption=what + beside,
+            )
+        )
+    suspected = d.places[0] if d.places and d.places[0].verdict in ("loose", "suspect") else None
+    try:
+        figure = arm_figure(arm_from_file(model), runs[0].pose, suspected)
+        marked = f"Marked: {suspected.words}." if suspected else "Nothing is suspected."
+        cards.append(
+            FigureCard(title=f"The arm, {runs[0].file}", image=figure, caption=f"{marked}")
+        )
+    except (LooseEnvError, OSError) as error:
+        said.append(f"The arm is not drawn: {sentence(str(error))}")
+    return cards, said
+
+
+def _agreement(run: RunSeen) -> float:
+    """Correlation of foretold and heard; how well it repeats where nothing is foretold."""
+    if not run.foretold or not run.heard:
+        return run.repeats - 1.0
+    both = np.array([run.heard, run.foretold])
+    return float(np.nan_to_num(np.corrcoef(both)[0, 1])) if both.std(1).min() > 0 else -1.0
+
+
+def _period(run: RunSeen) -> float:
+    return 1.0 / run.lines_hz[0] if run.lines_hz and run.lines_hz[0] > 0 else 1.0
+
+
+def _rhythm_figure(runs: Sequence[RunSeen]) -> Figure:
+    """Amplitude of the top band over a period, a panel for each run."""
+    figure, many = panels(len(runs), 1.7, rows=1)
+    for axes, run in zip(many, runs, strict=True):
+        time = np.arange(len(run.heard)) * _period(run) / len(run.heard)
+        axes.fill_between(time, run.heard, color=MEASURED, alpha=0.22, linewidth=0)
+        axes.plot(time, run.heard, color=MEASURED, linewidth=1.4, label="heard")
+        agree = ""
+        if run.foretold:
+            axes.plot(time, run.foretold, color=TRUTH, linewidth=1.6, label="foretold")
+            agree = f", correlation {_agreement(run):.2f}"
+        axes.set_xlim(0, _period(run))
+        axes.set_ylim(bottom=0)
+        labels(axes, above=f"{run.file}: top band [m/s²]{agree}")
+    labels(many[-1], x="time in the period [s]")
+    legend(figure, many[0])
+    return figure
+
+
+def _excited(model: Path) -> frozenset[int]:
+    """Numbers of the excited lines, by the plan beside the model; empty where there is none."""
+    try:
+        return frozenset(read_plan(model.parent).signal.excited)
+    except (InvalidData, OSError):
+        return frozenset()
+
+
+def _lines_figure(run: RunSeen, excited: frozenset[int]) -> Figure:
+    """Amplitude of the tool's lines: excited ones and distortion, over those of a healthy day."""
+    figure, (axes,) = panels(1, 3.0, rows=2)
+    hertz, now = np.array(run.lines_hz), np.array(run.lines)
+    number = np.round(hertz * _period(run)).astype(int)
+    driven = np.isin(number, list(excited)) if excited else number % 2 == 1
+    floor = _FLOOR * float(now.max())
+    if run.healthy_lines:
+        then = np.maximum(run.healthy_lines, floor)
+        look: dict[str, Any] = {"color": MUTED, "linewidth": 1.2}
+        axes.plot(hertz, then, label="healthy day", linestyle=DASHED, **look)
+    names = ("excited lines", "distortion") if excited else ("odd lines", "even lines: distortion")
+    for own, colour, mark, name in (
+        (driven, MEASURED, "o", names[0]),
+        (~driven, TRUTH, "D", names[1]),
+    ):
+        y = np.maximum(now[own], floor)
+        axes.vlines(hertz[own], floor, y, color=colour, linewidth=1.0, alpha=0.55)
+        axes.plot(hertz[own], y, mark, color=colour, markersize=3.4, label=name)
+    axes.set_yscale("log")
+    plain_log_ticks(axes, "y")
+    labels(axes, x="frequency [Hz]", above="acceleration of the tool [m/s²]")
+    legend(figure, axes)
+    return figure
+
+
+def arm_figure(arm: Arm, pose: Mapping[str, float], suspected: Place | None) -> Figure:
+    """Draw an arm in a pose, with the suspected seat or joint in the colour of a fault."""
+    places = arm.seat_bodies if suspected and suspected.kind == BOLTS else arm.joints
+    number, fault = 0, None
+    if suspected is not None:
+        if suspected.at not in places:
+            raise InvalidData(f"{arm.name} has no {suspected.at}; it has {', '.join(places)}")
+        number = places.index(suspected.at) + 1
+        if suspected.kind != BOLTS:
+            fault = Backlash(joint=number, gap=0.0, stiffness=(1.0, 1.0))
+        elif suspected.direction is not None:
+            fault = StructuralLooseness(
+                link=number, direction=suspected.direction, gap=0.0, stiffness=(1.0, 1.0)
+            )
+    seat = suspected is not None and suspected.kind == BOLTS
+    figure, drawing = new_figure(4.6), ArmDrawing(arm)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
+    at = np.array([float(pose.get(name, 0.0)) for name in arm.joints])
+    drawing.draw(axes, drawing.marks(at, loose=[number] if seat else [], fault=fault))
+    figure.text(0.97, 0.03, drawing.seen, color=MUTED, fontsize=9, ha="right")
+    if suspected is not None:
+        mark = "s" if seat else "o"
+        axes.plot([], [], color=TRUTH, marker=mark, linestyle="", label=suspected.words[4:])
+        if seat and fault is not None:
+            label = "the way it slides"
+            axes.plot([], [], color=INK, marker="$↔$", linestyle="", label=label)
+        legend(figure, axes)
+    return figure

@@ -1,58 +1,28 @@
-"""Words of the reports for joints, links, hypotheses, shares and effects of a model."""
+"""Words of the reports for shares, places and effects of a model."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
 
-import numpy as np
-
-from loose_env.arms import Arm
-from loose_env.errors import InvalidData
 from loose_env.gap import EffectLocation, NamedEffect, effect_words
-from loose_env.instrument import HEALTHY
+from loose_env.instrument2.arm import BOLTS
 from loose_env.report.page import named_list
 
 RIVALS = 5  # confusable effects that are listed by name
 
 
-def joint_words(arm: Arm, joint: str) -> str:
-    """Name a joint, with its number from the base where the name does not have it."""
-    return _named("joint", arm.joints, joint, arm)
-
-
-def link_words(arm: Arm, body: str) -> str:
-    """Name a link, with its number from the base where the name does not have it."""
-    return _named("link", arm.seat_bodies, body, arm)
-
-
-def _named(noun: str, names: tuple[str, ...], name: str, arm: Arm) -> str:
-    if name not in names:
-        raise InvalidData(
-            f"the diagnosis names {name!r}, which is no {noun} of arm {arm.name!r}; it has "
-            f"{', '.join(names)}: give the model that was diagnosed"
-        )
-    number = names.index(name) + 1
-    same = name.lower().replace("_", " ") in (f"{noun} {number}", f"{noun}{number}")
-    return f"{noun} {number}" if same else f"{noun} {number} ({name})"
-
-
-def short_name(arm: Arm, hypothesis: str) -> str:
-    """Say a hypothesis in a few words.
+def place_label(name: str) -> str:
+    """Link's seat or joint's gear, as the rows of tables name it.
 
     Examples
     --------
-    >>> from loose_env.arms import DESK_ARM, arm_from_file, planar
-    >>> short_name(planar(2), "structural_looseness@link1"), short_name(planar(2), "healthy")
-    ('link 1 is loose', 'nothing is loose')
-    >>> short_name(arm_from_file(DESK_ARM), "backlash@elbow")
-    'joint 3 (elbow) has play'
+    >>> place_label("backlash@elbow"), place_label("structural_looseness@forearm")
+    ('joint elbow, gear', 'link forearm, seat')
     """
-    kind, _, where = hypothesis.partition("@")
-    if kind == HEALTHY:
-        return "nothing is loose"
-    if kind == "backlash":
-        return f"{joint_words(arm, where)} has play"
-    return f"{link_words(arm, where)} is loose"
+    kind, _, at = name.partition("@")
+    return f"link {at}, seat" if kind == BOLTS else f"joint {at}, gear"
 
 
 def percent(p: float) -> str:
@@ -70,36 +40,16 @@ def percent(p: float) -> str:
     return f"{100 * p:.{1 if p > 0.99 or p < 0.01 else 0}f} %"
 
 
-def slides(arm: Arm, joint: str) -> bool:
-    """True for a prismatic joint of the arm."""
-    return joint in arm.joints and bool(arm.sliding[arm.joints.index(joint)])
-
-
-def position_text(arm: Arm, joint: str, value: float) -> str:
-    """Position of a joint in the unit that a teach panel shows.
+def path_word(path: str | Path) -> str:
+    """A path as one word of a command line that is no option.
 
     Examples
     --------
-    >>> from loose_env.arms import scara
-    >>> position_text(scara(), "joint1", 0.5), position_text(scara(), "joint3", -0.05)
-    ('28.6°', '−50.0 mm')
+    >>> path_word("runs/my session"), path_word("-old")
+    ("'runs/my session'", './-old')
     """
-    shown = f"{1e3 * value:.1f} mm" if slides(arm, joint) else f"{np.degrees(value):.1f}°"
-    return shown.replace("-0.0", "0.0").replace("-", "−")
-
-
-def with_plain_names(words: str, names: Mapping[str, str]) -> str:
-    """Text with the hypotheses, but for "healthy", in plain words.
-
-    Examples
-    --------
-    >>> with_plain_names("backlash@j1 is left", {"backlash@j1": "joint 1 has play"})
-    '“joint 1 has play” is left'
-    """
-    for name in sorted(names, key=len, reverse=True):  # one name may begin another
-        if "@" in name:
-            words = words.replace(name, f"“{names[name]}”")
-    return words
+    text = str(path)
+    return shlex.quote(f"./{text}" if text.startswith("-") else text)
 
 
 def together(effects: Iterable[EffectLocation]) -> str:
