@@ -12,9 +12,9 @@ from loose_env.arms import Arm, arm_from_file
 from loose_env.envs import INK, MEASURED, MUTED, TRUTH, ArmDrawing
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
 from loose_env.faults import Backlash, StructuralLooseness
-from loose_env.instrument2.arm import BOLTS
-from loose_env.instrument2.plan import RECORDING, read_plan
-from loose_env.instrument2.result import Diagnosis, Place, RunSeen
+from loose_env.instrument.arm import BOLTS
+from loose_env.instrument.plan import RECORDING, read_plan
+from loose_env.instrument.result import Diagnosis, Place, RunSeen
 from loose_env.io import begun, sentence, write_text
 from loose_env.report.figures import (
     DASHED,

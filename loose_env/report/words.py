@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from loose_env.gap import EffectLocation, NamedEffect, effect_words
-from loose_env.instrument2.arm import BOLTS
+from loose_env.instrument.arm import BOLTS
 from loose_env.report.page import named_list
 
 RIVALS = 5  # confusable effects that are listed by name
