@@ -9,6 +9,7 @@ from loose_env.instrument.controllers import PRESETS, Controller, Preset, preset
 from loose_env.instrument.decide import Numbers
 from loose_env.instrument.pipeline import DiagnoseSettings, diagnose
 from loose_env.instrument.plan import (
+    MODEL,
     PLAN,
     RECORDING,
     Plan,
@@ -20,12 +21,21 @@ from loose_env.instrument.plan import (
     read_plan,
     write_plan,
 )
-from loose_env.instrument.result import Diagnosis, Place, RunSeen, Verdict, read_diagnosis
+from loose_env.instrument.poses import is_tested_share
+from loose_env.instrument.result import (
+    Diagnosis,
+    Place,
+    PlaceVerdict,
+    RunSeen,
+    Verdict,
+    read_diagnosis,
+)
 from loose_env.instrument.trend import Trend, Visit, read_trend, trend
 
 __all__ = [
     "BOLTS",
     "GEARS",
+    "MODEL",
     "PLAN",
     "PRESETS",
     "RECORDING",
@@ -34,6 +44,7 @@ __all__ = [
     "Diagnosis",
     "Numbers",
     "Place",
+    "PlaceVerdict",
     "Plan",
     "PlanSettings",
     "PlannedRun",
@@ -46,6 +57,7 @@ __all__ = [
     "Visit",
     "commands_of",
     "diagnose",
+    "is_tested_share",
     "next_number",
     "place_name",
     "plan",

@@ -99,6 +99,13 @@ def diagnose(
     ------
     InvalidData
         If there is no plan, or the model is no serial arm.
+
+    Examples
+    --------
+    >>> from loose_env.recording import read_recording
+    >>> found = diagnose(read_recording("session/recording"))  # doctest: +SKIP
+    >>> found.headline  # doctest: +SKIP
+    'The seat of link forearm is loose.'
     """
     started = time.process_time()
     own = settings or DiagnoseSettings()

@@ -232,6 +232,13 @@ def plan(
     ------
     InvalidData, InvalidSetting, UnknownName
         If there is no such arm, or no pose in the room.
+
+    Examples
+    --------
+    >>> from loose_env.arms import SIX_AXIS_SERVO_ARM
+    >>> made, arm = plan(SIX_AXIS_SERVO_ARM, PlanSettings(controller="ros2_jtc", poses=3))
+    >>> len(made.runs), made.seconds, arm.joints[0]
+    (3, 15.0, 'joint1')
     """
     own = settings or PlanSettings()
     arm = read_arm(

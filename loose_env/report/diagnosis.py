@@ -12,45 +12,24 @@ from loose_env.arms import Arm, arm_from_file
 from loose_env.envs import INK, MEASURED, MUTED, TRUTH, ArmDrawing
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
 from loose_env.faults import Backlash, StructuralLooseness
-from loose_env.instrument.arm import BOLTS
-from loose_env.instrument.plan import RECORDING, read_plan
-from loose_env.instrument.result import Diagnosis, Place, RunSeen
+from loose_env.instrument import BOLTS, MODEL, RECORDING, Diagnosis, Place, RunSeen, read_plan
 from loose_env.io import begun, sentence, write_text
-from loose_env.report.figures import (
-    DASHED,
-    labels,
-    legend,
-    new_figure,
-    panels,
-    plain_log_ticks,
-)
-from loose_env.report.page import (
-    Brief,
-    FigureCard,
-    Section,
-    Table,
-    render_page,
-    warnings_section,
-)
-from loose_env.report.words import path_word, percent, place_label
+from loose_env.report import figures
+from loose_env.report.figures import labels, legend
+from loose_env.report.page import Brief, FigureCard, Section, Table, render_page, warnings_section
+from loose_env.report.words import light_colours, path_word, percent, place_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LIGHTS: Mapping[str, tuple[str, str]] = {
-    "loose": ("LOOSE", "#d55e00"),
-    "suspect": ("suspect", "#e69f00"),
-    "not tested": ("not tested", "#8a8f98"),
-    "tight": ("tight", "#009e73"),
-}
-"""Verdict of a place -> its word and its colour, in the order of a table."""
 _EVIDENCE = {
     "rhythm": ("Correlation of the best place's foretold knocks with what was heard", "", "rhythm"),
     "top_db": ("Rise of the top band over the healthy session", " dB", "top_db"),
     "even_db": ("Rise of the even lines", " dB", "even_db"),
     "odd_db": ("Rise of the odd lines left out", " dB", "odd_db"),
     "stiff": ("Growth of the tool's motion that the healthy gears leave", "", "stiff"),
-    "friction": ("Correlation of the friction's rhythm with what was heard", "", ""),
+    "second": ("Correlation of a second place's knocks beside it", "", "second"),
+    "friction": ("Correlation of the friction's rhythm with it", "", ""),
     "gears_left": ("Share of the tool's slow motion that the model leaves", "", ""),
 }
 """Statistic -> its words, unit, and the setting that is its limit."""
@@ -63,15 +42,7 @@ def diagnosis_headline(d: Diagnosis) -> str:
 
 
 def diagnosis_text(d: Diagnosis, *, folder: str = "") -> str:
-    """Diagnosis in a few lines for a terminal.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        Result.
-    folder : str
-        Path of the recording, for commands to be typed.
-    """
+    """Diagnosis in a few lines for a terminal; `folder`: the recording's path, for commands."""
     return _brief(d, folder).text()
 
 
@@ -81,10 +52,8 @@ def diagnosis_html(d: Diagnosis, *, folder: str = "") -> str:
 
 
 def _brief(d: Diagnosis, folder: str) -> Brief:
-    table = place_table(d)
-    cells: list[Any] = []
-    if table.rows:
-        cells = [table.columns, *(list(row.values()) for row in table.rows)]
+    rows = place_table(d).rows
+    cells: list[Any] = [list(rows[0]), *(list(row.values()) for row in rows)] if rows else []
     return Brief(
         headline=diagnosis_headline(d),
         parts=[
@@ -98,27 +67,21 @@ def _brief(d: Diagnosis, folder: str) -> Brief:
 
 
 def _remarks(d: Diagnosis) -> list[str]:
-    return [sentence(words) for words in dict.fromkeys(d.remarks)]
+    """Remarks as sentences; the name of a file stays as it is."""
+    files = tuple(run.file for run in d.runs)
+    many = ((words, sentence(words)) for words in dict.fromkeys(d.remarks))
+    return [w[:1] + said[1:] if files and w.startswith(files) else said for w, said in many]
 
 
 def diagnosis_commands(d: Diagnosis, recording: str = "", result: str = "") -> list[str]:
-    """Commands that carry out the next step, none where a hand has to.
-
-    Parameters
-    ----------
-    d : Diagnosis
-        Result.
-    recording, result : str
-        Paths of the recording and of the folder with ``result.json``, as the reader types them;
-        by default those of the folder ``session``.
-    """
+    """Commands of the next step, by the paths of the recording and of the result's folder."""
     own = Path(recording or f"session/{RECORDING}")
     session = own.parent if own.name == RECORDING else own.with_name(f"{own.name}-next")
     known = result or str(session / "diagnosis")
     again = f"loose diagnose {path_word(session / RECORDING)} --out {path_word(known)}"
     if d.verdict == "refused":
         return [f"loose doctor {path_word(own)}", again.replace(str(session / RECORDING), str(own))]
-    model = path_word(own / Path(d.model).name)
+    model = path_word(own / MODEL)
     if d.hobby:
         return [f"loose trend EARLIER {path_word(own)} --out trend"]
     if d.settled or d.several:
@@ -130,37 +93,8 @@ def diagnosis_commands(d: Diagnosis, recording: str = "", result: str = "") -> l
         return []
     if d.verdict == "open":
         return [again]
-    return [
-        f"loose plan {model} --out {path_word(session)} --known {path_word(known)}",
-        again,
-    ]
-
-
-def place_table(d: Diagnosis) -> Table:
-    """The traffic lights: a row for each link's seat and each joint's gear, worst first."""
-    order = list(LIGHTS)
-    rows = []
-    for place in sorted(d.places, key=lambda p: order.index(p.verdict)):  # best first is kept
-        suspected = place.verdict in ("loose", "suspect")
-        rows.append(
-            {
-                "Place": place_label(place.name),
-                "Verdict": LIGHTS[place.verdict][0],
-                "Probability": percent(place.probability) if suspected else "-",
-                "Rhythm": f"{place.rhythm:.2f}" if any(r.used for r in d.runs) else "-",
-                "Tested": f"{100 * place.tested:.0f} %",
-                "Reason": place.why or "-",
-            }
-        )
-    limit = d.settings.get("rhythm")
-    note = (
-        "Probability: that it is the loose one, if one is. Rhythm: correlation of its foretold "
-        "knocks with what the accelerometer heard"
-        + (f"; a knock from {limit:g} on" if isinstance(limit, float) else "")
-        + ". Tested: share of its directions in which the load reversed, so that it would have "
-        "knocked. One that is not tested may be loose."
-    )
-    return Table(rows=rows, note=note)
+    planned = f"loose plan {model} --out {path_word(session)} --known {path_word(known)}"
+    return [planned, again]
 
 
 def write_diagnosis(
@@ -184,17 +118,10 @@ def write_diagnosis(
         Result.
     model_path : str or Path
         Model of the recording, for the picture of the arm.
-    recording : str
-        Name of the recording, for the head of the page.
-    given : str
-        Its path as the reader types it, for the commands on the page.
+    recording, given : str
+        Name of the recording, for the head of the page; its path as typed, for the commands.
     say : callable
         Receives the reason why there is no page.
-
-    Returns
-    -------
-    list of Path
-        The files written.
     """
     written, page = [], Path(folder) / "report.html"
     (Path(folder) / "result.json").unlink(missing_ok=True)
@@ -216,37 +143,29 @@ def _page(d: Diagnosis, model: Path, recording: str, commands: Sequence[str]) ->
         [
             Section(
                 heading="What to do next",
-                points=[sentence(d.remedy)] if not commands else [sentence(d.remedy), _SHELL],
+                points=[sentence(d.remedy), *(["Type:"] if commands else [])],
                 code="\n".join(commands),
             ),
             Section(heading="Links and joints", tables=[place_table(d)]),
             Section(heading="Pictures", intro=left_out, cards=cards),
             Section(heading="Reasons", points=[sentence(words) for words in d.reasons]),
-            warnings_section(
-                [*(("critical", w) for w in doctor), *(("note", w) for w in _remarks(d))]
-            ),
+            Section(heading="Remarks", points=_remarks(d)),
+            warnings_section(("critical", words) for words in doctor),
             Section(heading="Numbers", tables=[_evidence_table(d)]),
             Section(heading="Runs", tables=[_runs_table(d)]),
         ],
         kicker=[recording, "diagnosis of a loose link or joint", d.date[:10]],
         text=_summary(d),
         notes=_notes(d),
-        colours={place_label(p.name): LIGHTS[p.verdict][1] for p in d.places},
+        colours=light_colours(d),
     )
-
-
-_SHELL = "Then type:"
 
 
 def _summary(d: Diagnosis) -> list[str]:
     used = [r for r in d.runs if r.used and r.condition == "suspect"]
-    beside = (
-        "compared with a healthy session"
-        if d.reference
-        else "without a healthy session beside: the model stands in its place"
-    )
-    runs = "one run" if len(used) == 1 else f"{len(used)} runs"
-    said = [f"{begun(runs)}, {d.shaken_s:.0f} s of shaking, {beside}."]
+    beside = "compared with a healthy session" if d.reference else "no healthy session beside"
+    runs = "One run" if len(used) == 1 else f"{len(used)} runs"
+    said = [f"{runs}, {d.shaken_s:.0f} s of shaking, {beside}."]
     top = d.places[0] if d.places else None
     if top is not None and top.verdict in ("loose", "suspect"):
         said.insert(0, f"{begun(top.words)}: {percent(top.probability)}, if one place is loose.")
@@ -261,6 +180,10 @@ def _evidence_table(d: Diagnosis) -> Table:
     rows = []
     for name, value in d.evidence.items():
         words, unit, setting = _EVIDENCE.get(name, (name, "", ""))
+        if setting == "rhythm" and d.evidence.get("top_db", 0.0) > d.settings.get(
+            "top_beside_db", np.inf
+        ):
+            setting = "rhythm_beside"  # a lower limit holds where the top band was quieter
         limit = d.settings.get(setting)
         rows.append(
             {
@@ -279,7 +202,7 @@ def _runs_table(d: Diagnosis) -> Table:
             "Arm": "healthy" if run.condition == "healthy" else "under test",
             "Used": "yes" if run.used else "no",
             "Repeats": f"{run.repeats:.2f}" if run.used else "-",
-            "Reason": run.why or "-",
+            **({"Reason": run.why or "-"} if any(r.why for r in d.runs) else {}),
         }
         for run in d.runs
     ]
@@ -329,7 +252,7 @@ def _cards(d: Diagnosis, model: Path) -> tuple[list[FigureCard], list[str]]:
             "Excited lines answer the commands; all others are distortion, which knocks and "
             "friction make."
             if excited
-            else "Even lines are never excited: they are distortion, which knocks and friction make."
+            else "Even lines are never excited: they are distortion, of knocks and friction."
         )
         beside = (
             " Grey: the same pose on the healthy day; what rose above it is new."
@@ -345,11 +268,12 @@ def _cards(d: Diagnosis, model: Path) -> tuple[list[FigureCard], list[str]]:
         )
     suspected = d.places[0] if d.places and d.places[0].verdict in ("loose", "suspect") else None
     try:
-        figure = arm_figure(arm_from_file(model), runs[0].pose, suspected)
+        arm = arm_from_file(model)
+        figure = arm_figure(arm, runs[0].pose, suspected)
         marked = f"Marked: {suspected.words}." if suspected else "Nothing is suspected."
-        cards.append(
-            FigureCard(title=f"The arm, {runs[0].file}", image=figure, caption=f"{marked}")
-        )
+        names = ", ".join(f"{k} {name}" for k, name in enumerate(arm.joints, 1))
+        caption = f"{marked} Joints from the base: {names}."
+        cards.append(FigureCard(title=f"The arm, {runs[0].file}", image=figure, caption=caption))
     except (LooseEnvError, OSError) as error:
         said.append(f"The arm is not drawn: {sentence(str(error))}")
     return cards, said
@@ -369,7 +293,7 @@ def _period(run: RunSeen) -> float:
 
 def _rhythm_figure(runs: Sequence[RunSeen]) -> Figure:
     """Amplitude of the top band over a period, a panel for each run."""
-    figure, many = panels(len(runs), 1.7, rows=1)
+    figure, many = figures.panels(len(runs), 1.7, rows=1)
     for axes, run in zip(many, runs, strict=True):
         time = np.arange(len(run.heard)) * _period(run) / len(run.heard)
         axes.fill_between(time, run.heard, color=MEASURED, alpha=0.22, linewidth=0)
@@ -396,7 +320,7 @@ def _excited(model: Path) -> frozenset[int]:
 
 def _lines_figure(run: RunSeen, excited: frozenset[int]) -> Figure:
     """Amplitude of the tool's lines: excited ones and distortion, over those of a healthy day."""
-    figure, (axes,) = panels(1, 3.0, rows=2)
+    figure, (axes,) = figures.panels(1, 3.0, rows=2)
     hertz, now = np.array(run.lines_hz), np.array(run.lines)
     number = np.round(hertz * _period(run)).astype(int)
     driven = np.isin(number, list(excited)) if excited else number % 2 == 1
@@ -404,7 +328,7 @@ def _lines_figure(run: RunSeen, excited: frozenset[int]) -> Figure:
     if run.healthy_lines:
         then = np.maximum(run.healthy_lines, floor)
         look: dict[str, Any] = {"color": MUTED, "linewidth": 1.2}
-        axes.plot(hertz, then, label="healthy day", linestyle=DASHED, **look)
+        axes.plot(hertz, then, label="healthy day", linestyle=figures.DASHED, **look)
     names = ("excited lines", "distortion") if excited else ("odd lines", "even lines: distortion")
     for own, colour, mark, name in (
         (driven, MEASURED, "o", names[0]),
@@ -414,7 +338,7 @@ def _lines_figure(run: RunSeen, excited: frozenset[int]) -> Figure:
         axes.vlines(hertz[own], floor, y, color=colour, linewidth=1.0, alpha=0.55)
         axes.plot(hertz[own], y, mark, color=colour, markersize=3.4, label=name)
     axes.set_yscale("log")
-    plain_log_ticks(axes, "y")
+    figures.plain_log_ticks(axes, "y")
     labels(axes, x="frequency [Hz]", above="acceleration of the tool [m/s²]")
     legend(figure, axes)
     return figure
@@ -435,7 +359,7 @@ def arm_figure(arm: Arm, pose: Mapping[str, float], suspected: Place | None) -> 
                 link=number, direction=suspected.direction, gap=0.0, stiffness=(1.0, 1.0)
             )
     seat = suspected is not None and suspected.kind == BOLTS
-    figure, drawing = new_figure(4.6), ArmDrawing(arm)
+    figure, drawing = figures.new_figure(4.6), ArmDrawing(arm)
     axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
     at = np.array([float(pose.get(name, 0.0)) for name in arm.joints])
     drawing.draw(axes, drawing.marks(at, loose=[number] if seat else [], fault=fault))

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.instrument.controllers import preset
-from loose_env.instrument.plan import RECORDING, Plan, PlannedRun
-from loose_env.instrument.poses import is_tested_share
+from loose_env.instrument import RECORDING, Plan, PlannedRun, is_tested_share, preset
 from loose_env.io import sentence, write_text
 from loose_env.report.page import (
     Brief,
@@ -22,8 +20,12 @@ from loose_env.report.page import (
 )
 from loose_env.report.words import path_word, place_label
 
-_TENTH = 10  # times smaller is the first run that is played
-_LIGHTS = {"tested": "#009e73", "in part": "#e69f00", "not tested": "#8a8f98"}
+_TESTED = {
+    "tested": ("#009e73", "its load reverses: it would knock if it were loose"),
+    "in part": ("#e69f00", "its load reverses in some directions alone"),
+    "not tested": ("#8a8f98", "its load never reverses beyond friction: it would stay shut"),
+}
+"""How a place is tested -> its colour and the reason."""
 
 
 def summary(plan: Plan) -> str:
@@ -35,7 +37,6 @@ def summary(plan: Plan) -> str:
         headline=_headline(plan),
         parts=[
             ("", "signal: ", [_signal_words(plan)]),
-            ("", "limits: ", [", ".join(f"{k} {v}" for k, v in _limits(plan).items())]),
             ("", "  ", [runs.columns, *(list(row.values()) for row in runs.rows)]),
             ("", "", [_tested_words(plan)]),
             ("", "  ", [tested.columns, *rows] if untested else []),
@@ -87,26 +88,17 @@ def write_plan_page(
         If jinja2 is not installed.
     """
     own = preset(plan.settings.controller)
-    code = Section(
-        heading=f"To play a run: {own.machine}", intro=[f"Log {own.log}."], code=own.code
-    )
-    limits = [{"Limit": name, "Value": value} for name, value in _limits(plan).items()]
-    colours = {
-        place_label(name): _LIGHTS[_tested_word(share)] for name, share in plan.tested.items()
-    }
-    peaks = _peaks_table(plan)
+    words = {place_label(name): _tested_word(share) for name, share in plan.tested.items()}
     page = render_page(
         _headline(plan),
         [
             Section(heading="Steps", points=_steps(plan)),
             Section(heading="Runs", tables=[_runs_table(plan)]),
-            Section(heading="Peaks and limits", tables=[peaks, Table(rows=limits)]),
+            Section(heading="Peaks and limits", tables=[_peaks_table(plan)]),
             Section(
-                heading="What will be tested",
-                intro=[_tested_words(plan)],
-                tables=[_tested_table(plan)],
+                heading="Tested places", intro=[_tested_words(plan)], tables=[_tested_table(plan)]
             ),
-            code,
+            Section(heading=f"Play: {own.machine}", intro=[f"Log {own.log}."], code=own.code),
             Section(
                 heading="Afterwards", intro=[_AFTER], code="\n".join(plan_commands(folder, model))
             ),
@@ -115,7 +107,7 @@ def write_plan_page(
         kicker=[plan.model, "session to find a loose link or joint"],
         text=_signal_words(plan),
         notes="Predictions are those of the model as rigid bodies. All numbers stand in plan.json.",
-        colours=colours,
+        colours={label: _TESTED[word][0] for label, word in words.items()},
     )
     return write_text(Path(path), page)
 
@@ -130,76 +122,67 @@ def _under_test(plan: Plan) -> list[PlannedRun]:
     return [run for run in plan.runs if run.condition == "suspect"]
 
 
-def _poses(plan: Plan) -> int:
-    return len({tuple(run.pose.items()) for run in _under_test(plan)})
-
-
 def _headline(plan: Plan) -> str:
-    poses, seconds = _poses(plan), plan.seconds
-    return f"Shake the arm in {poses} poses, {seconds:.0f} s in all"
+    poses = {tuple(run.pose.items()) for run in _under_test(plan)}
+    return f"Shake the arm in {len(poses)} poses, {plan.seconds:.0f} s in all"
 
 
 def _signal_words(plan: Plan) -> str:
-    lines, hertz = plan.signal, plan.signal.signal.hertz
-    seconds = plan.signal.signal.seconds
+    signal, limits = plan.signal.signal, plan.settings.limits
+    levels = ", ".join(f"{100 * level:.0f} %" for level in plan.settings.levels)
     return (
-        f"All joints shake together: {len(lines.excited)} odd lines from {hertz.min():g} to "
-        f"{hertz.max():g} Hz, {lines.periods} periods of {lines.period_s:g} s after "
-        f"{lines.lead_s:g} s to settle, {seconds:g} s a run, "
-        f"{plan.settings.limits.commands} commands at {plan.settings.limits.rate_hz:g} Hz."
+        f"All joints shake together: {len(signal.excited)} odd lines from "
+        f"{signal.hertz.min():g} to {signal.hertz.max():g} Hz, {signal.periods} periods of "
+        f"{signal.period_s:g} s after {signal.lead_s:g} s to settle, {signal.seconds:g} s a run, "
+        f"at {levels} of the limits, {limits.commands} commands at {limits.rate_hz:g} Hz."
     )
 
 
-def _limits(plan: Plan) -> dict[str, str]:
-    """Limits of the controller in words."""
-    own = plan.settings.limits
+def _limit_words(values: Sequence[float], unit: str, joint: int) -> str:
+    """Limit of a joint."""
+    return f"{values[min(joint, len(values) - 1)]:g} {unit}" if values else "-"
 
-    def each(values: Sequence[float], unit: str) -> str:
-        return f"{', '.join(f'{v:g}' for v in values)} {unit}" if values else "none stated"
 
-    return {
-        "speed": each(own.max_speed_rad_s, "rad/s (m/s)"),
-        "acceleration": each(own.max_acceleration_rad_s2, "rad/s² (m/s²)"),
-        "jerk": each(own.max_jerk_rad_s3, "rad/s³ (m/s³)"),
-        "torque": each(own.max_torque_nm, "N·m (N)") if own.max_torque_nm else "as the model",
-        "bandwidth": f"{own.bandwidth_hz:g} Hz",
-    }
+def _peaks_table(plan: Plan) -> Table:
+    """Peak acceleration of each joint beside the limits."""
+    own, rows = plan.settings.limits, []
+    for k, joint in enumerate(plan.joints):
+        slides = joint in plan.slides
+        unit, force = ("m", "N") if slides else ("rad", "N·m")
+        peak = max(run.peak[joint] for run in _under_test(plan))
+        rows.append(
+            {
+                "Joint": joint,
+                "Peak": f"{peak:.3g} {unit}/s²",
+                "Limit": _limit_words(own.max_acceleration_rad_s2, f"{unit}/s²", k),
+                "Speed limit": _limit_words(own.max_speed_rad_s, f"{unit}/s", k),
+                "Jerk limit": _limit_words(own.max_jerk_rad_s3, f"{unit}/s³", k),
+                "Torque limit": _limit_words(own.max_torque_nm, force, k),
+            }
+        )
+    note = (
+        "Peak acceleration over the runs, and its limit. A dash: no limit is stated; torque limits "
+        "are then those of the model. The bandwidth is "
+        f"{own.bandwidth_hz:g} Hz."
+    )
+    return Table(rows=rows, note=note)
 
 
 def _runs_table(plan: Plan) -> Table:
     rows = []
-    for run in plan.runs:
+    for run in _under_test(plan):
         row = {"Run": run.file}
-        if len({each.level for each in plan.runs}) > 1:
+        if len(plan.settings.levels) > 1:
             row["Level"] = f"{100 * run.level:.0f} %"
         for joint, value in run.pose.items():
             slides = joint in plan.slides
             row[joint] = f"{1e3 * value:.0f} mm" if slides else f"{np.degrees(value):.1f}°"
-        rows.append({**row, "Arm": "healthy" if run.condition == "healthy" else "under test"})
+        rows.append(row)
     return Table(rows=rows, note="Position that each joint shakes about, base first.")
-
-
-def _peaks_table(plan: Plan) -> Table:
-    """Peak acceleration of each joint in each run."""
-    rows = [
-        {
-            "Run": run.file,
-            **{j: f"{v:.3g} {'m' if j in plan.slides else 'rad'}/s²" for j, v in run.peak.items()},
-        }
-        for run in _under_test(plan)
-    ]
-    return Table(rows=rows, note="Peak acceleration of each joint.")
 
 
 def _tested_word(share: float) -> str:
     return "tested" if is_tested_share(share) else "in part" if share > 0 else "not tested"
-
-
-_WHY = {
-    "tested": "its load reverses: it would knock if it were loose",
-    "in part": "its load reverses in some directions alone",
-    "not tested": "its load never reverses beyond friction: it would stay shut",
-}
 
 
 def _tested_table(plan: Plan) -> Table:
@@ -209,7 +192,7 @@ def _tested_table(plan: Plan) -> Table:
             "Place": place_label(name),
             "Tested": _tested_word(share),
             "Share": f"{100 * share:.0f} %",
-            "Reason": _WHY[_tested_word(share)],
+            "Reason": _TESTED[_tested_word(share)][1],
         }
         for name, share in sorted(plan.tested.items(), key=lambda item: item[1])
     ]

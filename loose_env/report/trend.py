@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loose_env.envs import INK, MEASURED, TRUTH
-from loose_env.instrument.trend import Trend, Visit
+from loose_env.instrument import Trend, Visit
 from loose_env.io import sentence, write_text
-from loose_env.report.diagnosis import LIGHTS, place_table
 from loose_env.report.figures import DASHED, labels, legend, panels
 from loose_env.report.page import Brief, FigureCard, Section, Table, render_page, warnings_section
-from loose_env.report.words import place_label
+from loose_env.report.words import light_colours, place_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -84,7 +83,7 @@ def write_trend_page(path: str | os.PathLike[str], t: Trend) -> Path:
         text=f"{len(t.visits)} sessions of one plan, each compared with {t.visits[0].name}.",
         notes=f"Compared by {' '.join(filter(None, ['loose-env', last.version]))}. All numbers "
         "stand in trend.json.",
-        colours={place_label(p.name): LIGHTS[p.verdict][1] for p in last.places},
+        colours=light_colours(last),
     )
     return write_text(Path(path), page)
 

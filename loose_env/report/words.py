@@ -1,15 +1,22 @@
-"""Words of the reports for shares, places and effects of a model."""
+"""Words of the reports for shares, places and their verdicts, and effects of a model."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from loose_env.gap import EffectLocation, NamedEffect, effect_words
-from loose_env.instrument.arm import BOLTS
-from loose_env.report.page import named_list
+from loose_env.instrument import BOLTS, Diagnosis
+from loose_env.report.page import Table, named_list
 
+LIGHTS: Mapping[str, tuple[str, str]] = {
+    "loose": ("LOOSE", "#d55e00"),
+    "suspect": ("suspect", "#e69f00"),
+    "not tested": ("not tested", "#8a8f98"),
+    "tight": ("tight", "#009e73"),
+}
+"""Verdict of a place -> its word and its colour, in the order of a table."""
 RIVALS = 5  # confusable effects that are listed by name
 
 
@@ -23,6 +30,35 @@ def place_label(name: str) -> str:
     """
     kind, _, at = name.partition("@")
     return f"link {at}, seat" if kind == BOLTS else f"joint {at}, gear"
+
+
+def place_table(d: Diagnosis) -> Table:
+    """The traffic lights: a row for each link's seat and each joint's gear, worst first."""
+    order, heard = list(LIGHTS), any(run.used for run in d.runs)
+    rows = []
+    for place in sorted(d.places, key=lambda p: (order.index(p.verdict), -p.probability)):
+        suspected = place.verdict in ("loose", "suspect")
+        rows.append(
+            {
+                "Place": place_label(place.name),
+                "Verdict": LIGHTS[place.verdict][0],
+                "Probability": percent(place.probability) if suspected else "-",
+                "Rhythm": f"{place.rhythm:.2f}" if heard else "-",
+                "Tested": f"{100 * place.tested:.0f} %",
+                "Reason": place.why or "-",
+            }
+        )
+    note = (
+        "Probability: that it is the loose one, if one is. Rhythm: correlation of its foretold "
+        "knocks with what the accelerometer heard. Tested: share of its directions in which the "
+        "load reversed, so that it would have knocked. One that is not tested may be loose."
+    )
+    return Table(rows=rows, note=note)
+
+
+def light_colours(d: Diagnosis) -> dict[str, str]:
+    """Colour beside the name of each place."""
+    return {place_label(p.name): LIGHTS[p.verdict][1] for p in d.places}
 
 
 def percent(p: float) -> str:

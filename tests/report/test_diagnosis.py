@@ -1,4 +1,4 @@
-"""The report of a diagnosis: no surer than the numbers, the same in terminal, notebook and page."""
+"""Reports of diagnosis, plan and trend: no surer than the result, the same in every form."""
 
 from __future__ import annotations
 
@@ -6,131 +6,198 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from loose_env.arms import Arm
-from loose_env.errors import InvalidData
-from loose_env.instrument import Diagnosis, Fault
-from loose_env.io import sentence
+from loose_env.arms import DESK_ARM
+from loose_env.errors import MissingExtra
+from loose_env.instrument import (
+    Diagnosis,
+    Numbers,
+    Place,
+    PlaceVerdict,
+    PlanSettings,
+    RunSeen,
+    Trend,
+    Visit,
+    read_diagnosis,
+)
+from loose_env.instrument import plan as planned
 from loose_env.report import (
     diagnosis_headline,
     diagnosis_html,
     diagnosis_text,
-    write_page,
+    plan_commands,
+    summary,
+    trend_text,
+    write_diagnosis,
+    write_plan_page,
+    write_trend_page,
 )
-from loose_env.report.words import percent, short_name
-from tests.report.diagnosis_case import CASES, desk, diagnosis, flat
 from tests.report.page_checks import checked, words
 
+BOLTS, GEARS = "structural_looseness", "backlash"
+VERDICTS: dict[str, PlaceVerdict]
+VERDICTS = {"l": "loose", "s": "suspect", "t": "tight", "n": "not tested"}
+PLACES = [(BOLTS, "upper_arm"), (GEARS, "elbow"), (BOLTS, "hand"), (GEARS, "turn")]
 
-def page_of(found: Diagnosis, arm: Arm, out: Path, **more: str) -> str:
-    return write_page(out / "new" / "report.html", found, arm, **more).read_text("utf-8")
+
+def run(k: int, *, told: bool, healthy: bool = False) -> RunSeen:
+    heard = tuple((np.arange(100) % (7 + k)).astype(float).tolist())
+    lines = tuple((1 + np.arange(29) % 2 * 0.5).tolist())
+    return RunSeen(
+        file=f"run-{k:02d}.csv",
+        condition="suspect",
+        pose={"base": 0.3, "shoulder": -0.4 + 0.1 * k, "elbow": 1.0},
+        used=True,
+        repeats=0.9,
+        heard=heard,
+        foretold=heard if told else (),
+        lines_hz=tuple(np.arange(1.0, 30.0).tolist()),
+        lines=lines,
+        healthy_lines=lines if healthy else (),
+    )
 
 
-@pytest.mark.parametrize(
-    "case", ["not decided", pytest.param("long names", marks=pytest.mark.slow)]
-)
-def test_the_page_is_whole_and_has_every_record(case: str, tmp_path: Path) -> None:
-    arm, found = CASES[case]()
-    page = page_of(found, arm, tmp_path, recording="cell <4>")
-    assert [each.name for each in (tmp_path / "new").iterdir()] == ["report.html"]
+def found(verdicts: str, **more: object) -> Diagnosis:
+    """Diagnosis whose places have verdicts by letter: loose, suspect, tight, not tested."""
+    places = tuple(
+        Place(
+            kind=kind,
+            at=at,
+            verdict=VERDICTS[letter],
+            probability={"l": 0.97, "s": 0.4}.get(letter, 0.0),
+            rhythm=0.6 if letter in "ls" else 0.1,
+            tested=0.3 if letter == "n" else 1.0,
+            direction=(0.0, 0.6, 0.8) if kind == BOLTS else None,
+            why="its load reversed, and it was not heard" if letter == "t" else "",
+        )
+        for letter, (kind, at) in zip(verdicts, PLACES, strict=True)
+    )
+    told = verdicts[0] in "ls"
+    given: dict[str, object] = {
+        "verdict": "loose" if told else "tight",
+        "headline": "The seat of link upper_arm is loose.",
+        "remedy": "Torque the bolts of link upper_arm, then repeat the session.",
+        "settled": verdicts[0] == "l",
+        "several": False,
+        "places": places,
+        "reasons": ("the top band rings in the rhythm of a knock: correlation 0.60",),
+        "remarks": ("run-01.csv: what rings does not repeat",),
+        "evidence": {"rhythm": 0.6, "gears_left": 0.02},
+        "runs": tuple(run(k, told=told) for k in (1, 2, 3)),
+        "date": "2026-03-18T14:05:00+00:00",
+        "version": "0.1.0",
+        "settings": {"rhythm": Numbers.rhythm, "sure": Numbers.sure},
+        **more,
+    }
+    return Diagnosis(**given)  # type: ignore[arg-type]
+
+
+CASES = {
+    "settled": found("lttn"),
+    "with reference": found(
+        "lttn", reference=True, runs=tuple(run(k, told=True, healthy=True) for k in (1, 2, 3))
+    ),
+    "open": found("sstt", headline="Something knocks: the seat of link upper_arm or ..."),
+    "untested": found("tttn", headline="Nothing knocks: 3 of 4 places are tight, 1 was not."),
+    "tight": found("tttt", headline="Nothing knocks: 4 of 4 places are tight."),
+    "refused": found(
+        "nnnn",
+        verdict="refused",
+        headline="Nothing can be said: 0 of 1 runs can be used.",
+        evidence={},
+        runs=(replace(run(1, told=False), used=False, why="a column lacks"),),
+    ),
+    "hobby": found("sttt", hobby=True, headline="Something knocks, as in every arm of this class."),
+}
+"""Each kind of result."""
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_page_terminal_and_notebook_say_the_same(case: str, tmp_path: Path) -> None:
+    d = CASES[case]
+    written = write_diagnosis(tmp_path, d, DESK_ARM, recording="cell <4>", given="runs/cell 4")
+    assert [path.name for path in written] == ["report.html", "result.json"]
+    assert read_diagnosis(tmp_path) == d
+    page = written[0].read_text("utf-8")
     checked(page)
-    assert "cell &lt;4&gt;" in page and "cell <4>" not in page
-    assert page.index("What to do next") < page.index("Hypotheses") < page.index("<svg")
-    joints = {s.joint for s in found.spectra if found.records[s.record].condition == "suspect"}
-    drawn = 2 + (found.next is not None) + sum(bool(r.loops) for r in found.records)
-    assert page.count("<svg") == drawn + min(2, len(joints))
-    said = words(page)
-    assert diagnosis_headline(found, arm) in said and percent(found.probability) in said
-    for record in found.records:
-        assert all(part in said for part in (record.file, *record.notes))
-    assert all(sentence(warning) in said for warning in found.warnings)
-    for line in diagnosis_text(found, arm).splitlines()[1:4]:
-        assert line.split("  ")[1] in said
+    assert "cell &lt;4&gt;" in page and page.count("<svg") == (0 if case == "refused" else 3)
+    said, text = words(page), diagnosis_text(d, folder="runs/cell 4")
+    assert text.splitlines()[0] == diagnosis_headline(d)
+    ElementTree.fromstring(f"<div>{diagnosis_html(d)}</div>")  # every element is closed
+    for shown in (said, text, diagnosis_html(d)):
+        assert diagnosis_headline(d) in shown and d.remedy in shown
+        assert ("LOOSE" in shown) == d.settled
+        assert ("not tested" in shown.replace("is not tested may", "")) == bool(d.untested)
+        assert "run-01.csv: what rings" in shown
+        assert all(place.at in shown for place in d.places)
+    assert ("97 %" in text) == d.settled and d.version in said and d.date in said
+    assert all(each.file in said and each.why in said for each in d.runs)
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(c, marks=[pytest.mark.slow] * (c == "long names")) for c in CASES]
-)
-def test_terminal_and_notebook_say_the_same(case: str) -> None:
-    arm, found = CASES[case]()
-    text, shown = diagnosis_text(found, arm), diagnosis_html(found, arm)
-    first, _, row, *_ = text.splitlines()
-    assert first == diagnosis_headline(found, arm)
-    best = max(found.posterior, key=lambda name: found.posterior[name])
-    assert short_name(arm, best) in row.lower() and percent(found.probability) in row
-    whole = ElementTree.fromstring(f"<div>{shown}</div>")  # every element is closed
-    assert "".join(whole.find("p").itertext()) == first  # type: ignore[union-attr]
-    cells = ["".join(cell.itertext()) for cell in whole.findall(".//tr")[1]]
-    assert all(cell in row for cell in cells)
-    assert len(whole.findall(".//svg")) == len(whole.findall(".//tr")) - 1 <= 6
-    assert all(sentence(warning) in text for warning in found.warnings)
-    assert ("warning: " in text) == ("Warnings" in shown) == bool(found.warnings)
-    assert ("open: " in text) == bool(found.open_because)
-    measured = found.next is not None
-    assert ("  pose: " in text) == ("<li>pose: " in shown) == measured
-    assert ("  shake: " in text) == ("<li>shake: " in shown) == measured
+def test_commands_carry_out_the_next_step() -> None:
+    def commands(case: str) -> list[str]:
+        lines = diagnosis_text(CASES[case], folder="s 1/recording").splitlines()
+        return [line.strip() for line in lines if line.startswith("  loose ")]
+
+    known = "--out 's 1' --known 's 1/diagnosis'"
+    assert commands("open")[0] == f"loose plan 's 1/recording/model.xml' {known}"
+    assert commands("untested") == commands("open")
+    assert commands("tight") == []
+    assert commands("settled")[1].startswith("loose diagnose session-after/recording")
+    assert commands("hobby")[0].startswith("loose trend ")
+    assert commands("refused")[0] == "loose doctor 's 1/recording'"
 
 
-@pytest.mark.parametrize(
-    ("course", "settled", "said"),
-    [
-        ((0.7, 0.985), True, "Link 2 is loose."),
-        ((0.985,), False, "Probably link 2 is loose."),
-        ((0.8,), False, "Probably link 2 is loose."),
-        ((0.45,), False, "Not decided. Most likely so far: link 2 is loose."),
-    ],
-)
-def test_headline_and_steps_are_no_surer_than_what_is_settled(
-    course: tuple[float, ...], settled: bool, said: str
+def test_without_what_draws_the_result_is_written_and_the_reason_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = diagnosis(flat(), course=course)
-    assert found.settled == settled
-    assert diagnosis_headline(found, flat()) == said
-    assert ("bolts" in diagnosis_text(found, flat())) == settled
-    assert ("further poses" in diagnosis_text(found, flat())) != settled
-    following = diagnosis_text(diagnosis(flat(), course=course, following=True), flat())
-    assert "Measure once more" in following and "joint 1 and joint 2 in turn" in following
+    def missing(*_: object, **__: object) -> str:
+        raise MissingExtra("figures need matplotlib")
+
+    monkeypatch.setattr("loose_env.report.diagnosis.render_page", missing)
+    (tmp_path / "report.html").write_text("old")
+    heard: list[str] = []
+    done = write_diagnosis(tmp_path, CASES["settled"], DESK_ARM, recording="cell", say=heard.append)
+    assert [path.name for path in done] == ["result.json"] == [p.name for p in tmp_path.iterdir()]
+    assert heard == ["no report.html: figures need matplotlib"]
+    monkeypatch.undo()
+    other = replace(CASES["settled"], places=(replace(CASES["settled"].places[0], at="leg"),))
+    page = write_diagnosis(tmp_path, other, DESK_ARM, recording="cell")[0].read_text("utf-8")
+    assert "The arm is not drawn" in words(page) and page.count("<svg") == 2
 
 
-def test_free_travel_is_in_the_unit_of_what_moves_and_a_healthy_arm_has_its_limit(
-    tmp_path: Path,
-) -> None:
-    arm = flat()
-    assert "0.12 (0.08 to 0.21) mm" in diagnosis_text(diagnosis(arm), arm)
-    assert "2.8 arc minutes" in diagnosis_text(diagnosis(arm, kind="backlash"), arm)  # 0.8 mrad
-    assert "not identified" in diagnosis_text(diagnosis(arm, known=False), arm)
-    healthy = replace(diagnosis(arm, kind="healthy", course=(0.8, 0.99)), spectra=())
-    assert diagnosis_headline(healthy, arm) == "Nothing is loose."
-    said = words(page_of(healthy, arm, tmp_path))
-    assert "kept shut" in said and "one record of the healthy arm" in said
-    assert "mm" not in diagnosis_text(healthy, arm)
+def test_a_plan_is_a_sheet_for_the_machine(tmp_path: Path) -> None:
+    made, _ = planned(DESK_ARM, PlanSettings(poses=3, controller="hobby_servo", reference=True))
+    page = write_plan_page(tmp_path / "plan.html", made, folder="my s", model="arm.xml")
+    said, text = words(page.read_text("utf-8")), summary(made)
+    checked(page.read_text("utf-8"))
+    for command in plan_commands("my s", "arm.xml"):
+        assert command in said and "'my s" in command
+    for part in ("emergency stop", "tenth", "reference-01.csv", "make_robot_from_config", "rad/s²"):
+        assert part in said
+    for shown in (said, text):
+        assert "3 poses, 15 s" in shown and "run-03.csv" in shown and "°" in shown
+        assert all(place.split("@")[1] in shown for place in made.tested)
 
 
-def test_a_model_of_another_arm_is_sent_to_its_correction_with_commands(tmp_path: Path) -> None:
-    arm, found = CASES["another model"]()
-    said = words(page_of(found, arm, tmp_path, recording="cell-4", folder="runs/cell 4"))
-    text = diagnosis_text(found, arm, folder="runs/cell 4")
-    assert text.startswith("The model is not that of this arm: correct it first.")
-    for command in (
-        "loose gap 'runs/cell 4' --out 'runs/cell 4-gap'",
-        "loose diagnose 'runs/cell 4' --model 'runs/cell 4-gap/model.xml' --out",
-    ):
-        assert command in said and f"\n  {command}" in text
-    assert "bolts" not in said and "31 % of the record" in said
-    assert "One run alone makes the fault probable" in said
-    assert "Measured 2026-03-18T14:05:00+00:00. Diagnosed by loose-env 0.1.0" in said
-    assert "SHA-256 0123456789abcdef" in said
-
-
-def test_what_the_arm_does_not_have_is_refused_with_what_it_has(tmp_path: Path) -> None:
-    found = diagnosis(flat())
-    with pytest.raises(InvalidData, match=r"link2.*it has column, upper_arm"):
-        page_of(found, desk(), tmp_path)
-    healthy = Fault(kind="healthy")
-    other = replace(found, fault=healthy, posterior={"healthy": 1.0}, spectra=())
-    with pytest.raises(InvalidData, match=r"joints .*joint1.*it has base, shoulder"):
-        page_of(other, desk(), tmp_path)
+def test_a_trend_names_what_left_its_band(tmp_path: Path) -> None:
+    visits = [Visit(name="may", date="", values={}, alarm=False, diagnosis=None)]
+    for name, top in (("june", 0.2), ("july", 9.0)):
+        values = {"rhythm": 0.1, "top_db": top}
+        case = CASES["settled" if top > 3 else "tight"]
+        visits.append(
+            Visit(name=name, date=case.date, values=values, alarm=top > 3, diagnosis=case)
+        )
+    bands = {"rhythm": 0.4, "top_db": 3.0, "even_db": 1.5, "odd_db": 2.0}
+    t = Trend(headline="Changed since july", visits=tuple(visits), bands=bands, since="july")
+    page = write_trend_page(tmp_path / "trend.html", t).read_text("utf-8")
+    checked(page)
+    for shown in (words(page), trend_text(t)):
+        assert "Changed since july." in shown and "9.00" in shown and "LOOSE" in shown
+    calm = replace(t, headline="No change in 2 sessions.", visits=tuple(visits[:2]), since=None)
+    assert "play the same plan next month" in trend_text(calm).lower()
