@@ -226,7 +226,7 @@ def read_arm(
     >>> from loose_env.arms import DESK_ARM
     >>> arm = read_arm(DESK_ARM)
     >>> arm.joints[:2], arm.places[0]
-    (('base', 'shoulder'), 'structural_looseness@base_link')
+    (('base', 'shoulder'), 'structural_looseness@column')
     """
     file = read_model_file(path, package=package)
     chain, notes = _chain_to_tool(file, tool)
