@@ -44,7 +44,7 @@ def run(k: int, *, told: bool, healthy: bool = False) -> RunSeen:
     return RunSeen(
         file=f"run-{k:02d}.csv",
         condition="suspect",
-        pose={"base": 0.3, "shoulder": -0.4 + 0.1 * k, "elbow": 1.0},
+        pose={"base": 0.3, "shoulder": -0.25 * k, "elbow": 1.0},
         used=True,
         repeats=0.9,
         heard=heard,
