@@ -347,7 +347,8 @@ def _lines_figure(run: RunSeen, excited: frozenset[int]) -> Figure:
 def arm_figure(arm: Arm, pose: Mapping[str, float], suspected: Place | None) -> Figure:
     """Draw an arm in a pose, with the suspected seat or joint in the colour of a fault."""
     places = arm.seat_bodies if suspected and suspected.kind == BOLTS else arm.joints
-    number, fault = 0, None
+    number = 0
+    fault: Backlash | StructuralLooseness | None = None
     if suspected is not None:
         if suspected.at not in places:
             raise InvalidData(f"{arm.name} has no {suspected.at}; it has {', '.join(places)}")

@@ -31,7 +31,6 @@ _TESTED = {
 def summary(plan: Plan) -> str:
     """A plan in a few lines, for a terminal."""
     runs, tested = _runs_table(plan), _tested_table(plan)
-    untested = [name for name in plan.tested if name in plan.untested]
     rows = [list(row.values()) for row in tested.rows]
     return Brief(
         headline=_headline(plan),
@@ -39,21 +38,14 @@ def summary(plan: Plan) -> str:
             ("", "signal: ", [_signal_words(plan)]),
             ("", "  ", [runs.columns, *(list(row.values()) for row in runs.rows)]),
             ("", "", [_tested_words(plan)]),
-            ("", "  ", [tested.columns, *rows] if untested else []),
+            ("", "  ", [tested.columns, *rows] if plan.untested else []),
             ("", "note: ", [sentence(words) for words in plan.notes]),
         ],
     ).text()
 
 
 def plan_commands(folder: str | Path, model: str | Path) -> list[str]:
-    """Commands after the runs: diagnose, then plan what is still open.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Folder of the plan, as the reader types it.
-    model : str or Path
-        Model file, as the reader types it.
+    """Commands after the runs, by folder and model as typed: diagnose, then plan what is open.
 
     Examples
     --------
@@ -71,24 +63,15 @@ def plan_commands(folder: str | Path, model: str | Path) -> list[str]:
 def write_plan_page(
     path: str | os.PathLike[str], plan: Plan, *, folder: str | Path, model: str | Path
 ) -> Path:
-    """Write the page of a plan, the sheet to take to the machine.
-
-    Parameters
-    ----------
-    path : path-like
-        Path of the page; its folder is made if missing.
-    plan : Plan
-        The plan.
-    folder, model : str or Path
-        Folder of the plan and model file, as the reader types them.
+    """Write the page of a plan, to take to the machine; `folder` and `model` as the reader types.
 
     Raises
     ------
     MissingExtra
         If jinja2 is not installed.
     """
-    own = preset(plan.settings.controller)
-    words = {place_label(name): _tested_word(share) for name, share in plan.tested.items()}
+    own, commands = preset(plan.settings.controller), "\n".join(plan_commands(folder, model))
+    tested = {place_label(name): _tested_word(share) for name, share in plan.tested.items()}
     page = render_page(
         _headline(plan),
         [
@@ -99,15 +82,13 @@ def write_plan_page(
                 heading="Tested places", intro=[_tested_words(plan)], tables=[_tested_table(plan)]
             ),
             Section(heading=f"Play: {own.machine}", intro=[f"Log {own.log}."], code=own.code),
-            Section(
-                heading="Afterwards", intro=[_AFTER], code="\n".join(plan_commands(folder, model))
-            ),
+            Section(heading="Afterwards", intro=[_AFTER], code=commands),
             warnings_section(("note", words) for words in plan.notes),
         ],
         kicker=[plan.model, "session to find a loose link or joint"],
         text=_signal_words(plan),
         notes="Predictions are those of the model as rigid bodies. All numbers stand in plan.json.",
-        colours={label: _TESTED[word][0] for label, word in words.items()},
+        colours={label: _TESTED[word][0] for label, word in tested.items()},
     )
     return write_text(Path(path), page)
 
@@ -161,9 +142,8 @@ def _peaks_table(plan: Plan) -> Table:
             }
         )
     note = (
-        "Peak acceleration over the runs, and its limit. A dash: no limit is stated; torque limits "
-        "are then those of the model. The bandwidth is "
-        f"{own.bandwidth_hz:g} Hz."
+        "Peak acceleration over the runs, and its limit. A dash: none is stated; torque limits are "
+        f"then those of the model. The bandwidth is {own.bandwidth_hz:g} Hz."
     )
     return Table(rows=rows, note=note)
 
@@ -209,16 +189,16 @@ def _tested_words(plan: Plan) -> str:
 def _steps(plan: Plan) -> list[str]:
     run = _under_test(plan)[0]
     healthy = [each.file for each in plan.runs if each.condition == "healthy"]
-    kind, unit = plan.settings.limits.commands, "as its columns are named, in SI units"
+    kind = plan.settings.limits.commands
+    way = "from that of the first row" if kind == "position" else "from zero"
     said = [
         "Fix the accelerometer to the tool with a screw, not with tape, at the place that the "
         "model has; let no cable beat.",
         f"Move the arm to the pose of {run.file} (its first row). Look that nothing is in its way, "
         "and keep everybody out of its reach.",
         f"Play {run.file} at a tenth of its amplitude first, with a hand on the emergency stop: "
-        "shrink the distance of each row from the first row. Stop if anything but a faint hum is "
-        "heard.",
-        f"Start the recorder, then play {run.file} whole ({kind}s, {unit}). Save positions and "
+        f"of each row a tenth of the distance {way}. Stop if more than a faint hum is heard.",
+        f"Start the recorder, then play {run.file} whole ({kind} in SI units). Save positions and "
         f"accelerometer as {RECORDING}/{run.file}: columns time, sensor.NAME of the positions, "
         "sensor.NAME.x, .y, .z of the accelerometer, in m/s² with gravity.",
         "Go on with the next run: move, look, record, play. All runs belong to one session; leave "

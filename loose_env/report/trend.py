@@ -59,18 +59,19 @@ def write_trend_page(path: str | os.PathLike[str], t: Trend) -> Path:
         If jinja2 or matplotlib is not installed.
     """
     last = t.last
-    card = FigureCard(
-        title="Over the sessions",
-        image=_chart_figure(t),
-        caption="Each statistic against the first session. Dashed: upper end of its band, the "
-        "limit of a healthy reference or the scatter of the first sessions where that is wider. "
-        "Above it is an alarm.",
+    caption = (
+        "Against the first session. Dashed: upper end of the band, the limit of a healthy "
+        "reference or the scatter of the first sessions where that is wider. Above it is an alarm."
     )
+    cards = [
+        FigureCard(title=" and ".join(_SHORT[n] for n in names), image=figure, caption=caption)
+        for names, figure in _charts(t)
+    ]
     page = render_page(
         sentence(t.headline),
         [
             Section(heading="What to do next", points=[sentence(words) for words in _steps(t)]),
-            Section(heading="Charts", cards=[card]),
+            Section(heading="Charts", cards=cards),
             Section(
                 heading="Links and joints, last session",
                 intro=[sentence(last.headline)],
@@ -120,12 +121,18 @@ def _sessions_table(t: Trend) -> Table:
     return Table(rows=rows, note="Rhythm: correlation. Bands and lines: dB over the first session.")
 
 
-def _chart_figure(t: Trend) -> Figure:
-    """Every statistic over the sessions with its band, a panel for each."""
+def _charts(t: Trend) -> list[tuple[list[str], Figure]]:
+    """Charts of two statistics each."""
     known = [name for name in _NAMES if any(name in visit.values for visit in t.visits)]
-    figure, many = panels(max(len(known), 1), 1.3, rows=1)
+    pairs = [known[k : k + 2] for k in range(0, len(known), 2)]
+    return [(names, _chart(t, names)) for names in pairs]
+
+
+def _chart(t: Trend, names: list[str]) -> Figure:
+    """Statistics over the sessions with their bands, a panel for each."""
+    figure, many = panels(len(names), 1.6, rows=1)
     x = np.arange(1, len(t.visits) + 1)
-    for axes, name in zip(many, known, strict=False):
+    for axes, name in zip(many, names, strict=True):
         y = np.array([visit.values.get(name, np.nan) for visit in t.visits])
         axes.plot(x, y, "o-", color=MEASURED, markersize=4, linewidth=1.4, label="session")
         highest = np.nanmax(np.append(y, 0.0))

@@ -49,17 +49,12 @@ def run(k: int, *, told: bool, healthy: bool = False) -> RunSeen:
     heard = tuple((np.arange(100) % (7 + k)).astype(float).tolist())
     lines = tuple((1 + np.arange(29) % 2 * 0.5).tolist())
     return RunSeen(
-        file=f"run-{k:02d}.csv",
-        condition="suspect",
-        pose={"base": 0.3, "shoulder": -0.4 + 0.1 * k, "elbow": 1.0},
-        used=True,
-        repeats=0.9,
-        heard=heard,
-        foretold=heard if told else (),
+        file=f"run-{k:02d}.csv", condition="suspect", used=True, repeats=0.9,
+        pose={"base": 0.3, "shoulder": -0.25 * k, "elbow": 1.0},
+        heard=heard, foretold=heard if told else (),
         lines_hz=tuple(np.arange(1.0, 30.0).tolist()),
-        lines=lines,
-        healthy_lines=lines if healthy else (),
-    )
+        lines=lines, healthy_lines=lines if healthy else (),
+    )  # fmt: skip
 
 
 def found(verdicts: str, **more: object) -> Diagnosis:
@@ -99,9 +94,7 @@ def found(verdicts: str, **more: object) -> Diagnosis:
 
 CASES = {
     "settled": found("lttn"),
-    "with reference": found(
-        "lttn", reference=True, runs=tuple(run(k, told=True, healthy=True) for k in (1, 2, 3))
-    ),
+    "with reference": found("lttn", reference=True, runs=(run(1, told=True, healthy=True),)),
     "open": found("sstt", headline="Something knocks: the seat of link upper_arm or ..."),
     "untested": found("tttn", headline="Nothing knocks: 3 of 4 places are tight, 1 was not."),
     "tight": found("tttt", headline="Nothing knocks: 4 of 4 places are tight."),
@@ -162,11 +155,12 @@ def test_without_what_draws_the_result_is_written_and_the_reason_said(
     monkeypatch.setattr("loose_env.report.diagnosis.render_page", missing)
     (tmp_path / "report.html").write_text("old")
     heard: list[str] = []
-    done = write_diagnosis(tmp_path, CASES["settled"], DESK_ARM, recording="cell", say=heard.append)
+    d = CASES["settled"]
+    done = write_diagnosis(tmp_path, d, DESK_ARM, recording="cell", say=heard.append)
     assert [path.name for path in done] == ["result.json"] == [p.name for p in tmp_path.iterdir()]
     assert heard == ["no report.html: figures need matplotlib"]
     monkeypatch.undo()
-    other = replace(CASES["settled"], places=(replace(CASES["settled"].places[0], at="leg"),))
+    other = replace(d, places=(replace(d.places[0], at="leg"),))
     page = write_diagnosis(tmp_path, other, DESK_ARM, recording="cell")[0].read_text("utf-8")
     assert "The arm is not drawn" in words(page) and page.count("<svg") == 2
 
@@ -190,9 +184,7 @@ def test_a_trend_names_what_left_its_band(tmp_path: Path) -> None:
     for name, top in (("june", 0.2), ("july", 9.0)):
         values = {"rhythm": 0.1, "top_db": top}
         case = CASES["settled" if top > 3 else "tight"]
-        visits.append(
-            Visit(name=name, date=case.date, values=values, alarm=top > 3, diagnosis=case)
-        )
+        visits.append(Visit(name=name, date="", values=values, alarm=top > 3, diagnosis=case))
     bands = {"rhythm": 0.4, "top_db": 3.0, "even_db": 1.5, "odd_db": 2.0}
     t = Trend(headline="Changed since july", visits=tuple(visits), bands=bands, since="july")
     page = write_trend_page(tmp_path / "trend.html", t).read_text("utf-8")
