@@ -28,7 +28,7 @@ from loose_env.instrument.plan import Plan, read_plan
 from loose_env.instrument.poses import is_tested_share
 from loose_env.instrument.records import GRID, Record, Unusable, exchanged, read_run
 from loose_env.instrument.reference import Change, change, pairs
-from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen
+from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
 from loose_env.instrument.signals import Multisine
 from loose_env.recording import Recording
 from loose_env.typing import Array
@@ -276,8 +276,9 @@ class _Finished:
             )
         headline, remedy = _words(places, alarm, settled=settled, several=several, hobby=hobby)
         runs = self._with_told(heard, told, alarm.loose)
+        verdict: Verdict = "loose" if alarm.loose else "open" if alarm.louder else "tight"
         return self._result(
-            "loose" if alarm.loose else "open" if alarm.louder else "tight", headline, remedy, places,
+            verdict, headline, remedy, places,
             settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
             evidence={**alarm.evidence, "gears_left": gears.left, "second": second}, runs=runs,
         )  # fmt: skip
@@ -433,7 +434,7 @@ def _words(
     if alarm.louder:
         return (
             "Nothing knocks, but the arm rings louder than on the healthy day.",
-            "Tighten the accelerometer's mount, tie cables down, take the same payload, and repeat.",
+            "Tighten the sensor's mount, tie cables down, take the same payload, and repeat.",
         )
     if not alarm.loose:
         tight = len(places) - len(untested)

@@ -57,7 +57,7 @@ class Record:
     envelope: Array
     """Energy of the top band over a period, median of the periods (GRID,) [m²/s⁴]."""
     quiet: float
-    """Mean of it in the quietest period at each instant, in which nothing foreign strikes [m²/s⁴]."""
+    """Mean of it in the quietest period at each instant: what strikes there is not foreign."""
     floor: float
     """Energy of the top band that is noise [m²/s⁴]."""
     covariance: Array
@@ -261,7 +261,7 @@ def _ringing(
     periods: int,
     period: float,
 ) -> tuple[Array, float, float, Array, float, bool]:
-    """Envelope of the top band on the grid, quiet mean, floor, covariance, repeats, and if it is foreign."""
+    """Envelope of the top band, quiet mean, floor, covariance, repeats, and if it is foreign."""
     sos = butter(4, band, "bandpass", fs=rate, output="sos")
     h = sosfiltfilt(sos, tool - tool.mean(0), axis=0)
     n = max(1, round(_ENVELOPE_S * rate))

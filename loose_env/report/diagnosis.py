@@ -180,9 +180,7 @@ def _evidence_table(d: Diagnosis) -> Table:
     rows = []
     for name, value in d.evidence.items():
         words, unit, setting = _EVIDENCE.get(name, (name, "", ""))
-        if setting == "rhythm" and d.evidence.get("top_db", 0.0) > d.settings.get(
-            "top_beside_db", np.inf
-        ):
+        if setting == "rhythm" and d.evidence.get("top_db", 0.0) > d.settings.get("top_db", np.inf):
             setting = "rhythm_beside"  # a lower limit holds where the top band was quieter
         limit = d.settings.get(setting)
         rows.append(
