@@ -192,7 +192,8 @@ class Trend(Output):
         with folder.worked_in():
             recordings = [read_recording(place) for place in self.sessions]
             found = trend(recordings, names, say=console.say)
-        written, warnings = [found.write(folder.path / "trend.json")], ()
+        written = [found.write(folder.path / "trend.json")]
+        warnings: tuple[str, ...] = ()
         try:
             written.append(write_trend_page(folder.path / "trend.html", found))
         except MissingExtra as error:

@@ -15,7 +15,7 @@ from loose_env.instrument.clearance import Collisions, Ground
 from loose_env.instrument.recording_model import RecordingModel, recording_model
 from loose_env.instrument.tool_site import body_beyond, sensed_sites, tool_site
 from loose_env.kinematics import carried_bodies
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray, IndexArray
 
 BOLTS, GEARS = "structural_looseness", "backlash"
 """Kinds of place that can be loose: the seat of a link on its joint; the teeth of a joint."""
@@ -50,7 +50,7 @@ class PoseModel:
     frames: Array
     """Turns link frames into the tool's (n, 3, 3)."""
 
-    def tilt(self, acceleration: Array, hertz: Array) -> Array:
+    def tilt(self, acceleration: ComplexArray, hertz: Array) -> ComplexArray:
         """Gravity that turns through the sensor (k, 3), by lines of joint acceleration (k, n)."""
         angle = -acceleration / (_TURN * hertz[:, None]) ** 2
         return np.cross(self.up[None], angle @ self.turning.T)
@@ -121,14 +121,14 @@ class SuspectArm:
         return self.recording_model.model
 
     @cached_property
-    def addresses(self) -> Array:
+    def addresses(self) -> IndexArray:
         """Index of each joint in the model's positions (n,)."""
-        return np.array([int(self.model.joint(j).qposadr[0]) for j in self.joints])
+        return np.array([int(self.model.joint(j).qposadr[0]) for j in self.joints], dtype=np.intp)
 
     @cached_property
-    def dofs(self) -> Array:
+    def dofs(self) -> IndexArray:
         """Index of each joint in the model's velocities (n,)."""
-        return np.array([int(self.model.joint(j).dofadr[0]) for j in self.joints])
+        return np.array([int(self.model.joint(j).dofadr[0]) for j in self.joints], dtype=np.intp)
 
     @cached_property
     def rotors(self) -> Array:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 _LOOKED = 64
 """Random poses in which pairs of shapes are checked."""
@@ -30,7 +30,7 @@ class Collisions:
 
     model: mujoco.MjModel | None
     """The compiled model with its shapes; None where it cannot be compiled with them."""
-    addresses: NDArray[np.intp]
+    addresses: IndexArray
     """Indices of the joints in its ``qpos`` (n,)."""
     usual: frozenset[tuple[int, int]]
     """Pairs of shapes that touch at the model's reference or nearly always."""
@@ -148,7 +148,7 @@ class Ground:
     """Ground plane normal to gravity that links and tool stay above."""
 
     model: mujoco.MjModel
-    addresses: NDArray[np.intp]
+    addresses: IndexArray
     """Indices of the joints in its ``qpos`` (n,)."""
     links: Sequence[int]
     """Bodies that the joints move, base first."""
@@ -161,7 +161,7 @@ class Ground:
     def of(
         cls,
         model: mujoco.MjModel,
-        addresses: NDArray[np.intp],
+        addresses: IndexArray,
         links: Sequence[int],
         site: str,
         height: float | None = None,

@@ -139,10 +139,8 @@ def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) ->
     evidence = {"rhythm": timing, "friction": rhythm.friction}
     if change is None:
         said = timing > numbers.rhythm
-        words = (
-            f"the top band rings in the rhythm of a knock: correlation {timing:.2f} "
-            f"(limit {numbers.rhythm:.2f})"
-        )
+        words = "the top band rings in the rhythm of a knock" if said else _UNHEARD
+        words += f": correlation {timing:.2f} (limit {numbers.rhythm:.2f})"
         return Alarm(loose=said, reasons=(words,), evidence=evidence)
     evidence |= {"top_db": change.top, "even_db": change.even, "odd_db": change.odd}
     evidence["stiff"] = change.stiff
@@ -163,7 +161,7 @@ def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) ->
     )
     reasons = tuple(words for said, words in tests if said)
     louder = change.top > numbers.top_db and not reasons
-    nearest = f"the rhythm of no place is heard: correlation {timing:.2f}"
+    nearest = f"{_UNHEARD}: correlation {timing:.2f} (limit {numbers.rhythm_beside:.2f})"
     if louder:
         nearest = (
             f"the top band rings {change.top:.1f} dB louder than on the healthy day, in the rhythm "
@@ -172,6 +170,9 @@ def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) ->
     return Alarm(
         loose=bool(reasons), reasons=reasons or (nearest,), evidence=evidence, louder=louder
     )
+
+
+_UNHEARD = "the rhythm of no place is heard"
 
 
 def tested(arm: SuspectArm, rhythm: Rhythm) -> dict[str, float]:

@@ -31,16 +31,6 @@ def sphere(count: int) -> Array:
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], 1)
 
 
-def cone(axis: Array, degrees: float, count: int) -> Array:
-    """Directions (count, 3) within a cone about an axis (3,)."""
-    z, turn = 1 - np.arange(count) / count * (1 - np.cos(np.radians(degrees))), np.arange(count)
-    flat, turn = np.sqrt(1 - z * z), turn * np.pi * (1 + 5**0.5)
-    basis = np.linalg.svd(axis[None])[2]
-    sign = np.sign(basis[0] @ axis)
-    found: Array = np.stack([sign * z, flat * np.cos(turn), flat * np.sin(turn)], 1) @ basis
-    return found
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Loads:
     """What seats and teeth carry in one pose over a period; n joints."""
@@ -164,7 +154,8 @@ def _friction(loads: Loads, directions: int, slides: Array) -> Array:
 def reversals(loads: Loads, speed: Array, period: float) -> Array:
     """Ringing that friction foretells (n, GRID): each motor turning round."""
     turned = (np.sign(speed) != np.sign(np.roll(speed, 1, 0))).astype(float).T
-    return rung(turned, _REVERSAL_S, period) * (loads.turns**2).sum(-1)[:, None]
+    found: Array = rung(turned, _REVERSAL_S, period) * (loads.turns**2).sum(-1)[:, None]
+    return found
 
 
 def thrown(loads: Loads, directions: Array) -> Array:

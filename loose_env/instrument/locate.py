@@ -78,7 +78,9 @@ def hear(
     period = signal.period_s
     ring = 2 * np.pi * 0.8 * records[0].band_hz[1]
     stiffening = gears.rotor - 0.5 * gears.spring / ring**2
-    amplitude, friction, elastic, rigid, free = [], [], [], [], []
+    amplitude, friction, free = [], [], []
+    elastic: list[knocks.Loads] = []
+    rigid: list[knocks.Loads] = []
     for k, (record, model) in enumerate(zip(records, models, strict=True)):
         quiet = record.floor if healthy is None else _DAY * healthy[k].envelope
         amplitude.append(np.sqrt(np.maximum(record.envelope - quiet, 0)))

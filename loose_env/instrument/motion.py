@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from loose_env.instrument.arm import PoseModel, SuspectArm
 from loose_env.instrument.records import GRID, Record
 from loose_env.instrument.signals import Multisine
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray, IndexArray
 
 _LOSS = 0.06
 """Loss factor of a gear's spring [1]."""
@@ -44,27 +44,34 @@ class _Lines:
     """Excited lines of a record as the gears see them."""
 
     hertz: Array
-    joints: Array
-    tool: Array
+    joints: ComplexArray
+    tool: ComplexArray
     model: PoseModel
     scale: float
 
 
 def links_of(
-    joints: Array, model: PoseModel, spring: Array, rotor: Array, hertz: Array, loss: Array | float
-) -> Array:
+    joints: ComplexArray,
+    model: PoseModel,
+    spring: Array,
+    rotor: Array,
+    hertz: Array,
+    loss: Array | float,
+) -> ComplexArray:
     """Lines of link acceleration (k, n) from the motors', the links hanging on springs."""
     stiff = np.diag(spring * (1 + 1j * np.broadcast_to(loss, len(spring))))
     omega2 = (2 * np.pi * hertz[:, None, None]) ** 2
     system = stiff - omega2 * (model.inertia + np.diag(rotor))
-    found: Array = np.linalg.solve(system, (joints @ stiff.T)[:, :, None])[:, :, 0]
+    found: ComplexArray = np.linalg.solve(system, (joints @ stiff.T)[:, :, None])[:, :, 0]
     return found
 
 
-def turned(record: Record, gears: Gears, index: int, lines: Array, period: float) -> Array:
+def turned(
+    record: Record, gears: Gears, index: int, lines: IndexArray, period: float
+) -> ComplexArray:
     """Lines of the tool (k, 3) in the model's frame and on the encoders' clock."""
     late = np.exp(2j * np.pi * lines / period * gears.late[index])[:, None]
-    found: Array = (record.tool[lines] * late) @ gears.rotation.T
+    found: ComplexArray = (record.tool[lines] * late) @ gears.rotation.T
     return found
 
 
@@ -150,7 +157,7 @@ def fit_gears(
     )
 
 
-def wave(lines: Array) -> Array:
+def wave(lines: ComplexArray) -> Array:
     """Real waves (GRID, c) of lines (L, c)."""
     full = np.zeros((GRID // 2 + 1, lines.shape[1]), dtype=complex)
     full[: len(lines)] = lines / 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +21,7 @@ from loose_env.instrument.locate import (
     Rhythm,
     foretold,
     hear,
+    names_of,
     rhythm_of,
 )
 from loose_env.instrument.motion import Gears, fit_gears
@@ -324,33 +325,41 @@ class _Finished:
         return tuple(found)
 
     def _result(
-        self, verdict: str, headline: str, remedy: str, places: tuple[Place, ...], **more: object
+        self,
+        verdict: Verdict,
+        headline: str,
+        remedy: str,
+        places: tuple[Place, ...],
+        *,
+        settled: bool = False,
+        several: bool = False,
+        reasons: tuple[str, ...] = (),
+        remarks: tuple[str, ...] | None = None,
+        evidence: Mapping[str, float] | None = None,
+        runs: tuple[RunSeen, ...] | None = None,
     ) -> Diagnosis:
         files = [self.recording.folder / run.name for run in self.recording.runs]
-        latest = max((f.stat().st_mtime for f in files if f.is_file()), default=None)
-        given: dict[str, object] = {
-            "remarks": self.session.remarks,
-            "runs": self.session.runs,
-            "settled": False,
-            "several": False,
-            **more,
-        }
+        times = [file.stat().st_mtime for file in files if file.is_file()]
+        latest = datetime.fromtimestamp(max(times), UTC) if times else None
         return Diagnosis(
             verdict=verdict,
             headline=headline,
             remedy=remedy,
             places=places,
+            settled=settled,
+            several=several,
+            reasons=reasons,
+            remarks=self.session.remarks if remarks is None else remarks,
+            evidence=evidence or {},
+            runs=self.session.runs if runs is None else runs,
             reference=bool(self.session.healthy),
             hobby=self.plan.hobby,
             model=self.recording.model_path.name,
-            date=""
-            if latest is None
-            else datetime.fromtimestamp(latest, UTC).isoformat(timespec="seconds"),
+            date="" if latest is None else latest.isoformat(timespec="seconds"),
             version=__version__,
             seconds=round(time.process_time() - self.started, 2),
             shaken_s=round(sum(r.time[-1] - r.time[0] for r in self.recording.runs), 2),
             settings=asdict(self.numbers),
-            **given,
         )
 
 
@@ -386,7 +395,7 @@ def _places(
 ) -> tuple[Place, ...]:
     """Verdict of every place, best first."""
     shares = decide.tested(arm, rhythm)
-    names = np.array(decide.names_of(arm, rhythm))
+    names = np.array(names_of(arm, rhythm))
     found = []
     for rank, place in enumerate(scores.order):
         kind, at = place.split("@", 1)
@@ -402,7 +411,10 @@ def _places(
         elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
             verdict, why = "suspect", "the session does not tell it from the other suspects"
         elif is_tested_share(shares[place]):
-            verdict, why = "tight", "its load reversed, and it was not heard"
+            verdict = "tight"
+            why = "its load reversed, and " + (
+                "another place fits what was heard better" if alarm.loose else "it was not heard"
+            )
         else:
             verdict, why = "not tested", _untested_words(shares[place], kind)
         found.append(
@@ -459,8 +471,7 @@ def _words(
         )
     if settled:
         return f"{top.words[0].upper()}{top.words[1:]} is loose.", _work(top)
-    suspects = [p.words for p in places if p.verdict == "suspect"][:3]
-    listed = " or ".join(suspects)
+    listed = " or ".join([p.words for p in places if p.verdict == "suspect"][:3])
     return (
         f"Something knocks: {listed}.",
         "Plan the poses that tell them apart: loose plan --known.",

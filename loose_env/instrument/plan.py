@@ -153,8 +153,8 @@ class Lines:
             period_s=self.period_s,
             periods=self.periods,
             lead_s=self.lead_s,
-            excited=np.array(self.excited),
-            silent=np.array(self.silent),
+            excited=np.array(self.excited, dtype=np.intp),
+            silent=np.array(self.silent, dtype=np.intp),
             phases=np.array(self.phases),
             crest=np.array(self.crest),
         )

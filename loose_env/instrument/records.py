@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 from loose_env.instrument.arm import SuspectArm
 from loose_env.instrument.signals import Multisine
 from loose_env.recording import Run
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 GRID = 1000
 """Samples of a period on which loads and envelopes are compared."""
@@ -40,11 +40,11 @@ class Record:
     """Share of the largest level at which it was played [1]."""
     pose: Array
     """Mean joint positions (n,) [rad, m]."""
-    joints: Array
+    joints: ComplexArray
     """Lines of joint acceleration (L, n) [rad/s², m/s²]."""
     joint_noise: Array
     """Variance of these, of what does not repeat (L, n)."""
-    tool: Array
+    tool: ComplexArray
     """Lines of the accelerometer, sensor frame (L, 3) [m/s²]."""
     tool_noise: Array
     """Variance of these (L, 3)."""
@@ -217,7 +217,7 @@ def _clipped(tool: Array) -> float:
     return float(max(shares))
 
 
-def _lines(t: Array, y: Array, periods: int, top: int, period: float) -> tuple[Array, Array]:
+def _lines(t: Array, y: Array, periods: int, top: int, period: float) -> tuple[ComplexArray, Array]:
     """Lines (top+1, c) of y by least squares at the true times, and their variance."""
     angle = 2 * np.pi * np.outer(t / period, np.arange(top + 1))
     basis = np.hstack([np.cos(angle), -np.sin(angle[:, 1:])])

@@ -11,7 +11,7 @@ from loose_env.instrument.arm import PoseModel
 from loose_env.instrument.motion import Gears, softening
 from loose_env.instrument.records import Record
 from loose_env.instrument.signals import Multisine
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 _NEAR = 0.05
 """Largest distance of a joint between two poses that are one [rad, m]: what a controller leaves."""
@@ -57,9 +57,9 @@ class Features:
 
 def features(records: Sequence[Record], signal: Multisine) -> Features:
     """Ringing and distortion of every record."""
-    even = np.arange(4, int(signal.excited.max()), 2)
+    even = np.arange(4, int(signal.excited.max()), 2, dtype=np.intp)
 
-    def share(record: Record, lines: Array) -> float:
+    def share(record: Record, lines: IndexArray) -> float:
         power = (np.abs(record.tool[lines]) ** 2).sum(1).mean()
         noise = record.tool_noise[lines].sum(1).mean()
         return float(max(power - noise, _CLEAR * noise) / max(record.motion**2, 1e-12))

@@ -9,7 +9,7 @@ import numpy as np
 from loose_env.errors import InvalidSetting
 from loose_env.instrument.arm import PoseModel
 from loose_env.instrument.controllers import Controller
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 LOWEST_HZ = 3.0
 """Lowest line [Hz]: below it a joint's acceleration asks for more travel than a cell has room."""
@@ -32,9 +32,9 @@ class Multisine:
     """Whole periods played after the lead."""
     lead_s: float
     """Time before them in which the signal swells and the arm settles into it [s]."""
-    excited: Array
+    excited: IndexArray
     """Excited lines, as multiples of the inverse period (K,)."""
-    silent: Array
+    silent: IndexArray
     """Odd lines left out: what shows there is distortion."""
     phases: Array
     """Phase of each joint's lines (n, K) [rad]."""
@@ -55,7 +55,8 @@ class Multisine:
         """One period of joint acceleration (samples, n) with peaks (n,) [rad/s², m/s²]."""
         angle = 2 * np.pi * np.outer(np.arange(samples) / samples, self.excited)
         waves = np.cos(angle[:, None] + self.phases).sum(-1)
-        return waves * (peak / self.crest)
+        found: Array = waves * (peak / self.crest)
+        return found
 
     def played(self, peak: Array, commands: str, pose: Array, inertia: Array, rate: float) -> Array:
         """Commands of all joints over the whole run (T, n), absolute for positions."""
@@ -65,11 +66,14 @@ class Multisine:
         angle = np.multiply.outer(t - self.lead_s, w)[:, None] + self.phases
         scale = peak / self.crest
         fade = np.clip(t / _FADE_S, 0, 1)[:, None] ** 2
+        found: Array
         if commands == "position":
-            return pose - fade * scale * (np.cos(angle) / w**2).sum(-1)
-        if commands == "velocity":
-            return fade * scale * (np.sin(angle) / w).sum(-1)
-        return fade * scale * np.diag(inertia) * np.cos(angle).sum(-1)
+            found = pose - fade * scale * (np.cos(angle) / w**2).sum(-1)
+        elif commands == "velocity":
+            found = fade * scale * (np.sin(angle) / w).sum(-1)
+        else:
+            found = fade * scale * np.diag(inertia) * np.cos(angle).sum(-1)
+        return found
 
 
 def multisine(
@@ -93,14 +97,16 @@ def multisine(
     >>> bool((signal.excited % 2 == 1).all()), float(signal.hertz.max()) <= 25
     (True, True)
     """
-    odd = np.arange(round(LOWEST_HZ * period_s) | 1, highest_hz * period_s + 1e-9, 2).astype(int)
+    odd = np.arange(round(LOWEST_HZ * period_s) | 1, highest_hz * period_s + 1e-9, 2).astype(
+        np.intp
+    )
     if len(odd) < 3:
         raise InvalidSetting(
             f"a bandwidth of {highest_hz:g} Hz leaves {len(odd)} lines from {LOWEST_HZ:g} Hz on; "
             "at least 3 are needed: 8 Hz or more"
         )
     groups = [g for g in np.split(odd, range(3, len(odd), 3)) if len(g) == 3]
-    silent = np.array([g[rng.integers(3)] for g in groups], dtype=int)
+    silent = np.array([g[rng.integers(3)] for g in groups], dtype=np.intp)
     excited = np.setdiff1d(odd, silent)
     t = np.arange(1000) / 1000
     phases, crests = [], []
