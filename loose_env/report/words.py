@@ -46,7 +46,7 @@ def place_table(d: Diagnosis) -> Table:
                 "Probability": percent(place.probability) if suspected else "-",
                 "Rhythm": f"{place.rhythm:.2f}" if heard else "-",
                 "Tested": f"{100 * place.tested:.0f} %",
-                "Reason": place.why or "-",
+                "Reason": place.why.split(" (limit")[0] or "-",
             }
         )
     note = (
