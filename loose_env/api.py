@@ -11,17 +11,16 @@ command as keywords. Nothing is written until `write` is called.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from loose_env import gap, instrument, report
-from loose_env.arms import Arm
 from loose_env.doctor import Finding, examine
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap import GapResult, GapSettings, GapSolution
-from loose_env.instrument import DiagnoseSettings, Diagnosis, Fault
+from loose_env.instrument import DiagnoseSettings, Diagnosis, Place
 from loose_env.io import nearest
 from loose_env.recording import ModelColumns, Recording, read_recording, table_of
 
@@ -40,40 +39,25 @@ class _Report(Generic[Result]):
     recording: Recording
     """The runs, and the model that they were compared with."""
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings that limit the validity."""
-        return tuple(self.result.warnings)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class DiagnosisReport(_Report[Diagnosis]):
-    """Diagnosis of an arm, shown as a headline, a table and the next steps."""
-
-    @cached_property
-    def arm(self) -> Arm:
-        """The nominal arm, with its names of links and joints."""
-        return instrument.read_recorded_arm(self.recording.model_path).shown
+    """Diagnosis of an arm, shown as a headline, a table and what to do."""
 
     @property
     def headline(self) -> str:
         """Outcome in one sentence."""
-        return report.diagnosis_headline(self.result, self.arm)
+        return self.result.headline
 
     @property
-    def fault(self) -> Fault:
-        """Most probable fault: kind, location, direction and free travel."""
-        return self.result.fault
+    def places(self) -> tuple[Place, ...]:
+        """Verdict of every link's seat and every joint's gear, the most suspect first."""
+        return self.result.places
 
     @property
-    def probability(self) -> float:
-        """Probability of that fault [1]."""
-        return self.result.probability
-
-    @property
-    def posterior(self) -> Mapping[str, float]:
-        """Probability of every hypothesis [1]."""
-        return self.result.posterior
+    def warnings(self) -> tuple[str, ...]:
+        """What limits the result."""
+        return self.result.remarks
 
     def write(self, folder: str | Path, *, say: Say = print) -> list[Path]:
         """Write ``report.html`` and ``result.json``, as `loose diagnose` does.
@@ -98,17 +82,15 @@ class DiagnosisReport(_Report[Diagnosis]):
         place = _target(folder, self.recording)
         name = self.recording.folder.name
         model = self.recording.model_path
-        return report.write_diagnosis(
-            place, self.result, model, recording=name, given=str(self.recording.folder), say=say
-        )
+        return report.write_diagnosis(place, self.result, model, recording=name, say=say)
 
     def __repr__(self) -> str:
         """Headline, table, next steps and warnings."""
-        return report.diagnosis_text(self.result, self.arm, folder=str(self.recording.folder))
+        return report.diagnosis_text(self.result, folder=str(self.recording.folder))
 
     def _repr_html_(self) -> str:
         """Return the same in HTML, as notebooks show it."""
-        return report.diagnosis_html(self.result, self.arm, folder=str(self.recording.folder))
+        return report.diagnosis_html(self.result)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -117,6 +99,11 @@ class GapReport(_Report[GapResult]):
 
     solution: GapSolution
     """The finished comparison, from which `write` makes model and report."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings that limit the validity."""
+        return tuple(self.result.warnings)
 
     @property
     def headline(self) -> str:
@@ -167,7 +154,6 @@ def diagnose(
     recording: str | Path | Recording,
     *,
     model: str | Path | None = None,
-    plan: bool = True,
     ignore_doctor: bool = False,
     say: Say = lambda _: None,
     **settings: Any,
@@ -180,15 +166,12 @@ def diagnose(
         Folder of the recording, or the recording.
     model : str or Path, optional
         MJCF file that takes the place of the recording's model.
-    plan : bool
-        True to propose the next measurement.
     ignore_doctor : bool
         True to go on although the preflight finds errors in the recording.
     say : callable
         Receives warnings of the preflight and progress, line by line; ``print`` shows them.
     **settings
-        Fields of `loose_env.instrument.DiagnoseSettings`, such as ``most_tool=4``. Those that are
-        not given are as the plan beside the recording has them, else the usual ones.
+        Fields of `loose_env.instrument.DiagnoseSettings`, such as ``reference=False``.
 
     Returns
     -------
@@ -208,7 +191,7 @@ def diagnose(
     >>> import loose_env
     >>> found = loose_env.diagnose("session/recording")  # doctest: +SKIP
     >>> found.headline  # doctest: +SKIP
-    'Link 3 (forearm) is loose.'
+    'The seat of link forearm is loose.'
 
     What cannot be used is said in one line:
 
@@ -217,12 +200,10 @@ def diagnose(
         ...
     loose_env.errors.InvalidData: there is no folder 'no/recording'; a recording is a folder
     """
-    own = _checked(DiagnoseSettings, settings)
+    chosen = DiagnoseSettings(**_checked(DiagnoseSettings, settings))
     read = _recording(recording, model)
     preflight = _check_first(read, ignore_doctor, say)
-    before = instrument.session_beside(read.folder)
-    chosen = DiagnoseSettings(**{**asdict(before.choice), **own})
-    result = instrument.diagnose(read, chosen, motion=before.limits, plan=plan, say=say)
+    result = instrument.diagnose(read, chosen, say=say)
     return DiagnosisReport(result=replace(result, preflight=preflight), recording=read)
 
 

@@ -4,8 +4,8 @@ For `loose gap` a three-joint arm on position servos stands in for a machine. It
 and servo gains are 1 to 3 % off the model that goes with the recording, its sensors are noisy, and
 the bearing of its second joint has run dry: 2 N·m of friction that the model does not have.
 
-For `loose diagnose` a six-joint arm holds three poses while a joint is shaken. The parameters of
-its model are a few per cent off, and its forearm slides by 0.1 mm on its joint.
+For `loose diagnose` a six-joint arm with servos and dry friction plays a session of `loose plan`.
+Its masses are a few per cent off the model, and its third link slides by 0.2 mm on its joint.
 
 Usage: python scripts/example_recording.py --out example
        python scripts/example_recording.py --for diagnose --out example
@@ -23,33 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 from tyro.conf import arg
 
-from loose_env.arms import DESK_ARM, Mismatch, arm_from_file
+from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.cli.command import command
-from loose_env.excitation import Excitation
-from loose_env.faults import StructuralLooseness
-from loose_env.instrument import read_arm
+from loose_env.errors import InvalidSetting
+from loose_env.instrument import PLAN, PlanSettings, SuspectArm, commands_of, plan
+from loose_env.io import write_text
 from loose_env.recording import Recording, Run, write_recording
-from loose_env.rig import SimulatedRig
 
-LOOSE = StructuralLooseness(
-    link=3,
-    direction=(0.3, -0.95, -0.06),
-    gap=1e-4,
-    stiffness=(1e7, 1e7),
-    damping=(900.0, 900.0),
-    friction=0.7,
-)
-"""The loose forearm: a clearance of 0.1 mm."""
-POSES = (
-    ((0.0, 23.0, -52.0, 17.0, 29.0, 0.0), "shoulder", 18.0),
-    ((29.0, -17.0, 63.0, -46.0, -23.0, 34.0), "shoulder", 18.0),
-    ((-23.0, 52.0, 29.0, 69.0, 40.0, -29.0), "elbow", 10.0),
-    ((46.0, 11.0, -34.0, -69.0, 52.0, 17.0), "shoulder", 18.0),
-    ((-46.0, -6.0, 75.0, 57.0, -40.0, 0.0), "shoulder", 18.0),
-)
-"""Poses [degrees], the joint that is shaken in each and its rms torque [N·m]."""
-SHAKEN_S, BAND_HZ = 1.2, (30.0, 150.0)
-"""Length of such a run [s] and its band [Hz]."""
+LOOSE = ("link3", (0.0, 0.0, 1.0), 2e-4)
+"""The loose link, the direction of its slide in its own frame, and its clearance [m]."""
+SERVO_HZ, DRY = 25.0, 0.02
+"""Bandwidth of the servos [Hz], and friction of a joint over its inertia's torque at 10 rad/s²."""
 FRICTION = 2.0
 """Torque of the dry bearing [N·m]."""
 STEP, SECONDS, RUNS = 0.001, 4.0, 4
@@ -153,29 +137,109 @@ def example(folder: Path, *, seed: int = 1) -> Recording:
     return write_recording(folder, model_xml=MODEL, runs=runs)
 
 
-def loose_arm(folder: Path, *, seed: int = 1) -> Recording:
-    """Record an arm with a loose forearm in a few poses and write the recording."""
-    rng = np.random.default_rng(seed)
-    arm, described = arm_from_file(DESK_ARM), read_arm(DESK_ARM).recording_model
-    rig = SimulatedRig(arm)
-    rig.mount(0, LOOSE, Mismatch().draw(arm, rng))
+def loose_arm(
+    folder: Path, *, seed: int = 1, loose: bool = True, reference: bool = False
+) -> Recording:
+    """Plan a session for an arm with a loose third link, play it, and write the recording.
+
+    Parameters
+    ----------
+    folder : Path
+        Recording; the plan goes into the folder above it.
+    seed : int
+        Of the machine and its noise.
+    loose : bool
+        False for a healthy arm.
+    reference : bool
+        True to play the session on the healthy arm too.
+    """
+    if folder.exists() and any(folder.iterdir()):
+        raise InvalidSetting(f"{folder} is not empty; give a new or empty folder")
+    settings = PlanSettings(controller="ros2_jtc", rate_hz=1000.0, reference=reference)
+    made, arm = plan(SIX_AXIS_SERVO_ARM, settings)
+    home = folder if folder.name == "recording" else folder.parent
     runs = []
-    for number, (pose, joint, torque) in enumerate(POSES, 1):
-        torques = tuple(torque if name == joint else 0.0 for name in arm.joints)
-        excitation = Excitation(torque_rms=torques, duration=SHAKEN_S, band=BAND_HZ)
-        seen = rig.measure(np.radians(pose), excitation, rng=rng)
-        angles = {name: seen.encoder[k, 1:-1] for k, name in enumerate(described.positions)}
+    for number, run in enumerate(made.runs):
+        rng = np.random.default_rng([seed, number])
+        model = suspect(np.random.default_rng(seed), loose and run.condition == "suspect")
+        time, given = commands_of(made, arm, run)
+        encoders, tool = played(model, arm, given)
+        readings = {
+            name: np.round((encoders[:, k]) / 2e-5) * 2e-5
+            for k, name in enumerate(arm.recording_model.positions)
+        }
+        readings[arm.recording_model.accelerometer] = tool + rng.normal(0.0, 0.02, tool.shape)
         runs.append(
             Run(
-                name=f"run-{number:02d}.parquet",
-                time=np.arange(seen.tool.shape[1]) / seen.rate,
-                sensors={described.accelerometer: seen.tool.T, **angles},
-                torques={joint: seen.command[arm.joints.index(joint)]},
-                excited=(joint,),
-                pose=dict(zip(arm.joints, np.radians(pose).tolist(), strict=True)),
+                name=run.file,
+                time=time,
+                sensors=readings,
+                excited=arm.joints,
+                pose=run.pose,
+                condition="healthy" if run.condition == "healthy" else "suspect",
             )
         )
-    return write_recording(folder, model_xml=described.xml, runs=runs)
+    recording = write_recording(folder, model_xml=arm.recording_model.xml, runs=runs)
+    write_text(home / PLAN, made.to_json())
+    return recording
+
+
+def suspect(rng: np.random.Generator, loose: bool) -> mujoco.MjModel:
+    """The arm with other masses, and a third link that may slide."""
+    spec = mujoco.MjSpec.from_file(str(SIX_AXIS_SERVO_ARM))
+    for body in spec.bodies[1:]:
+        body.mass *= float(1 + 0.05 * rng.standard_normal())
+    for element in (*spec.actuators, *spec.keys):
+        spec.delete(element)
+    if loose:
+        link, direction, gap = LOOSE
+        seat = spec.body(link).add_joint(
+            name="seat", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(direction)
+        )
+        seat.range, seat.limited = [0.0, gap], True
+        seat.solref_limit = [4e-4, 1.0]
+        seat.frictionloss = 1.0
+    spec.option.timestep = 1e-4
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return spec.compile()
+
+
+def played(
+    model: mujoco.MjModel, arm: SuspectArm, given: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Joint positions (T, n) and proper acceleration of the tool (T, 3) under commands (T, n)."""
+    data = mujoco.MjData(model)
+    at = np.array([int(model.joint(j).qposadr[0]) for j in arm.joints])
+    dofs = np.array([int(model.joint(j).dofadr[0]) for j in arm.joints])
+    data.qpos[at] = given[0]
+    mujoco.mj_forward(model, data)
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    inertia, omega = np.diag(mass)[dofs], 2 * np.pi * SERVO_HZ
+    weight = data.qfrc_bias[dofs].copy()
+    site = model.site(arm.recording_model.site).id
+    rest = round(0.5 / STEP)
+    encoders, tool = np.zeros_like(given), np.zeros((len(given), 3))
+    velocity = np.zeros(3)
+    for k in range(-rest, len(given)):
+        q, v = data.qpos[at], data.qvel[dofs]
+        error = given[max(k, 0)] - q
+        drive = inertia * (omega**2 * error - 1.4 * omega * v)
+        data.qfrc_applied[dofs] = weight + drive - DRY * 10 * inertia * np.tanh(v / 0.01)
+        mujoco.mj_step(model, data, nstep=round(STEP / model.opt.timestep))
+        if k >= 0:
+            turn = data.site_xmat[site].reshape(3, 3)
+            jacobian = np.zeros((3, model.nv))
+            mujoco.mj_jacSite(model, data, jacobian, None, site)
+            now = jacobian @ data.qvel
+            before, velocity = velocity, now
+            encoders[k] = data.qpos[at]
+            tool[k] = turn.T @ ((now - before) / STEP * (k > 0) - model.opt.gravity)
+        else:
+            jacobian = np.zeros((3, model.nv))
+            mujoco.mj_jacSite(model, data, jacobian, None, site)
+            velocity = jacobian @ data.qvel
+    return encoders, tool
 
 
 MADE: dict[str, Callable[..., Recording]] = {"gap": example, "diagnose": loose_arm}

@@ -87,7 +87,7 @@ ENTRY_POINTS = {
     "faults": ("hypotheses", "seated_spec"),
     "gap": ("GapSession", "GapSettings", "Parameter", "explain_gap", "read_result", "register"),
     "importing": ("describe_sources", "read_mapping"),
-    "instrument": ("diagnose", "inspect_model", "plan"),
+    "instrument": ("diagnose", "plan", "read_arm"),
     "kinematics": ("geometric_jacobian",),
     "recording": ("Run", "read_recording"),
     "rig": ("ReducedRig", "SimulatedRig"),

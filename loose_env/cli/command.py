@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import sys
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -245,11 +246,31 @@ def settled(
     old = {n: v for n, v in old.items() if only is None or n in only}
     usual = kind()
     if unusual := {n: v for n, v in old.items() if v != getattr(usual, n)}:
-        from loose_env.instrument import option_words  # loads what other commands do not need
-
         print(f"note: as {whose} has it:{option_words(unusual)}", file=sys.stderr)
     found: S = kind(**old, **new)
     return found
+
+
+def option_words(settings: Mapping[str, Any]) -> str:
+    """Settings as options, each after a blank.
+
+    Examples
+    --------
+    >>> option_words({"most_tool": 2.0, "payload_at_m": (0.0, 0.1, 0.0), "tool": "my site"})
+    " --most-tool 2 --payload-at-m 0 0.1 0 --tool 'my site'"
+    >>> option_words({"reference": True})
+    ' --reference'
+    """
+    words = []
+    for name, value in settings.items():
+        option = name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{option}" if value else f"--no-{option}")
+            continue
+        words.append(f"--{option}")
+        for one in value if isinstance(value, tuple | list) else [value]:
+            words.append(f"{one:.12g}" if isinstance(one, float) else shlex.quote(str(one)))
+    return "".join(f" {word}" for word in words)
 
 
 @contextmanager

@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from loose_env.cli.console import Output
 
 COMMANDS = {
-    "inspect": "joints, modes and detectable faults of an arm, from its model alone",
-    "plan": "next measurement: pose, joint to excite and signal to play",
+    "inspect": "what a session could test in an arm, from its model alone",
+    "plan": "session to shake an arm: poses, limits and the commands to play",
     "doctor": "preflight of a recording: units, ranges, signs, sampling, channels, clocks",
     "diagnose": "loose link or joint of an arm, from measured runs",
+    "trend": "change of an arm over sessions of several months, and since when",
     "gap": "effects that a simulation model lacks, from measured runs",
     "export": "identified effects for mujoco.sysid, mjlab, Isaac Lab, URDF, BAM, randomisation",
     "import": "recording from files of loggers: MCAP, CSV, universal files (UFF 58)",
@@ -34,6 +35,7 @@ _MODULES = {
     "inspect": "instrument",
     "plan": "instrument",
     "diagnose": "instrument",
+    "trend": "instrument",
     "doctor": "recordings",
     "import": "recordings",
     "gap": "gap",

@@ -1,8 +1,8 @@
-"""Diagnosis of a recording (diagnose): posterior over faults, warnings and next measurement."""
+"""Diagnosis of a recorded session (diagnose): what knocks, where, and what was not tested."""
 
 from __future__ import annotations
 
-import hashlib
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -10,343 +10,458 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.instrument.data.dropouts import unbroken
-from loose_env.instrument.data.held_pose import RunSetup, run_setup
-from loose_env.instrument.data.paired_runs import HeldRun
-from loose_env.instrument.data.sensor_selection import columns_in, readings_in
-from loose_env.instrument.data.spectral_lines import Lines, lines_of
-from loose_env.instrument.inference.findings.correlation_loops import loops_of
-from loose_env.instrument.inference.findings.direction_cones import cone, seen_in_tool
-from loose_env.instrument.inference.findings.free_travel import Travel, travel_of
-from loose_env.instrument.inference.findings.verdict import verdict_of
-from loose_env.instrument.inference.findings.warnings import model_warnings, warnings_of
-from loose_env.instrument.inference.posterior import ModelComparison, compare_hypotheses
-from loose_env.instrument.inference.response.frequency_response import with_leakage
-from loose_env.instrument.inference.response.pairing import beside_references
-from loose_env.instrument.inference.response.timing import Clocks, clocks_of, servo_timing
-from loose_env.instrument.inference.response.uncertain_linear_arm import UncertainArm
-from loose_env.instrument.model.instrumented_arm import InstrumentedArm, read_recorded_arm
-from loose_env.instrument.planning.plan import next_for
-from loose_env.instrument.result import (
-    HEALTHY,
-    Diagnosis,
-    Fault,
-    NextMeasurement,
-    RecordSeen,
-    Severity,
-    SlideDirection,
-    Vector,
+from loose_env.errors import InvalidSetting
+from loose_env.instrument import decide, knocks
+from loose_env.instrument.arm import BOLTS, PoseModel, SuspectArm, read_arm
+from loose_env.instrument.decide import Alarm, Scores
+from loose_env.instrument.locate import (
+    GAPS_MM,
+    RIGID_GAPS_MM,
+    Heard,
+    Rhythm,
+    foretold,
+    hear,
+    rhythm_of,
 )
-from loose_env.instrument.settings.diagnosis import DiagnoseSettings
-from loose_env.instrument.settings.motion import MotionSettings
-from loose_env.instrument.trend.transmission import spectra_by_fit
-from loose_env.recording import Recording, Run, set_aside
+from loose_env.instrument.motion import Gears, fit_gears
+from loose_env.instrument.plan import Plan, read_plan
+from loose_env.instrument.poses import is_tested_share
+from loose_env.instrument.records import GRID, Record, Unusable, exchanged, read_run
+from loose_env.instrument.reference import Change, change, pairs
+from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen
+from loose_env.instrument.signals import Multisine
+from loose_env.recording import Recording
+from loose_env.typing import Array
 from loose_env.version import __version__
+
+_SHOWN = 100
+"""Samples of an envelope in the result."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnoseSettings:
+    """Settings of a diagnosis.
+
+    Examples
+    --------
+    >>> DiagnoseSettings(sure=1.5)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: sure is a probability between 0.5 and 1, got 1.5
+    """
+
+    sure: float = decide.Numbers.sure
+    """Probability of a place from which it is settled."""
+    reference: bool = True
+    """True to compare with the healthy runs that the recording holds."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if not 0.5 <= self.sure < 1:
+            raise InvalidSetting(f"sure is a probability between 0.5 and 1, got {self.sure!r}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Taken:
-    """A run and what was made of it."""
+class _Session:
+    """Records of a session that can be used, in pairs where there is a reference."""
 
-    run: Run
-    held: RunSetup | None
-    lines: Lines | None
-    notes: tuple[str, ...]
-
-
-class Workbench:
-    """An arm and its runs, which may become more."""
-
-    def __init__(
-        self, model: Path, settings: DiagnoseSettings, motion: MotionSettings | None = None
-    ) -> None:
-        self.settings = settings
-        self.motion = motion
-        self.arm = read_recorded_arm(model)
-        self.uncertain = UncertainArm(self.arm, settings.tolerances)
-        self._taken: list[_Taken] = []
-        self._pairs: dict[int, Lines] = {}
-
-    @property
-    def runs(self) -> list[Run]:
-        """All runs, those that could not be used too."""
-        return [taken.run for taken in self._taken]
-
-    @property
-    def suspect(self) -> list[Lines]:
-        """Lines of the runs under test that can be used."""
-        return [t.lines for t in self._taken if t.lines is not None and not t.lines.healthy]
-
-    def add(self, run: Run, *, notes: Sequence[str] = ()) -> None:
-        """Take a run up, with notes on it; one that cannot be used is kept with the reason."""
-        run, pauses = unbroken(run, columns_in(self.arm, run))
-        held = run_setup(self.arm, run)
-        # Runs are told apart by their numbers: two may have one name.
-        number = sum(taken.lines is not None for taken in self._taken)
-        lines = lines_of(self.arm, run, held.pose, held.excited, number=number)
-        lines = with_leakage(self.uncertain.at(held.pose), lines)
-        notes = (*notes, *pauses, *held.notes, *readings_in(self.arm, run)[1])
-        self._taken.append(_Taken(run=run, held=held, lines=lines, notes=notes))
-
-    def leave_out(self, run: Run, why: str) -> None:
-        """Keep a run that cannot be used, for the record."""
-        self._taken.append(_Taken(run=run, held=None, lines=None, notes=(why,)))
-
-    def diagnosis(
-        self, *, plan: bool = True, say: Callable[[str], None] = lambda _: None
-    ) -> Diagnosis:
-        """Weigh what all runs say together."""
-        paired = beside_references(self.uncertain, self._held(), self._pairs)
-        clocks = clocks_of(self.uncertain, paired)
-        lines = [clocks.corrected(one) for one in paired]
-        say(f"weighing {len(self.arm.hypotheses)} hypotheses by {len(lines)} runs")
-        comparison = compare_hypotheses(
-            self.uncertain, lines, healthy_prior=self.settings.healthy_prior
-        )
-        best = comparison.best
-        travel = None
-        if best != HEALTHY and self.suspect:
-            say(f"following the seat of {best}")
-            travel = travel_of(comparison, best, self._whole(clocks))
-        fault = _fault(self.arm, comparison, travel)
-        say("following the probabilities from run to run")
-        records = self._records(comparison, clocks)
-        fit = comparison.fits[best]
-        offset = clocks.refined(self.uncertain, fit.errors, fit.normal)
-        offsets = () if offset is None else (offset,)
-        verdict = verdict_of(comparison, offsets, sure=self.settings.sure)
-        notes = [n for t in self._taken for n in t.notes]
-        servos = servo_timing(self.uncertain, lines)
-        warnings = warnings_of(self.arm, comparison, notes, travel, clocks=offsets, servos=servos)
-        found = Diagnosis(
-            fault=fault,
-            probability=comparison.posterior[best],
-            posterior=comparison.posterior,
-            warnings=warnings,
-            severities=_severities(warnings, model_warnings(comparison), notes),
-            records=records,
-            model=self.arm.path.name,
-            settings=asdict(self.settings),
-            directions=_directions(comparison),
-            settled=verdict.kind in ("healthy", "faulty"),
-            verdict=verdict.kind,
-            open_because=verdict.reasons,
-            nothing_opened=comparison.nothing_opened,
-            misfit=comparison.misfit,
-            spectra=spectra_by_fit(self.uncertain, comparison, self._places()),
-            version=__version__,
-            model_hash=hashlib.sha256(self.arm.path.read_bytes()).hexdigest()[:16],
-        )
-        if plan and not found.settled:
-            say("choosing the next measurement")
-            try:
-                following = self._next(found)
-                said = (*found.warnings, *self._blind())
-                found = replace(found, next=following, warnings=said)
-            except (InvalidData, InvalidSetting) as error:  # what was found is not lost for it
-                found = replace(found, warnings=(*found.warnings, f"nothing next: {error}"))
-        return found
-
-    def _held(self) -> list[HeldRun]:
-        """Usable runs with their lines."""
-        return [
-            HeldRun(run=t.run, setup=t.held, lines=t.lines)
-            for t in self._taken
-            if t.lines is not None and t.held is not None
-        ]
-
-    def _places(self) -> dict[int, int]:
-        """Number of each run's lines -> its index among the records."""
-        used = enumerate(self._taken)
-        return {t.lines.number: k for k, t in used if t.lines is not None}
-
-    def _whole(self, clocks: Clocks) -> list[Lines]:
-        """All lines of the runs under test, those that were not excited too."""
-        found = [self._lines(taken, clocks, whole=True) for taken in self._taken]
-        return [lines for lines in found if lines is not None and not lines.healthy]
-
-    def _lines(self, taken: _Taken, clocks: Clocks, *, whole: bool = False) -> Lines | None:
-        """Lines of a run on one clock; None of a run that cannot be used."""
-        held, lines = taken.held, taken.lines
-        if held is None or lines is None:
-            return None
-        if whole:
-            lines = lines_of(
-                self.arm, taken.run, held.pose, held.excited, number=lines.number, whole=True
-            )
-            lines = with_leakage(self.uncertain.at(held.pose), lines)
-        return clocks.corrected(lines)
-
-    def _next(self, found: Diagnosis) -> NextMeasurement:
-        recorded = 1 / self.suspect[-1].period if self.suspect else None
-        return next_for(self.arm, found, self.settings.choice(recorded), motion=self.motion)
-
-    def _blind(self) -> tuple[str, ...]:
-        """Warnings about unknown collisions of a chosen pose."""
-        look = self.arm.collisions
-        lacking = look.unseen if look.known else self.arm.links
-        if not lacking:
-            return ()
-        return (
-            f"the next pose was chosen without knowing what {', '.join(lacking)} may touch: the "
-            "model has no shapes of them (that of a recording has no meshes). 'loose plan' looks "
-            "with the arm's own model; look yourself before the arm moves",
-        )
-
-    def _records(self, comparison: ModelComparison, clocks: Clocks) -> tuple[RecordSeen, ...]:
-        """Result of each run, with the posterior after it."""
-        found: list[RecordSeen] = []
-        so_far: list[int] = []
-        for taken in self._taken:
-            probabilities: dict[str, float] = {}
-            direction: Vector | None = None
-            angle = None
-            lines = self._lines(taken, clocks)
-            if lines is not None and not lines.healthy:
-                so_far.append(lines.number)
-                probabilities = comparison.after(so_far)
-                direction, angle = seen_in_tool(self.uncertain, comparison, lines)
-            pose = (
-                {j: q for j, q in (taken.run.pose or {}).items() if j in self.arm.joints}
-                if taken.held is None
-                else taken.held.shown(self.arm, taken.run.pose)
-            )
-            excited = (
-                tuple(taken.run.excited)
-                if taken.held is None
-                else tuple(self.arm.joints[j] for j in taken.held.excited)
-            )
-            found.append(
-                RecordSeen(
-                    file=taken.run.name,
-                    pose=pose,
-                    excited=excited,
-                    condition=taken.run.condition,
-                    probabilities=probabilities,
-                    direction_tool=direction,
-                    half_angle_deg=angle,
-                    loops=() if lines is None else loops_of(self.uncertain, comparison, lines),
-                    notes=taken.notes,
-                )
-            )
-        return tuple(found)
+    suspect: tuple[Record, ...]
+    healthy: tuple[Record, ...]
+    """The healthy record of each; empty without a reference."""
+    runs: tuple[RunSeen, ...]
+    remarks: tuple[str, ...]
 
 
 def diagnose(
     recording: Recording,
     settings: DiagnoseSettings | None = None,
     *,
-    motion: MotionSettings | None = None,
-    plan: bool = True,
+    plan: Plan | None = None,
+    numbers: decide.Numbers | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
-    """Say what is loose in the arm of a recording.
+    """Say what knocks in a session that was planned by `plan`, and what was not tested.
 
     Parameters
     ----------
     recording : Recording
-        Runs that hold a pose each and shake a joint; healthy reference runs, if there are any.
+        Runs of the plan.
     settings : DiagnoseSettings, optional
-        Prior knowledge.
-    motion : MotionSettings, optional
-        Limits of the controller that the next measurement keeps to, such as those of the plan
-        beside the recording: ``session_beside(recording.folder).limits``. None by default.
-    plan : bool
-        True to propose the next measurement.
+        What is asked for.
+    plan : Plan, optional
+        The plan; by default the one that lies in the recording's folder, or beside it.
+    numbers : Numbers, optional
+        Numbers that decide, for ablations.
     say : callable
-        Told what goes on, line by line.
-
-    Returns
-    -------
-    Diagnosis
+        Receives what is being done, line by line.
 
     Raises
     ------
     InvalidData
-        If the model is no serial arm, no run can be used, or values overflow.
+        If there is no plan, or the model is no serial arm.
 
     Examples
     --------
     >>> from loose_env.recording import read_recording
-    >>> diagnose(read_recording("no/recording"))
-    Traceback (most recent call last):
-        ...
-    loose_env.errors.InvalidData: ...
+    >>> found = diagnose(read_recording("session/recording"))  # doctest: +SKIP
+    >>> found.headline  # doctest: +SKIP
+    'The seat of link forearm is loose.'
     """
-    chosen = DiagnoseSettings() if settings is None else settings
-    bench = Workbench(recording.model_path, chosen, motion)
-    refused: list[str] = []
-    model = recording.model()
+    started = time.process_time()
+    own = settings or DiagnoseSettings()
+    limits = replace(numbers or decide.Numbers(), sure=own.sure)
+    plan, arm = plan or read_plan(recording.folder), read_arm(recording.model_path)
+    signal = plan.signal.signal
+    session = _read(arm, recording, plan, own)
+    done = _Finished(recording, plan, limits, session, started)
+    if len(session.suspect) < decide.FEWEST_POSES:
+        return done.unread(arm)
+    twisted = exchanged(session.suspect, signal, arm.joints)
+    if twisted:
+        return done.refused(arm, twisted)
+
+    models = [arm.at(record.pose) for record in session.suspect]
+    say(f"fitting {arm.n} gears from encoders to tool by {len(models)} runs")
+    gears, compared = _gears(arm, session, models, signal)
+    heard = hear(arm, session.suspect, models, gears, signal, healthy=session.healthy or None)
+    say(f"following the loads of {2 * arm.n} places")
+    rhythm = rhythm_of(heard, knocks.sphere(knocks.DIRECTIONS))
+    alarm = decide.detect(rhythm, limits, change=compared)
+    scores = decide.score(
+        arm, rhythm, session.suspect, gears, np.random.default_rng(0),
+        numbers=limits,
+        change=compared, healthy=session.healthy or None,
+    )  # fmt: skip
+    return done.judged(arm, heard, rhythm, alarm, scores, gears)
+
+
+def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettings) -> _Session:
+    """Read all runs; those that a cable or a hand rang in are left out, and said."""
+    signal = plan.signal.signal
+    levels = {Path(run.file).stem: run.level for run in plan.runs}
+    records: dict[str, list[Record]] = {"suspect": [], "healthy": []}
+    runs, remarks = [], []
     for run in recording.runs:
-        try:
-            clean, corrupt = set_aside(run, model)
-            bench.add(clean, notes=[each.words for each in corrupt])
-        except InvalidData as error:
-            bench.leave_out(run, str(error))
-            refused.append(str(error))
-    if not bench.suspect:
-        raise InvalidData(
-            refused[0]
-            if refused
-            else "all runs are healthy references; a diagnosis needs a run of the arm under test: "
-            'one without "condition": "healthy" in recording.json'
-        )
-    try:
-        found = bench.diagnosis(plan=plan, say=say)
-        return replace(found, date=_measured_at(recording))
-    except np.linalg.LinAlgError as error:
-        raise InvalidData(
-            f"model and runs exceed the numeric range ({error}): are masses, gains and readings in "
-            "SI units?"
-        ) from None
-
-
-def _measured_at(recording: Recording) -> str:
-    """Time of the latest run's file, UTC (ISO 8601); "" where there is none on the disk."""
-    files = [recording.folder / run.name for run in recording.runs]
-    times = [file.stat().st_mtime for file in files if file.is_file()]
-    if not times:
-        return ""
-    return datetime.fromtimestamp(max(times), tz=UTC).isoformat(timespec="seconds")
-
-
-def _severities(
-    warnings: Sequence[str], of_model: Sequence[str], notes: Sequence[str]
-) -> tuple[Severity, ...]:
-    """Severity of each warning: those of the model invalidate a result, those on runs are notes."""
-    return tuple(
-        "critical" if words in of_model else "note" if words in notes else "warning"
-        for words in warnings
-    )
-
-
-def _directions(comparison: ModelComparison) -> dict[str, SlideDirection]:
-    """Direction of every link's slide, where its own fit has one."""
-    found = {}
-    for name, fit in comparison.fits.items():
-        kind, _, where = name.partition("@")
-        if kind != "structural_looseness":
+        if run.condition == "healthy" and not own.reference:
             continue
-        axis, half = cone(fit)
-        if axis is not None and half is not None:
-            found[where] = SlideDirection(axis=axis, half_angle_deg=half)
-    return found
+        record = read_run(
+            arm,
+            run,
+            signal,
+            level=levels.get(Path(run.name).stem, 1.0),
+            corner_hz=plan.settings.corner_hz,
+        )
+        if isinstance(record, Unusable):
+            why = f"{record.why}: {record.remedy}"
+            runs.append(
+                RunSeen(file=run.name, condition=run.condition, pose={}, used=False, why=why)
+            )
+            remarks.append(f"{run.name} is not used: {why}")
+            continue
+        runs.append(_seen(arm, record, signal))
+        remarks += [f"{run.name}: {remark}" for remark in record.remarks]
+        records[run.condition].append(record)
+    there = {Path(run.name).stem for run in recording.runs}
+    missing = [r.file for r in plan.runs if Path(r.file).stem not in there]
+    late = [f for f in missing if f.startswith("run-")]
+    if late:
+        remarks.append(f"{len(late)} of the planned runs are not there, such as {late[0]}")
+    suspect, healthy = records["suspect"], records["healthy"]
+    together = pairs(suspect, healthy)
+    if healthy and len(together) < decide.FEWEST_POSES:
+        remarks.append("too few healthy runs are in the same poses: compared with none")
+    elif healthy:
+        alone = len(suspect) - len(together)
+        if alone:
+            remarks.append(f"{alone} runs have no healthy run in their pose and are left out")
+        suspect, healthy = (
+            [suspect[k] for k, _ in together],
+            [healthy[r] for _, r in together],
+        )
+        return _Session(
+            suspect=tuple(suspect), healthy=tuple(healthy), runs=tuple(runs),
+            remarks=tuple(remarks),
+        )  # fmt: skip
+    return _Session(suspect=tuple(suspect), healthy=(), runs=tuple(runs), remarks=tuple(remarks))
 
 
-def _fault(arm: InstrumentedArm, comparison: ModelComparison, travel: Travel | None) -> Fault:
-    best = comparison.best
-    if best == HEALTHY:
-        return Fault(kind="healthy")
-    kind, where = best.split("@", 1)
-    fit = comparison.fits[best]
-    direction, angle = (None, None) if kind == "backlash" else cone(fit)
-    gap = None if travel is None else travel.gap
-    return Fault(
-        kind="backlash" if kind == "backlash" else "structural_looseness",
-        where=where,
-        direction=direction,
-        direction_half_angle_deg=angle,
-        gap_m=gap,
-        gap_interval_m=None if travel is None or gap is None else travel.interval,
+def _gears(
+    arm: SuspectArm, session: _Session, models: Sequence[PoseModel], signal: Multisine
+) -> tuple[Gears, Change | None]:
+    """Gears of the session, those of the healthy day where there is one; and what changed."""
+    gears = fit_gears(arm, session.suspect, models, signal)
+    if not session.healthy:
+        return gears, None
+    then = [arm.at(record.pose) for record in session.healthy]
+    known = fit_gears(arm, session.healthy, then, signal)
+    mixed = Gears(
+        rotation=gears.rotation,
+        late=gears.late,
+        spring=known.spring,
+        rotor=known.rotor,
+        left=gears.left,
     )
+    found = change(session.suspect, session.healthy, models, mixed, known, signal)
+    return mixed, found
+
+
+def _seen(arm: SuspectArm, record: Record, signal: Multisine) -> RunSeen:
+    lines = np.arange(1, len(record.tool))
+    thinned = record.envelope.reshape(_SHOWN, GRID // _SHOWN).mean(1)
+    return RunSeen(
+        file=record.name,
+        condition=record.condition,
+        pose=dict(zip(arm.joints, record.pose.round(5).tolist(), strict=True)),
+        used=True,
+        repeats=round(record.repeats, 3),
+        heard=tuple(np.sqrt(np.maximum(thinned - record.floor, 0)).round(5).tolist()),
+        lines_hz=tuple((lines / signal.period_s).tolist()),
+        lines=tuple(np.linalg.norm(record.tool[lines], axis=1).round(6).tolist()),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Finished:
+    """Makes the result of a session."""
+
+    recording: Recording
+    plan: Plan
+    numbers: decide.Numbers
+    session: _Session
+    started: float
+
+    def unread(self, arm: SuspectArm) -> Diagnosis:
+        """Result of a session with too few records."""
+        used = len(self.session.suspect)
+        why = [run.why for run in self.session.runs if not run.used]
+        headline = (
+            f"Nothing can be said: {used} of {len(self.session.runs)} runs can be used, "
+            f"{decide.FEWEST_POSES} are needed."
+        )
+        first = why[0] if why else "record the runs that are still planned"
+        remedy = f"{first[0].upper()}{first[1:]}."
+        return self._result("open" if used else "refused", headline, remedy, _untold(arm))
+
+    def refused(self, arm: SuspectArm, reasons: Sequence[str]) -> Diagnosis:
+        """Result of a session whose columns are not what they are called."""
+        headline = f"The recording is not that of the plan: {reasons[0]}."
+        remedy = "Correct the columns' names or signs in the mapping, and import again."
+        return self._result("refused", headline, remedy, _untold(arm), reasons=tuple(reasons))
+
+    def judged(
+        self,
+        arm: SuspectArm,
+        heard: Heard,
+        rhythm: Rhythm,
+        alarm: Alarm,
+        scores: Scores,
+        gears: Gears,
+    ) -> Diagnosis:
+        """Result of a session that can be judged."""
+        hobby = self.plan.hobby
+        top = scores.order[0]
+        told = foretold(heard, rhythm, scores.best[top])
+        second = self._beside(heard, rhythm, scores.best[top]) if alarm.loose else 0.0
+        several = second > self.numbers.second
+        settled = (
+            alarm.loose and scores.probability[top] >= self.numbers.sure and not several
+            and not hobby
+        )  # fmt: skip
+        places = _places(arm, rhythm, alarm, scores, settled=settled)
+        remarks = list(self.session.remarks)
+        if gears.left > _POOR:
+            remarks.append(
+                f"the model leaves {100 * gears.left:.0f} % of the tool's slow motion: check "
+                "link lengths, joint zeros and the accelerometer's place in the model"
+            )
+        headline, remedy = _words(places, alarm, settled=settled, several=several, hobby=hobby)
+        runs = self._with_told(heard, told, alarm.loose)
+        return self._result(
+            "loose" if alarm.loose else "tight", headline, remedy, places,
+            settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
+            evidence={**alarm.evidence, "gears_left": gears.left, "second": second}, runs=runs,
+        )  # fmt: skip
+
+    def _beside(self, heard: Heard, rhythm: Rhythm, best: int) -> float:
+        """Correlation of another place's knocks beside what the best one foretells."""
+        kind, i, d = rhythm.labels[best]
+        own = rhythm.directions[[max(d, 0)]]
+        row = i if kind == BOLTS else len(heard.slides) + i
+        told = [
+            np.sqrt(
+                [
+                    knocks.trains(loads, own, gap, heard.slides, heard.period_s)[row]
+                    for loads, gaps in ((elastic, GAPS_MM), (rigid, RIGID_GAPS_MM))
+                    for gap in gaps
+                ]
+            )
+            for elastic, rigid in zip(heard.elastic, heard.rigid, strict=True)
+        ]
+        beyond = rhythm_of(heard, rhythm.directions[::4], beside=told)
+        other = [label[:2] != (kind, i) for label in beyond.labels]
+        return float(beyond.timing[other].max())
+
+    def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
+        """Runs with what the best place foretells, and the healthy day's lines."""
+        scale = sum(float(a @ t) for a, t in zip(heard.amplitude, told, strict=True)) / max(
+            sum(float(t @ t) for t in told), 1e-30
+        )
+        own = {record.name: k for k, record in enumerate(self.session.suspect)}
+        found = []
+        for run in self.session.runs:
+            k = own.get(run.file)
+            if k is not None:
+                each = asdict(run)
+                if loose:
+                    thinned = told[k].reshape(_SHOWN, GRID // _SHOWN).mean(1) * scale
+                    each["foretold"] = tuple(thinned.round(5).tolist())
+                if self.session.healthy:
+                    then = np.linalg.norm(self.session.healthy[k].tool[1:], axis=1)
+                    each["healthy_lines"] = tuple(then.round(6).tolist())
+                run = RunSeen(**each)
+            found.append(run)
+        return tuple(found)
+
+    def _result(
+        self, verdict: str, headline: str, remedy: str, places: tuple[Place, ...], **more: object
+    ) -> Diagnosis:
+        files = [self.recording.folder / run.name for run in self.recording.runs]
+        latest = max((f.stat().st_mtime for f in files if f.is_file()), default=None)
+        given: dict[str, object] = {
+            "remarks": self.session.remarks,
+            "runs": self.session.runs,
+            "settled": False,
+            "several": False,
+            **more,
+        }
+        return Diagnosis(
+            verdict=verdict,
+            headline=headline,
+            remedy=remedy,
+            places=places,
+            reference=bool(self.session.healthy),
+            hobby=self.plan.hobby,
+            model=self.recording.model_path.name,
+            date=""
+            if latest is None
+            else datetime.fromtimestamp(latest, UTC).isoformat(timespec="seconds"),
+            version=__version__,
+            seconds=round(time.process_time() - self.started, 2),
+            shaken_s=round(sum(r.time[-1] - r.time[0] for r in self.recording.runs), 2),
+            settings=asdict(self.numbers),
+            **given,
+        )
+
+
+_POOR = 0.3
+"""Share of the tool's slow motion left from which the model is said to be another's [1]."""
+
+
+def _untold(arm: SuspectArm) -> tuple[Place, ...]:
+    """All places, of which a session says nothing."""
+    found = []
+    for place in arm.places:
+        kind, at = place.split("@")
+        found.append(
+            Place(
+                kind=kind,
+                at=at,
+                verdict="not tested",
+                probability=0.0,
+                rhythm=0.0,
+                tested=0.0,
+                why="no run can be used",
+            )
+        )
+    return tuple(found)
+
+
+_LISTED = 0.05
+"""Probability from which a place is a suspect [1]."""
+
+
+def _places(
+    arm: SuspectArm, rhythm: Rhythm, alarm: Alarm, scores: Scores, *, settled: bool
+) -> tuple[Place, ...]:
+    """Verdict of every place, best first."""
+    shares = decide.tested(arm, rhythm)
+    names = np.array(decide.names_of(arm, rhythm))
+    found = []
+    for rank, place in enumerate(scores.order):
+        kind, at = place.split("@", 1)
+        best = scores.best[place]
+        chance = scores.probability[place] if alarm.loose else 0.0
+        direction = None
+        if kind == BOLTS:
+            d = rhythm.directions[rhythm.labels[best][2]]
+            direction = (float(d[0]), float(d[1]), float(d[2]))
+        verdict: PlaceVerdict
+        if alarm.loose and rank == 0 and settled:
+            verdict, why = "loose", alarm.reasons[0]
+        elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
+            verdict, why = "suspect", "the session does not tell it from the other suspects"
+        elif is_tested_share(shares[place]):
+            verdict, why = "tight", "its load reversed, and it was not heard"
+        else:
+            verdict, why = "not tested", _untested_words(shares[place], kind)
+        found.append(
+            Place(
+                kind=kind,
+                at=at,
+                verdict=verdict,
+                probability=round(chance, 4),
+                rhythm=round(float(rhythm.timing[names == place].max()), 4),
+                tested=round(shares[place], 3),
+                direction=direction,
+                why=why,
+            )
+        )
+    return tuple(found)
+
+
+def _untested_words(share: float, kind: str) -> str:
+    if kind == BOLTS and share > 0:
+        return f"its load reversed in {100 * share:.0f} % of the directions alone"
+    return "its load never reversed beyond friction: it would stay shut if it were loose"
+
+
+def _words(
+    places: Sequence[Place], alarm: Alarm, *, settled: bool, several: bool, hobby: bool
+) -> tuple[str, str]:
+    """Headline and remedy."""
+    untested = [p for p in places if p.verdict == "not tested"]
+    if not alarm.loose:
+        tight = len(places) - len(untested)
+        headline = f"Nothing knocks: {tight} of {len(places)} places are tight"
+        if not untested:
+            return f"{headline}.", "Nothing to do; keep the recording as the healthy reference."
+        return (
+            f"{headline}, {len(untested)} were not tested.",
+            f"To test {untested[0].words} too: loose plan --known, with its poses.",
+        )
+    top = places[0]
+    if hobby:
+        return (
+            "Something knocks, as in every arm of this class.",
+            "Compare with the same session of another month: loose trend.",
+        )
+    if several:
+        suspects = " and ".join(p.words for p in places[:2])
+        return (
+            f"More than one place knocks; {suspects} fit best.",
+            f"Check {top.words} first, then repeat the session.",
+        )
+    if settled:
+        return f"{top.words[0].upper()}{top.words[1:]} is loose.", _work(top)
+    suspects = [p.words for p in places if p.verdict == "suspect"][:3]
+    listed = " or ".join(suspects)
+    return (
+        f"Something knocks: {listed}.",
+        "Plan the poses that tell them apart: loose plan --known.",
+    )
+
+
+def _work(place: Place) -> str:
+    if place.kind == BOLTS:
+        return f"Torque the bolts at {place.words}, then repeat the session."
+    return f"Measure the play at {place.words}, and repeat the session after the repair."

@@ -12,9 +12,7 @@ from loose_env.arms import Arm, arm_from_file
 from loose_env.envs import INK, MEASURED, MUTED, TRUTH, ArmDrawing
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
 from loose_env.faults import Backlash, StructuralLooseness
-from loose_env.instrument2.arm import BOLTS
-from loose_env.instrument2.plan import MODEL, RECORDING, read_plan
-from loose_env.instrument2.result import Diagnosis, Place, RunSeen
+from loose_env.instrument import BOLTS, MODEL, RECORDING, Diagnosis, Place, RunSeen, read_plan
 from loose_env.io import begun, sentence, write_text
 from loose_env.report import figures
 from loose_env.report.figures import labels, legend

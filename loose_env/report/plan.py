@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.instrument2.controllers import preset
-from loose_env.instrument2.plan import RECORDING, Plan, PlannedRun
-from loose_env.instrument2.poses import is_tested_share
+from loose_env.instrument import RECORDING, Plan, PlannedRun, is_tested_share, preset
 from loose_env.io import sentence, write_text
 from loose_env.report.page import (
     Brief,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loose_env.envs import INK, MEASURED, TRUTH
-from loose_env.instrument2.trend import Trend, Visit
+from loose_env.instrument import Trend, Visit
 from loose_env.io import sentence, write_text
 from loose_env.report.figures import DASHED, labels, legend, panels
 from loose_env.report.page import Brief, FigureCard, Section, Table, render_page, warnings_section

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from loose_env.gap import EffectLocation, NamedEffect, effect_words
-from loose_env.instrument2.arm import BOLTS
-from loose_env.instrument2.result import Diagnosis
+from loose_env.instrument import BOLTS, Diagnosis
 from loose_env.report.page import Table, named_list
 
 LIGHTS: Mapping[str, tuple[str, str]] = {

@@ -16,7 +16,7 @@ from pydantic_core import core_schema
 
 from loose_env.cli.command import command
 from loose_env.gap import GapResult, NextMotion
-from loose_env.instrument import Diagnosis, Trend
+from loose_env.instrument import Diagnosis, Plan, Trend
 from loose_env.io import plain, write_text
 from loose_env.recording import Description
 
@@ -24,8 +24,9 @@ FORMATS: dict[str, type[Any]] = {
     "loose-recording/1": Description,
     "loose-gap/1": GapResult,
     "loose-next-motion/1": NextMotion,
-    "loose-diagnosis/1": Diagnosis,
-    "loose-trend/1": Trend,
+    "loose-plan/2": Plan,
+    "loose-diagnosis/2": Diagnosis,
+    "loose-trend/2": Trend,
 }
 """Value of a file's key "format" -> dataclass of its content."""
 

@@ -471,134 +471,52 @@ def _loose(*words: str) -> None:
 
 # ------------------------------------------------------------- recordings of loose diagnose
 
-_FAULTS: dict[str, Callable[[Any], None]] = {
-    "healthy": _nothing,
-    "play of joint 1": lambda spec: _playing(spec, 1, 4e-3),
-    "play of joint 2": lambda spec: _playing(spec, 2, 6e-3),
-    "loose link 1": lambda spec: _slipping(spec, 2, 1e-3),
-    "loose link 2": lambda spec: _tool_slipping(spec),
-}
-DIAGNOSES: dict[str, dict[str, Any]] = {
-    f"{name}, {gravity}{', reference' * reference}": {
-        "fault": fault, "gravity": gravity, "reference": reference,
-    }
-    for name, fault in _FAULTS.items()
-    for gravity in _GRAVITY
-    for reference in (False, True)
-}  # fmt: skip
-"""Recordings that `loose diagnose` judges, by name."""
-
-
-def _tool_slipping(spec: Any) -> None:
-    """The second link in two halves, the outer one loose."""
-    import mujoco
-
-    inner = spec.body("link2")
-    inner.mass = 0.4
-    spec.delete(spec.site("tool"))
-    outer = inner.add_body(name="outer", mass=0.6, ipos=[0.2, 0, 0], inertia=[0.001, 0.01, 0.01])
-    outer.explicitinertial = True
-    outer.add_joint(
-        name="slip",
-        type=mujoco.mjtJoint.mjJNT_SLIDE,
-        axis=[0.6, 0, 0.8],
-        range=[-5e-4, 5e-4],
-        limited=True,
-        solref_limit=[0.004, 1],
-        damping=np.array([0.5, 0, 0]),
-    )
-    outer.add_site(name="tool", pos=[0.3, 0, 0])
-
-
-def write_shaken_recording(
-    folder: Path, *, fault: Callable[[Any], None], gravity: str, reference: bool
-) -> None:
-    """Runs of an arm that servos hold in a pose, one joint shaken at random."""
-    import mujoco
-    from scipy import signal
-
-    from loose_env.recording import Run, write_recording
-
-    step = 0.001
-    nominal = _shaken_arm(gravity, step)
-    rng = np.random.default_rng(2)
-    moment = np.arange(1500) * step
-    band = signal.butter(4, [20.0, 100.0], "bandpass", fs=1 / step, output="sos")
-    poses = ((0.1, 0.4, 0), (-0.3, -0.8, 1))
-    plans = [(pose, "suspect") for pose in poses]
-    if reference:
-        plans = [(poses[0], "healthy"), *plans]
-    runs = []
-    for number, ((q1, q2, joint), condition) in enumerate(plans):
-        spec = mujoco.MjSpec.from_string(nominal)
-        if condition == "suspect":
-            fault(spec)
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        held = np.array([q1, q2])
-        data.qpos[[int(model.joint(f"j{k}").qposadr[0]) for k in (1, 2)]] = held
-        noise = [12.0, 5.0][joint] * signal.sosfilt(band, rng.normal(size=len(moment)))
-        shaken = np.zeros((len(moment), 2))
-        shaken[:, joint] = noise
-        read = np.zeros((len(moment), model.nsensordata))
-        for i in range(len(moment)):
-            data.ctrl[:] = [*held, *shaken[i]]
-            mujoco.mj_step(model, data)
-            read[i] = data.sensordata
-        read += rng.normal(0, [1e-6, 1e-6, 0.01, 0.01, 0.01], read.shape)
-        controls = {"m1": np.full(len(moment), q1), "m2": np.full(len(moment), q2)}
-        runs.append(
-            Run(
-                name=f"run-{number}.parquet",
-                time=moment,  # type: ignore[arg-type]
-                controls=controls | {"s1": shaken[:, 0], "s2": shaken[:, 1]},
-                sensors={"q1": read[:, 0], "q2": read[:, 1], "acc": read[:, 2:]},
-                pose={"j1": q1, "j2": q2},
-                excited=(f"j{joint + 1}",),
-                condition=condition,  # type: ignore[arg-type]
-            )
-        )
-    write_recording(folder, model_xml=nominal, runs=runs)
-
-
-def _shaken_arm(gravity: str, step: float) -> str:
-    arm = _arm(2, gravity=gravity, drive="servo", step=step)
-    shakers = '<motor name="s1" joint="j1"/><motor name="s2" joint="j2"/></actuator>'
-    return arm.replace("</actuator>", shakers)
+DIAGNOSES = {"healthy": False, "loose link 3": True}
+"""Sessions that `loose diagnose` judges: whether something is loose."""
 
 
 def instrument(names: Sequence[str] | None = None) -> dict[str, Any]:
-    """What `loose diagnose` finds in each recording, and what `loose plan` asks for."""
+    """What `loose diagnose` finds in each session, without and with a reference."""
+    from scripts.example_recording import loose_arm
+
     found: dict[str, Any] = {}
-    few = ("--poses", "4", "--seconds", "1.0")
     for name in names or DIAGNOSES:
         with tempfile.TemporaryDirectory() as place:
-            write_shaken_recording(Path(place) / "recording", **DIAGNOSES[name])
-            out = Path(place) / "found"
-            _loose("diagnose", str(Path(place) / "recording"), "--out", str(out), *few)
-            result = json.loads((out / "result.json").read_text("utf-8"))
-        kept = ("fault", "posterior", "verdict", "settled", "nothing_opened", "misfit", "next")
-        found[name] = {key: _digits(result[key]) for key in kept}
-        found[name]["runs"] = [_digits(each["probabilities"]) for each in result["records"]]
+            folder = Path(place) / "recording"
+            loose_arm(folder, loose=DIAGNOSES[name], reference=True)
+            for way in ("--no-settings.reference", ""):
+                out = Path(place) / f"found{way}"
+                _loose("diagnose", str(folder), "--out", str(out), *([way] if way else []))
+                result = json.loads((out / "result.json").read_text("utf-8"))
+                places = [
+                    {
+                        "place": f"{each['kind']}@{each['at']}",
+                        "verdict": each["verdict"],
+                        "rhythm": _digits(each["rhythm"]),
+                        "tested": _digits(each["tested"]),
+                    }
+                    for each in result["places"]
+                ]
+                found[f"{name}, {'alone' if way else 'reference'}"] = {
+                    "verdict": result["verdict"],
+                    "evidence": _digits(result["evidence"]),
+                    "places": places,
+                }
     return found
 
 
 def plan() -> dict[str, Any]:
     """What `loose plan` asks for first."""
+    from loose_env.arms import DESK_ARM
+
     with tempfile.TemporaryDirectory() as place:
-        model = Path(place) / "model.xml"
-        model.write_text(_shaken_arm("flat", 0.001), encoding="utf-8")
         out = Path(place) / "plan"
-        _loose("plan", str(model), "--out", str(out), "--poses", "4", "--seconds", "1.0")
+        _loose("plan", str(DESK_ARM), "--out", str(out), "--controller", "ros2_jtc")
         files = sorted(f.name for f in out.iterdir() if f.is_file())
         asked = json.loads((out / "plan.json").read_text("utf-8"))
-    kept = ("pose", "joints", "band_hz", "levels", "torques", "seconds", "rate_hz", "gain_bits")
-    found = {key: _digits(asked[key]) for key in kept}
-    found["signals"] = [
-        [each["joint"], _digits(each["scale"]), _digits([peak["value"] for peak in each["peaks"]])]
-        for each in asked["signals"]
-    ]
-    return {"files": [name for name in files if not name.startswith(".")], "plan": found}
+    runs = [[_digits(each["pose"]), _digits(each["peak"])] for each in asked["runs"]]
+    kept = {"runs": runs, "tested": _digits(asked["tested"]), "lines": asked["signal"]["excited"]}
+    return {"files": files, "plan": kept}
 
 
 # ------------------------------------------------------------------------------- thesis

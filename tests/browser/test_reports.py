@@ -10,17 +10,10 @@ import pytest
 pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
-from loose_env.arms import vera
+import loose_env
+from loose_env.arms import SIX_AXIS_SERVO_ARM, vera
 from loose_env.envs import DiagnosisSettings
-from loose_env.instrument import (
-    Maintenance,
-    NextSettings,
-    PlanFiles,
-    PlanSettings,
-    Trend,
-    change_since,
-    plan,
-)
+from loose_env.instrument import PlanSettings, plan, trend
 from loose_env.io import write_text
 from loose_env.report import (
     FigureCard,
@@ -28,14 +21,12 @@ from loose_env.report import (
     new_figure,
     render_gap_page,
     write_comparison,
-    write_page,
     write_plan_page,
     write_trend_page,
 )
+from scripts.example_recording import loose_arm
 from tests.browser.chromium import WIDTHS, Page, browser, fits_on_paper, is_in_order, pictures
 from tests.gap.cases.gap_case import record, solution_for
-from tests.instrument.arms import SERVOED, named, session, written
-from tests.report.diagnosis_case import CASES, LONG
 from tests.report.test_comparison import ROWS, Guesser
 from tests.scripts.test_reproduce_thesis import FAILED, outcome, render
 
@@ -74,50 +65,36 @@ def thesis_page(folder: Path) -> Path:
     return write_text(folder / "thesis.html", render(section, outcome("second", cards=[]), FAILED))
 
 
-def diagnosis_page(case: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        arm, found = CASES[case]()
-        return write_page(folder / "report.html", found, arm, recording="cell-4")
+def session_of(folder: Path) -> Path:
+    return loose_arm(folder / "recording", reference=True).folder
 
-    return write
+
+def diagnosis_page(folder: Path) -> Path:
+    return loose_env.diagnose(session_of(folder)).write(folder / "found")[-1]
 
 
 def trend_page(folder: Path) -> Path:
-    factor = {"elbow": 1.3}
-    many = [*named(8), *((f"session {k}", session(k, factor=factor)) for k in range(8, 12))]
-    work = [Maintenance(date="2025-01-05", joint="base", work="belt tightened")]
-    found = change_since(session(12, factor=factor), many, maintenance=work)
-    text = found.to_json()
-    for name in ("base", "shoulder", "elbow"):
-        text = text.replace(f'"{name}"', f'"{LONG.format(name)}"')
-    return write_trend_page(folder / "trend.html", Trend.from_json(text), recording="cell-4")
+    sessions = [loose_arm(folder / f"{month}" / "recording", loose=month > 1) for month in range(3)]
+    found = trend(sessions, ["May", "June", "July"])
+    return write_trend_page(folder / "trend.html", found)
 
 
-def plan_page(in_turn: int) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        model = written(folder, SERVOED)
-        settings = NextSettings(poses=2, seconds=1.0, most_tool=2.5, in_turn=in_turn)
-        own = PlanSettings(pose_deg=(20.0, -60.0, 70.0), reference=True)
-        made = plan(model, choice=settings, own=own)
-        files = PlanFiles(folder / "session", made.arm.recording_model.xml)
-        planned = files.runs_of(made)
-        # Paths as long as people have them: no command may push the page out of a phone's window.
-        long = "measurements/2026-03-18 cell 4 after the collision/session one of three"
-        paths = {"folder": long, "model": f"{long}/the arm of cell 4.xml"}
-        return write_plan_page(folder / "plan.html", made, planned, **paths)
-
-    return write
+def plan_page(folder: Path) -> Path:
+    made, _ = plan(SIX_AXIS_SERVO_ARM, PlanSettings(controller="ros2_jtc", reference=True))
+    # Paths as long as people have them: no command may push the page out of a phone's window.
+    long = "measurements/2026-03-18 cell 4 after the collision/session one of three"
+    paths = {"folder": Path(long), "model": Path(f"{long}/the arm of cell 4.xml")}
+    return write_plan_page(folder / "plan.html", made, **paths)
 
 
 REPORTS: dict[str, tuple[Callable[[Path], Path], int]] = {
     "gap": (gap_page(), 3),
     "gap: long names": (gap_page("_of_the_left_arm_beside_the_conveyor"), 3),
-    "trend": (trend_page, 2),
+    "trend": (trend_page, 1),
     "comparison": (comparison_page, 6),
     "thesis": (thesis_page, 1),
-    "plan: one joint": (plan_page(1), 2),
-    "plan: two joints": (plan_page(2), 3),
-    **{f"diagnosis: {case}": (diagnosis_page(case), 4) for case in CASES},
+    "plan": (plan_page, 0),
+    "diagnosis": (diagnosis_page, 2),
 }
 """Report -> how it is written, and how many pictures it has at least."""
 SCROLLING = """

@@ -14,11 +14,18 @@ pytest.importorskip("matplotlib")
 
 from loose_env.arms import DESK_ARM
 from loose_env.errors import MissingExtra
-from loose_env.instrument2.decide import Numbers
-from loose_env.instrument2.plan import PlanSettings
-from loose_env.instrument2.plan import plan as planned
-from loose_env.instrument2.result import Diagnosis, Place, PlaceVerdict, RunSeen, read_diagnosis
-from loose_env.instrument2.trend import Trend, Visit
+from loose_env.instrument import (
+    Diagnosis,
+    Numbers,
+    Place,
+    PlaceVerdict,
+    PlanSettings,
+    RunSeen,
+    Trend,
+    Visit,
+    read_diagnosis,
+)
+from loose_env.instrument import plan as planned
 from loose_env.report import (
     diagnosis_headline,
     diagnosis_html,

@@ -19,12 +19,8 @@ pytest.importorskip("jinja2")
 pytest.importorskip("matplotlib")
 
 from loose_env.cli.main import main as loose
-from scripts.suites.golden import (
-    DIAGNOSES,
-    GAPS,
-    write_gap_recording,
-    write_shaken_recording,
-)
+from scripts.example_recording import loose_arm
+from scripts.suites.golden import GAPS, write_gap_recording
 
 pytestmark = pytest.mark.slow
 
@@ -62,8 +58,8 @@ SCRIPTS: dict[str, tuple[str, Callable[[Path], list[str]]]] = {
 """Scripts that write, as short as they can be: their file and their words."""
 COMMANDS: dict[str, Callable[[Path], list[str]]] = {
     "gap": lambda home: [str(home / "recording"), "--kinds", "viscous_friction", "--threads", "1"],
-    "diagnose": lambda home: [str(home / "shaken"), "--poses", "2"],
-    "plan": lambda home: [str(home / "shaken" / "model.xml"), "--poses", "4"],
+    "diagnose": lambda home: [str(home / "session" / "recording"), ],
+    "plan": lambda home: [str(home / "session" / "recording" / "model.xml")],
     "import": lambda home: [
         f"t={home / 'recording' / 'run-0.csv'}", "--mapping", str(home / "mapping.toml")],
 }  # fmt: skip
@@ -75,7 +71,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a recording, one to diagnose, and a mapping that imports a table."""
     folder = tmp_path_factory.mktemp("disk")
     write_gap_recording(folder / "recording", **GAPS["forward, damping"])
-    write_shaken_recording(folder / "shaken", **DIAGNOSES["healthy, flat"])
+    loose_arm(folder / "session" / "recording")
     (folder / "mapping.toml").write_text(MAPPING)
     return folder
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import signal
 import warnings
 from collections.abc import Iterator
@@ -18,11 +16,6 @@ from hypothesis import strategies as st
 from loose_env.arms import arm_from_file, describe_file, planar, scara, vera
 from loose_env.envs import DiagnosisEnv, DiagnosisSettings
 from loose_env.errors import InvalidData, LooseEnvError
-from loose_env.instrument import (
-    DiagnoseSettings,
-    diagnose,
-    read_arm,
-)
 from loose_env.recording import Run, read_recording, write_recording
 from scripts.suites.trust.fuzz import MODEL
 
@@ -229,98 +222,3 @@ def test_any_numbers_are_written_and_read_to_the_last_bit_or_refused(
     np.testing.assert_array_equal(found.sensors["angle"], angle[:count])
     assert np.isfinite(found.time).all() and (np.diff(found.time) > 0).all()
     assert np.isnan(found.sensors["angle"]).sum() <= 0.2 * count
-
-
-# ---- diagnoses
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Arms of the package as files, with actuators and sensors."""
-    found = {}
-    for name, make in ARMS.items():
-        found[name] = path = tmp_path_factory.mktemp(name) / f"{name}.xml"
-        path.write_text(make().spec.to_xml(), "utf-8")
-        path.write_text(read_arm(path).recording_model.xml, "utf-8")
-    return found
-
-
-def finite(value: Any) -> bool:
-    """Whether no number of a tree is other than finite."""
-    return "NaN" not in (text := json.dumps(value)) and "Infinity" not in text
-
-
-records = st.fixed_dictionaries(
-    {
-        "seed": st.integers(0, 2**31),
-        "rate": st.sampled_from([20.0, 123.4, 500.0, 1000.0, 9999.0]),
-        "samples": st.integers(10, 600),
-        "jitter": st.sampled_from([0.0, 0.0, 1e-3, 0.3]),
-        "missing": st.sampled_from([0.0, 0.0, 0.01, 0.19]),
-        "pause": st.sampled_from([0.0, 0.0, 0.5, 1e3, 1e7]),
-        "loud": st.sampled_from([0.0, 1e-6, 1.0, 30.0, 1e5]),
-        "wobble": st.sampled_from([0.0, 1e-5, 1e-3, 1.0]),
-        "drives": st.sampled_from(["ctrl", "torque", "none"]),
-        "noted": st.booleans(),
-        "condition": st.sampled_from(["suspect", "suspect", "suspect", "healthy"]),
-        "without": st.sets(st.integers(0, 9), max_size=2),
-    }
-)
-
-
-def run_of(model: Path, number: int, how: dict[str, Any]) -> Run:
-    """A run of noise: no arm made it, but a recorder could have written it."""
-    machine, rng, count = read_arm(model), np.random.default_rng(how["seed"]), how["samples"]
-    time = (np.arange(count) + how["jitter"] * rng.uniform(-1, 1, count)) / how["rate"]
-    time[count // 2 :] += how["pause"]
-    pose = {name: float(q) for name, q in zip(machine.joints, machine.home, strict=True)}
-
-    def noise(size: float, *shape: int) -> np.ndarray:
-        values = size * rng.normal(size=(count, *shape))
-        values[rng.random(count) < how["missing"]] = np.nan
-        return values
-
-    made = machine.recording_model
-    sensors = {made.accelerometer: noise(how["loud"], 3)}
-    for sensor, q in zip(made.positions, pose.values(), strict=True):
-        sensors[sensor] = q + noise(how["wobble"])
-    actuators = [d.actuator for d in machine.drives if d is not None]
-    return Run(
-        name=f"run-{number}.parquet",
-        time=np.sort(time),
-        sensors={s: v for k, (s, v) in enumerate(sensors.items()) if k not in how["without"]},
-        controls={a: noise(how["loud"]) for a in actuators} if how["drives"] == "ctrl" else {},
-        torques={j: noise(how["loud"]) for j in pose} if how["drives"] == "torque" else {},
-        pose=pose if how["noted"] else None,
-        excited=machine.joints[:1] if how["noted"] else (),
-        condition=how["condition"],
-    )
-
-
-@few
-@given(
-    name=st.sampled_from(["planar", "vertical", "scara"]),
-    hows=st.lists(records, min_size=1, max_size=2),
-    tolerance=st.sampled_from([1e-6, 0.02, 1.0]),
-    healthy=st.floats(0.01, 0.99),
-)
-def test_any_recording_is_refused_or_weighed(
-    tmp_path: Path, models: dict[str, Path], name: str, hows: list[Any], tolerance: float,
-    healthy: float,
-) -> None:  # fmt: skip
-    signal.setitimer(signal.ITIMER_PROF, HANGS)
-    home, model = tmp_path / "recording", models[name]
-    runs = [run_of(model, k, how) for k, how in enumerate(hows)]
-    chosen = DiagnoseSettings(
-        poses=1, seconds=0.5, inertial_parameters=tolerance, healthy_prior=healthy
-    )
-    try:
-        write_recording(home, model_xml=model, runs=runs, overwrite=True)
-        found = diagnose(read_recording(home), chosen)
-    except LooseEnvError as error:
-        assert str(error) and "\n" not in str(error)
-        return
-    assert finite(json.loads(found.to_json()))
-    for weighed in [found.posterior, *(r.probabilities for r in found.records if r.probabilities)]:
-        assert math.isclose(math.fsum(weighed.values()), 1.0, abs_tol=1e-9)
-        assert all(0 <= p <= 1 for p in weighed.values())

@@ -8,9 +8,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from loose_env.instrument2.decide import Numbers
-from loose_env.instrument2.pipeline import DiagnoseSettings, diagnose
-from loose_env.instrument2.plan import Plan, PlanSettings, commands_of, plan
+from loose_env.instrument import (
+    DiagnoseSettings,
+    Numbers,
+    Plan,
+    PlanSettings,
+    commands_of,
+    diagnose,
+    plan,
+)
 from loose_env.recording import Recording, read_recording
 
 LEFT_OUT: Mapping[str, Mapping[str, float]] = {

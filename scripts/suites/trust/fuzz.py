@@ -148,10 +148,11 @@ def recording() -> Files:
 @functools.cache
 def shaken() -> Files:
     """A recording to diagnose."""
-    from scripts.suites.golden import DIAGNOSES, write_shaken_recording
+    from scripts.example_recording import loose_arm
 
-    case = DIAGNOSES["healthy, flat"]
-    return _written(lambda place: write_shaken_recording(place / "r", **case), "r")
+    found = _written(lambda place: loose_arm(place / "s" / "recording"), "s/recording")
+    plan = _written(lambda place: loose_arm(place / "s" / "recording"), "s")["plan.json"]
+    return {**found, "plan.json": plan}
 
 
 @functools.cache
@@ -171,9 +172,8 @@ def results() -> Files:
         for name, data in shaken().items():
             (place / "r").mkdir(exist_ok=True)
             (place / "r" / name).write_bytes(data)
-        few = ("--poses", "2", "--seconds", "1.0", "--quiet")
-        main(["diagnose", str(place / "r"), "--out", str(place / "d"), *few])
-        main(["plan", str(place / "r" / "model.xml"), "--out", str(place / "p"), *few])
+        main(["diagnose", str(place / "r"), "--out", str(place / "d"), "--quiet"])
+        main(["plan", str(place / "r" / "model.xml"), "--out", str(place / "p"), "--quiet"])
         write_rows(place, "rows", [row, row | {"episode": 1}], {"env": "e"}, form="json")
         (place / "gap.json").write_text(gap.to_json())
 
@@ -365,13 +365,12 @@ def _read_recording(home: Path) -> Any:
 
 
 def _diagnosed(home: Path) -> Any:
-    from loose_env.instrument import DiagnoseSettings, diagnose
+    from loose_env.instrument import diagnose
     from loose_env.recording import read_recording
 
-    settings = DiagnoseSettings(poses=2, seconds=1.0)
-    found = diagnose(read_recording(home), settings, plan=False)
-    shown = list(found.posterior.values())
-    assert np.isfinite(shown).all() and abs(sum(shown) - 1) < 1e-6
+    found = diagnose(read_recording(home))
+    shown = [place.probability for place in found.places]
+    assert np.isfinite(shown).all() and sum(shown) < 1 + 1e-6
     return found.to_json()
 
 
@@ -451,7 +450,7 @@ KINDS: dict[str, Kind] = {
         files=recording, damaged=tuple(recording()), read=_read_recording, names=(*_INNER, "case")
     ),
     "recording to diagnose": Kind(
-        files=shaken, damaged=("recording.json", "model.xml"), read=_diagnosed,
+        files=shaken, damaged=("recording.json", "model.xml", "plan.json"), read=_diagnosed,
         names=(*_INNER, "case", "arm 'model'", "model and runs", "all runs", "run-"),
     ),
     "MJCF": Kind(files=lambda: {"arm.xml": MODEL.encode(), "two.stl": tetrahedron()},
@@ -464,10 +463,8 @@ KINDS: dict[str, Kind] = {
                        read=_of("loose_env.gap", "read_result", "gap.json")),
     "diagnosis result": Kind(files=_result("diagnosis.json"), damaged=("diagnosis.json",),
                              read=_of("loose_env.instrument", "read_diagnosis", "diagnosis.json")),
-    "plan beside a recording": Kind(
-        files=_result("plan.json"), damaged=("plan.json",),
-        read=_of("loose_env.instrument", "session_beside", "recording"),
-    ),
+    "plan": Kind(files=_result("plan.json"), damaged=("plan.json",),
+                 read=_of("loose_env.instrument", "read_plan", "plan.json")),
     "rows": Kind(files=_result("rows.json"), damaged=("rows.json",),
                  read=_of("loose_env.evaluation", "read_rows", "rows.json")),
     "log and mapping": Kind(files=_log, damaged=("log.csv", "map.toml"), read=_imported),

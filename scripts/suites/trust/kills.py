@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from loose_env.cli.command import command
-from scripts.suites.golden import DIAGNOSES, GAPS, write_gap_recording, write_shaken_recording
+from scripts.example_recording import loose_arm
+from scripts.suites.golden import GAPS, write_gap_recording
 
 ROOT = Path(__file__).resolve().parents[3]
 POLL = 0.004
@@ -156,10 +157,10 @@ EPISODES = 24
 
 def commands(place: Path) -> dict[str, Command]:
     """Commands by name; what they read is made below a folder."""
-    recording, measured = place / "recording", place / "measured"
+    recording, measured = place / "recording", place / "session" / "recording"
     if not recording.exists():
         write_gap_recording(recording, **GAPS["forward, damping"])
-        write_shaken_recording(measured, **DIAGNOSES["healthy, flat"])
+        loose_arm(measured)
     kinds = ("--kinds", "viscous_friction", "link_mass", "--threads", "1")
     return {
         "training": Command(words=_training, result=_trained, problems=_broken_policies),

@@ -1,0 +1,283 @@
+"""The suspect arm as rigid bodies: what a plan and a diagnosis both know of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from loose_env.arms import Chain, ModelFile, find_chain, read_model_file, report
+from loose_env.errors import InvalidData
+from loose_env.instrument.clearance import Collisions, Ground
+from loose_env.instrument.recording_model import RecordingModel, recording_model
+from loose_env.instrument.tool_site import body_beyond, sensed_sites, tool_site
+from loose_env.kinematics import carried_bodies
+from loose_env.typing import Array
+
+BOLTS, GEARS = "structural_looseness", "backlash"
+"""Kinds of place that can be loose: the seat of a link on its joint; the teeth of a joint."""
+_TURN = 2 * np.pi
+
+
+def place_name(kind: str, at: str) -> str:
+    """Name of a place, as ``backlash@elbow``."""
+    return f"{kind}@{at}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseModel:
+    """Rigid dynamics of the arm in one pose; n joints, tool frame for what the sensor reads."""
+
+    inertia: Array
+    """Inertia of the links about the joints, rotors left out (n, n) [kg·m², kg]."""
+    jacobian: Array
+    """Acceleration of the tool by joint acceleration, tool frame (3, n)."""
+    turning: Array
+    """Angular acceleration of the tool by joint acceleration, tool frame (3, n)."""
+    up: Array
+    """Reading of a sensor at rest: gravity's reaction, tool frame (3,) [m/s²]."""
+    carried: tuple[Array, ...]
+    """Mass times velocity Jacobian of all that hangs on each link, link frame, n of (3, n) [kg]."""
+    mass: Array
+    """Mass that hangs on each link (n,) [kg]."""
+    weight: Array
+    """Force that each seat carries at rest, link frame (n, 3) [N]."""
+    torque: Array
+    """Torque that each joint carries at rest (n,) [N·m, N]."""
+    frames: Array
+    """Turns link frames into the tool's (n, 3, 3)."""
+
+    def tilt(self, acceleration: Array, hertz: Array) -> Array:
+        """Gravity that turns through the sensor (k, 3), by lines of joint acceleration (k, n)."""
+        angle = -acceleration / (_TURN * hertz[:, None]) ** 2
+        return np.cross(self.up[None], angle @ self.turning.T)
+
+    def throws(self, stiffening: Array) -> tuple[Array, Array, Array]:
+        """Motion of the tool by a force pair within the arm, above the modes of its gears.
+
+        Parameters
+        ----------
+        stiffening : ndarray
+            Inertia that each joint has beside the links' own, less what its gear's spring takes
+            off (n,) [kg·m², kg].
+
+        Returns
+        -------
+        seats : ndarray
+            Acceleration of the tool by unit force across each seat (n, 3, 3), tool by link frame.
+        stiff : ndarray
+            Force by unit acceleration of each seat's opening, link frame (n, 3, 3) [kg].
+        joints : ndarray
+            Acceleration of the tool by unit torque pair in each joint (n, 3).
+        """
+        inverse = np.linalg.inv(self.inertia + np.diag(stiffening))
+        seats, stiff = [], []
+        for frame, carried, mass in zip(self.frames, self.carried, self.mass, strict=True):
+            seats.append(frame - self.jacobian @ inverse @ carried.T)
+            stiff.append(mass * np.eye(3) - carried @ inverse @ carried.T)
+        return np.array(seats), np.array(stiff), (self.jacobian @ inverse).T
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SuspectArm:
+    """Arm of a model file as rigid bodies with an accelerometer; n joints, base first."""
+
+    path: Path
+    recording_model: RecordingModel
+    """Self-contained model that recordings of the arm are checked against."""
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    """Body that each joint moves."""
+    slides: Array
+    """True where a joint slides (n,)."""
+    low: Array
+    """Lowest allowed position (n,) [rad, m]; a full turn where the model has no range."""
+    high: Array
+    torque_limit: Array
+    """Peak torque of each drive (n,) [N·m, N]; infinite where the model states none."""
+    collisions: Collisions
+    notes: tuple[str, ...]
+    """Omissions and assumptions, in sentences."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints, and of links."""
+        return len(self.joints)
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Names of all places that can be loose: seats of the links, then teeth of the joints."""
+        return (
+            *(place_name(BOLTS, link) for link in self.links),
+            *(place_name(GEARS, joint) for joint in self.joints),
+        )
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The recording's model."""
+        return self.recording_model.model
+
+    @cached_property
+    def addresses(self) -> Array:
+        """Index of each joint in the model's positions (n,)."""
+        return np.array([int(self.model.joint(j).qposadr[0]) for j in self.joints])
+
+    @cached_property
+    def dofs(self) -> Array:
+        """Index of each joint in the model's velocities (n,)."""
+        return np.array([int(self.model.joint(j).dofadr[0]) for j in self.joints])
+
+    @cached_property
+    def rotors(self) -> Array:
+        """Rotor inertia that the model states for each joint (n,) [kg·m², kg]."""
+        return np.array(self.model.dof_armature[self.dofs])
+
+    @cached_property
+    def ground(self) -> Ground:
+        """The plane that the arm stands on."""
+        first = [self.model.body(link).id for link in self.links]
+        return Ground.of(self.model, self.addresses, first, self.recording_model.site)
+
+    def pose_of(self, named: dict[str, float]) -> Array:
+        """Joint positions (n,) of a pose by names; others are at the model's reference."""
+        own = self.model.qpos0[self.addresses]
+        return np.array([named.get(j, float(q)) for j, q in zip(self.joints, own, strict=True)])
+
+    def at(self, pose: Array) -> PoseModel:
+        """Rigid dynamics in a pose (n,)."""
+        m = self.model
+        data = mujoco.MjData(m)
+        data.qpos[:] = m.qpos0
+        data.qpos[self.addresses] = pose
+        mujoco.mj_forward(m, data)
+        dofs = self.dofs
+        inertia = np.zeros((m.nv, m.nv))
+        mujoco.mj_fullM(m, data, inertia)
+        inertia = inertia[np.ix_(dofs, dofs)] - np.diag(m.dof_armature[dofs])
+        site = m.site(self.recording_model.site).id
+        move, turn = np.zeros((3, m.nv)), np.zeros((3, m.nv))
+        mujoco.mj_jacSite(m, data, move, turn, site)
+        tool = data.site_xmat[site].reshape(3, 3)
+        gravity = np.array(m.opt.gravity)
+        if m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY:
+            gravity = np.zeros(3)
+        jac = np.zeros((3, m.nv))
+        carried, mass, weight, frames = [], [], [], []
+        for link in self.links:
+            body = m.body(link).id
+            own = np.zeros((3, m.nv))
+            beyond = np.flatnonzero(carried_bodies(m, body))
+            for b in beyond:
+                mujoco.mj_jacBodyCom(m, data, jac, None, int(b))
+                own += m.body_mass[b] * jac
+            turned = data.xmat[body].reshape(3, 3)
+            total = float(m.body_mass[beyond].sum())
+            carried.append(turned.T @ own[:, dofs])
+            mass.append(total)
+            weight.append(-total * turned.T @ gravity)
+            frames.append(tool.T @ turned)
+        return PoseModel(
+            inertia=inertia,
+            jacobian=tool.T @ move[:, dofs],
+            turning=tool.T @ turn[:, dofs],
+            up=-tool.T @ gravity,
+            carried=tuple(carried),
+            mass=np.array(mass),
+            weight=np.array(weight),
+            torque=np.array(data.qfrc_bias[dofs]),
+            frames=np.array(frames),
+        )
+
+
+def read_arm(
+    path: str | Path,
+    *,
+    tool: str | None = None,
+    package: str | Path | None = None,
+    payload_kg: float = 0.0,
+    payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0),
+) -> SuspectArm:
+    """Read the arm of a model file: MJCF or URDF of a serial arm on a fixed base.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    tool : str, optional
+        Site or body that carries the accelerometer; by default where the model's own is, else the
+        site 'tool', else the last site or body.
+    package : str or Path, optional
+        Folder of the ROS package in which the meshes of a URDF lie.
+    payload_kg : float
+        Mass at the tool that the model lacks [kg].
+    payload_at_m : tuple of float
+        Its centre in the tool frame [m].
+
+    Raises
+    ------
+    InvalidData, UnknownName
+        If there is no such arm, or no such tool.
+
+    Examples
+    --------
+    >>> from loose_env.arms import DESK_ARM
+    >>> arm = read_arm(DESK_ARM)
+    >>> arm.joints[:2], arm.places[0]
+    (('base', 'shoulder'), 'structural_looseness@column')
+    """
+    file = read_model_file(path, package=package)
+    chain, notes = _chain_to_tool(file, tool)
+    made = recording_model(file, chain, payload_kg=payload_kg, payload_at_m=payload_at_m)
+    found = report(file, chain)
+    slides = np.array([joint.kind == "slide" for joint in found.joints])
+    wide = np.where(slides, 0.25, np.pi)
+    ranges = [j.range or (-w, w) for j, w in zip(found.joints, wide, strict=True)]
+    low, high = np.array(ranges, dtype=float).T
+    limits = [np.inf if j.torque_limit is None else j.torque_limit for j in found.joints]
+    joints = tuple(joint.name for joint in found.joints)
+    return SuspectArm(
+        path=Path(path),
+        recording_model=made,
+        joints=joints,
+        links=found.links,
+        slides=slides,
+        low=low,
+        high=high,
+        torque_limit=np.array(limits, dtype=float),
+        collisions=Collisions.of(file.spec, joints),
+        notes=(*found.warnings, *made.notes, *notes),
+    )
+
+
+def _chain_to_tool(file: ModelFile, tool: str | None) -> tuple[Chain, list[str]]:
+    """Chain from the base to the accelerometer, and notes on what was assumed."""
+    sites, own = sensed_sites(file.spec), tool_site(file.spec)
+    if tool is not None or own is not None:
+        several = tool is None and len(sites) > 1
+        note = (
+            f"the model has accelerometers at {', '.join(sites)}; the one at {own} is taken for "
+            "the tool's: name another with --tool"
+        )
+        return find_chain(file, own if tool is None else tool, None), [note] if several else []
+    chain = find_chain(file, None, None)
+    outermost = body_beyond(file, chain)
+    if outermost is None:
+        return chain, []
+    note = (
+        f"the accelerometer is thought to sit at {outermost!r}, which is fixed to the last link; "
+        "name another site or body with --tool"
+    )
+    return find_chain(file, outermost, None), [note]
+
+
+def require_accelerometer(arm: SuspectArm) -> str:
+    """Sensor at the tool, as columns name it; refused where the model has none."""
+    if not arm.recording_model.accelerometer:
+        raise InvalidData(
+            f"{arm.path.name}: the model has no accelerometer; a diagnosis needs one at the tool: "
+            '<sensor><accelerometer name="tool_acc" site="tool"/></sensor>'
+        )
+    return arm.recording_model.accelerometer

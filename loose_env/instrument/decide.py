@@ -1,0 +1,178 @@
+"""From rhythm, direction and change to a verdict for the arm and for each of its places."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loose_env.instrument.arm import BOLTS, SuspectArm
+from loose_env.instrument.locate import Rhythm, direction_scores, names_of
+from loose_env.instrument.motion import Gears
+from loose_env.instrument.poses import REVERSES
+from loose_env.instrument.records import Record
+from loose_env.instrument.reference import Change
+from loose_env.typing import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numbers:
+    """Numbers that decide, set on development machines.
+
+    `python -m scripts.suites.instrument.run --ablate` leaves each out on judged recordings.
+    """
+
+    rhythm: float = 0.40
+    """Correlation of foretold and heard envelope from which something knocks [1]: healthy machines
+    of nine unlike kinds reach 0.07 to 0.32."""
+    rhythm_beside: float = 0.30
+    """The same beside a healthy session in which the top band was quieter [1]."""
+    top_beside_db: float = 1.5
+    """Rise of the top band that must go with it [dB]: what another day's friction does."""
+    top_db: float = 3.0
+    """Rise of the top band over a healthy session from which something knocks [dB]."""
+    even_db: float = 1.5
+    """Rise of the even lines from which a seat or preloaded play opened [dB]."""
+    odd_db: float = 2.0
+    """Rise of the odd lines left out from which play opened [dB]."""
+    samples: float = 60.0
+    """Independent samples of an envelope's rhythm in a session [1]: knocks ring for some 5 ms, and
+    loads change sign some ten times a second in each of six poses."""
+    vectors: float = 3.0
+    """Independent vectors that a pose's ringing counts for [1]: it rings in a few modes alone."""
+    softer: float = 20.0
+    """Weight of a joint's softening against a healthy session [1]: lines that see it."""
+    stiff: float = 1.6
+    """Growth of the tool motion left by the healthy gears from which a joint became softer [1]."""
+    second: float = 0.6
+    """Correlation of a second place's knocks, beside what the first foretells, from which both
+    knock [1]."""
+    sure: float = 0.9
+    """Probability of a place from which it is settled [1]."""
+
+
+FEWEST_POSES = 3
+"""Poses that a verdict needs: fewer do not tell places apart."""
+_BOOTSTRAPS = 400
+_DIRECTION_COST = 2.0
+"""Log of the share of the sphere that a direction found by search occupies: two numbers more."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scores:
+    """Score of every hypothesis, and probability of every place if something is loose."""
+
+    hypotheses: Array
+    """Log likelihood (H,)."""
+    probability: Mapping[str, float]
+    """Share of resampled sessions in which each place is best."""
+    order: tuple[str, ...]
+    """Places, best first."""
+    best: Mapping[str, int]
+    """Best hypothesis of each place."""
+
+
+def score(
+    arm: SuspectArm,
+    rhythm: Rhythm,
+    records: Sequence[Record],
+    gears: Gears,
+    rng: np.random.Generator,
+    *,
+    numbers: Numbers,
+    change: Change | None = None,
+    healthy: Sequence[Record] | None = None,
+) -> Scores:
+    """Score rhythm, direction and softening together, and resample the poses for a probability."""
+    covariances = [
+        gears.rotation
+        @ (r.covariance - (0 if healthy is None else healthy[k].covariance))
+        @ gears.rotation.T
+        for k, r in enumerate(records)
+    ]
+    directions = numbers.vectors * direction_scores(rhythm.throws, covariances)
+    extra = np.array([-_DIRECTION_COST * (kind == BOLTS) for kind, _, _ in rhythm.labels])
+    if change is not None and change.stiff > numbers.stiff:
+        for h, (kind, i, _) in enumerate(rhythm.labels):
+            if kind != BOLTS:
+                extra[h] += numbers.softer * change.softer[i]
+
+    # A place that no pose lets knock is not heard, whatever the direction of the ringing.
+    extra = np.where(rhythm.moments[:, 1].sum(0) > 0, extra, -np.inf)
+
+    def of(weight: Array) -> Array:
+        """Scores (B, H) of sessions made of poses by weight (B, R)."""
+        cov, told, heard = (weight @ rhythm.moments[:, k] for k in range(3))
+        timing = np.clip(cov / np.sqrt(np.maximum(told * heard, 1e-30)), 0, 0.98)
+        found: Array = -0.5 * numbers.samples * np.log(1 - timing**2) + weight @ directions + extra
+        return found
+
+    names = np.array(names_of(arm, rhythm))
+    whole = of(np.ones((1, len(records))))[0]
+    members = {place: np.flatnonzero(names == place) for place in arm.places}
+    best = {place: int(own[whole[own].argmax()]) for place, own in members.items()}
+    order = sorted(arm.places, key=lambda place: -whole[best[place]])
+    drawn = rng.multinomial(len(records), np.full(len(records), 1 / len(records)), _BOOTSTRAPS)
+    resampled = of(drawn.astype(float))
+    each = np.stack([resampled[:, own].max(1) for own in members.values()], 1)
+    wins = np.bincount(each.argmax(1), minlength=len(members)) + 0.5
+    shares = dict(zip(members, wins / wins.sum(), strict=True))
+    return Scores(hypotheses=whole, probability=shares, order=tuple(order), best=best)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alarm:
+    """Whether something knocks, and what said so."""
+
+    loose: bool
+    reasons: tuple[str, ...]
+    """What said so, or what came nearest, in sentences."""
+    evidence: Mapping[str, float]
+    """Each statistic by its name."""
+
+
+def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) -> Alarm:
+    """Say whether something knocks: by its rhythm, or by what rose over the healthy session."""
+    timing = float(rhythm.timing.max())
+    evidence = {"rhythm": timing, "friction": rhythm.friction}
+    if change is None:
+        said = timing > numbers.rhythm
+        words = (
+            f"the top band rings in the rhythm of a knock: correlation {timing:.2f} "
+            f"(limit {numbers.rhythm:.2f})"
+        )
+        return Alarm(loose=said, reasons=(words,), evidence=evidence)
+    evidence |= {"top_db": change.top, "even_db": change.even, "odd_db": change.odd}
+    evidence["stiff"] = change.stiff
+    tests = (
+        (
+            timing
+            > (numbers.rhythm_beside if change.top > numbers.top_beside_db else numbers.rhythm),
+            f"the top band rings in the rhythm of a knock: correlation {timing:.2f} "
+            f"(limit {numbers.rhythm_beside:.2f} beside a healthy session)",
+        ),
+        (
+            change.top > numbers.top_db,
+            f"the top band rings {change.top:.1f} dB louder than on the healthy day "
+            f"(limit {numbers.top_db:g} dB)",
+        ),
+        (
+            change.even > numbers.even_db,
+            f"even lines rose by {change.even:.1f} dB (limit {numbers.even_db:g} dB)",
+        ),
+        (
+            change.odd > numbers.odd_db,
+            f"odd lines rose by {change.odd:.1f} dB (limit {numbers.odd_db:g} dB)",
+        ),
+    )
+    reasons = tuple(words for said, words in tests if said)
+    nearest = (f"the rhythm of no place is heard: correlation {timing:.2f}",)
+    return Alarm(loose=bool(reasons), reasons=reasons or nearest, evidence=evidence)
+
+
+def tested(arm: SuspectArm, rhythm: Rhythm) -> dict[str, float]:
+    """Share of each place's directions whose load reversed well beyond friction in some pose."""
+    names = np.array(names_of(arm, rhythm))
+    able = rhythm.reversing.max(0) >= REVERSES
+    return {place: float(able[names == place].mean()) for place in arm.places}

@@ -1,0 +1,188 @@
+"""When a loose part must knock: loads on seats and teeth, and a mass between two stops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from loose_env.instrument.arm import PoseModel
+from loose_env.typing import Array
+
+DIRECTIONS = 240
+"""Directions of a seat's slide that are tried, over half the sphere: 6 degrees apart."""
+SEAT_FRICTION_N, SEAT_FRICTION = 3.0, 0.3
+"""Friction of a loosened seat: of steel on steel under the weight that it carries [1], and at most
+what bolts without preload leave [N]."""
+TEETH_FRICTION = (0.06, 6.0)
+"""Friction on the load's side of a joint's teeth [N·m; N where it slides]."""
+_RING_S = 0.005
+"""Time in which a knock's ringing decays to 1/e [s]."""
+_REVERSAL_S = 0.010
+"""The same of friction's reversal [s]."""
+
+
+def sphere(count: int) -> Array:
+    """Directions (count, 3) spread over half the sphere (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - k / count, np.pi * (1 + 5**0.5) * k
+    flat = np.sqrt(1 - z * z)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], 1)
+
+
+def cone(axis: Array, degrees: float, count: int) -> Array:
+    """Directions (count, 3) within a cone about an axis (3,)."""
+    z, turn = 1 - np.arange(count) / count * (1 - np.cos(np.radians(degrees))), np.arange(count)
+    flat, turn = np.sqrt(1 - z * z), turn * np.pi * (1 + 5**0.5)
+    basis = np.linalg.svd(axis[None])[2]
+    sign = np.sign(basis[0] @ axis)
+    found: Array = np.stack([sign * z, flat * np.cos(turn), flat * np.sin(turn)], 1) @ basis
+    return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Loads:
+    """What seats and teeth carry in one pose over a period; n joints."""
+
+    seats: Array
+    """Force of each seat on all beyond it, link frame (n, GRID, 3) [N]."""
+    teeth: Array
+    """Torque of each joint's teeth (n, GRID) [N·m, N]."""
+    mass: Array
+    """Mass beyond each seat (n,) [kg]."""
+    throws: Array
+    """Acceleration of the tool by unit force across each seat (n, 3, 3) [1/kg]."""
+    stiff: Array
+    """Force by unit acceleration of each seat's opening (n, 3, 3) [kg]."""
+    turns: Array
+    """Acceleration of the tool by unit torque in each joint (n, 3)."""
+    inertia: Array
+    """Inertia that flies free when a joint's teeth part (n,) [kg·m², kg]."""
+
+    def along(self, link: int, directions: Array) -> tuple[Array, Array, Array]:
+        """Load (D, GRID), mass (D,) and throw of the tool (D, 3) of a seat along directions."""
+        stiff = np.einsum("da,ab,db->d", directions, self.stiff[link], directions)
+        load = directions @ self.seats[link].T
+        return load, np.maximum(stiff, 0.02), directions @ self.throws[link].T
+
+
+def loads_of(model: PoseModel, acceleration: Array, stiffening: Array) -> Loads:
+    """Loads under link accelerations (GRID, n), gravity included."""
+    throws, stiff, turns = model.throws(stiffening)
+    inertia = model.inertia + np.diag(np.maximum(stiffening, 0.0))
+    seats = [
+        acceleration @ carried.T + weight
+        for carried, weight in zip(model.carried, model.weight, strict=True)
+    ]
+    return Loads(
+        seats=np.array(seats),
+        teeth=(acceleration @ inertia + model.torque).T,
+        mass=model.mass,
+        throws=throws,
+        stiff=stiff,
+        turns=turns,
+        inertia=1 / np.diag(np.linalg.inv(inertia)),
+    )
+
+
+def knocks(load: Array, mass: Array, gap: Array, friction: Array, period: float) -> Array:
+    """Squared speed of each arrival of a mass between two stops, in the second of two periods.
+
+    Parameters
+    ----------
+    load : ndarray
+        Load that the stops carry (H, GRID) [N, N·m].
+    mass, gap, friction : ndarray
+        Of each hypothesis (H,) [kg, m, N; kg·m², rad, N·m].
+
+    Examples
+    --------
+    >>> swing = 10 * np.sin(2 * np.pi * 3 * np.arange(1000) / 1000)[None]
+    >>> one = np.ones(1)
+    >>> int((knocks(swing, one, 1e-4 * one, 0.1 * one, 1.0) > 0).sum())
+    6
+    """
+    step = period / load.shape[1]
+    x, v = np.zeros(len(load)), np.zeros(len(load))
+    samples = np.ascontiguousarray(-load.T)
+    out = np.zeros_like(samples)
+    for k in range(2 * len(samples)):
+        force = samples[k % len(samples)]
+        held = ((x <= 0) & (force < friction)) | ((x >= gap) & (force > -friction))
+        drag = friction * np.sign(np.where(v != 0, v, force))
+        v = np.where(held, 0.0, v + (force - drag) / mass * step)
+        x = x + v * step
+        arrived = ~held & ((x <= 0) | (x >= gap))
+        if k >= len(samples):
+            out[k - len(samples)] = np.where(arrived, v * v, 0.0)
+        v[arrived] = 0.0
+        np.clip(x, 0.0, gap, out=x)
+    found: Array = out.T
+    return found
+
+
+def rung(energy: Array, decay_s: float, period: float) -> Array:
+    """Energy (H, GRID) that rings down after each knock, around the period."""
+    keep = np.exp(-period / energy.shape[-1] / decay_s)
+    twice = lfilter([1.0], [1.0, -keep], np.concatenate([energy, energy], -1), axis=-1)
+    found: Array = twice[..., energy.shape[-1] :]
+    return found
+
+
+def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period: float) -> Array:
+    """Ringing that each hypothesis foretells (n D + n, GRID): seats by direction, then teeth.
+
+    Parameters
+    ----------
+    gap_mm : float
+        Clearance of a seat [mm]; ten times it is a joint's free travel [mrad], or as much of a
+        slide [mm].
+    """
+    n = len(loads.seats)
+    parts = [loads.along(link, directions) for link in range(n)]
+    load = np.concatenate([p[0] for p in parts] + [loads.teeth])
+    mass = np.concatenate([p[1] for p in parts] + [loads.inertia])
+    count = n * len(directions)
+    gap = np.full(len(load), gap_mm * 1e-3)
+    gap[count:] = np.where(slides, gap_mm * 1e-3, gap_mm * 1e-2)
+    energy = knocks(load, mass, gap, _friction(loads, len(directions), slides), period)
+    thrown = np.concatenate([p[2] for p in parts])
+    loud = np.concatenate(
+        [(thrown**2).sum(1), ((loads.turns * loads.inertia[:, None]) ** 2).sum(1)]
+    )
+    return rung(energy * loud[:, None], _RING_S, period)
+
+
+def _friction(loads: Loads, directions: int, slides: Array) -> Array:
+    """Friction of every hypothesis (n D + n,) [N, N·m]."""
+    each = np.minimum(SEAT_FRICTION_N, SEAT_FRICTION * 9.81 * loads.mass)
+    seats = np.repeat(each, directions)
+    return np.concatenate([seats, np.where(slides, TEETH_FRICTION[1], TEETH_FRICTION[0])])
+
+
+def reversals(loads: Loads, speed: Array, period: float) -> Array:
+    """Ringing that friction foretells (n, GRID): each motor turning round."""
+    turned = (np.sign(speed) != np.sign(np.roll(speed, 1, 0))).astype(float).T
+    return rung(turned, _REVERSAL_S, period) * (loads.turns**2).sum(-1)[:, None]
+
+
+def thrown(loads: Loads, directions: Array) -> Array:
+    """Unit direction in which each hypothesis throws the tool (n D + n, 3), as `trains`."""
+    seats = np.concatenate([directions @ loads.throws[link].T for link in range(len(loads.throws))])
+    every = np.vstack([seats, loads.turns])
+    found: Array = every / np.maximum(np.linalg.norm(every, axis=1, keepdims=True), 1e-12)
+    return found
+
+
+def reversing(loads: Loads, directions: Array, slides: Array) -> Array:
+    """How far each place's load reverses (n D + n,): the smaller of its two peaks over friction.
+
+    A seat or a joint whose load stays on one side, or within friction, cannot knock: it is not
+    tested by this pose.
+    """
+    n = len(loads.seats)
+    load = np.concatenate([directions @ loads.seats[link].T for link in range(n)] + [loads.teeth])
+    friction = _friction(loads, len(directions), slides)
+    found: Array = np.minimum(load.max(1), -load.min(1)) / friction
+    return found

@@ -1,0 +1,242 @@
+"""Where something knocks: rhythm and direction of every link and joint against what was heard."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loose_env.instrument import knocks
+from loose_env.instrument.arm import BOLTS, GEARS, PoseModel, SuspectArm, place_name
+from loose_env.instrument.motion import Gears, accelerations, rotor_speeds
+from loose_env.instrument.records import Record
+from loose_env.instrument.signals import Multisine
+from loose_env.typing import Array
+
+GAPS_MM = (0.02, 0.06, 0.12, 0.25)
+"""Clearances tried [mm]: a knock's time hardly depends on them, its loudness little."""
+RIGID_GAPS_MM = (0.01, 0.04)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Heard:
+    """What rang in a session, and what loads it rang under; R records, n joints."""
+
+    amplitude: tuple[Array, ...]
+    """Amplitude of the top band in each pose (GRID,)."""
+    friction: tuple[Array, ...]
+    """Amplitude that reversals of friction foretell in each (n, GRID)."""
+    elastic: tuple[knocks.Loads, ...]
+    """Loads of links that hang on springs."""
+    rigid: tuple[knocks.Loads, ...]
+    """Loads of links that follow their encoders: play lies behind no spring."""
+    free: tuple[knocks.Loads, ...]
+    """Throws at the top band's frequency, where a spring takes off inertia."""
+    slides: Array
+    period_s: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rhythm:
+    """Agreement of every hypothesis with what was heard; H: seats by direction, then teeth."""
+
+    labels: tuple[tuple[str, int, int], ...]
+    """Kind, link or joint, and index of the direction (H,)."""
+    directions: Array
+    """Directions of seats (D, 3), link frame."""
+    timing: Array
+    """Correlation of foretold and heard amplitude beyond friction, all poses together (H,)."""
+    gap_mm: Array
+    """Clearance at which it is highest (H,) [mm]."""
+    moments: Array
+    """Of it by pose: covariance, power foretold, power heard (R, 3, H)."""
+    throws: Array
+    """Direction in which each would throw the tool (R, H, 3)."""
+    friction: float
+    """Share of the variance heard that reversals of friction explain [1]."""
+    reversing: Array
+    """How far each hypothesis' load reverses, over friction (R, H)."""
+
+
+def hear(
+    arm: SuspectArm,
+    records: Sequence[Record],
+    models: Sequence[PoseModel],
+    gears: Gears,
+    signal: Multisine,
+    *,
+    healthy: Sequence[Record] | None = None,
+) -> Heard:
+    """Take the ringing of every record beside the loads that the arm carried then.
+
+    Parameters
+    ----------
+    healthy : sequence of Record, optional
+        Records of the healthy day, one for each, whose ringing is taken off.
+    """
+    period = signal.period_s
+    ring = 2 * np.pi * 0.8 * records[0].band_hz[1]
+    stiffening = gears.rotor - 0.5 * gears.spring / ring**2
+    amplitude, friction, elastic, rigid, free = [], [], [], [], []
+    for k, (record, model) in enumerate(zip(records, models, strict=True)):
+        quiet = record.floor if healthy is None else _DAY * healthy[k].envelope
+        amplitude.append(np.sqrt(np.maximum(record.envelope - quiet, 0)))
+        for follows, kept in ((False, elastic), (True, rigid)):
+            moved = accelerations(record, model, gears, k, period, rigid=follows)
+            kept.append(knocks.loads_of(model, moved, gears.rotor))
+        speed = rotor_speeds(record, period)
+        friction.append(np.sqrt(knocks.reversals(elastic[-1], speed, period)))
+        free.append(knocks.loads_of(model, np.zeros((1, arm.n)), stiffening))
+    return Heard(
+        amplitude=tuple(amplitude),
+        friction=tuple(friction),
+        elastic=tuple(elastic),
+        rigid=tuple(rigid),
+        free=tuple(free),
+        slides=arm.slides,
+        period_s=period,
+    )
+
+
+_DAY = 1.3
+"""What the top band of a healthy arm rings on another day, over this one, in energy [1]: friction
+changes by 15 % with temperature (Bittencourt and Gunnarsson 2012)."""
+
+
+def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None = None) -> Rhythm:
+    """Correlate what was heard with what each hypothesis foretells.
+
+    Parameters
+    ----------
+    directions : ndarray
+        Directions of seats that are tried (D, 3), link frame.
+    beside : sequence of ndarray, optional
+        Amplitude foretold by a place that is known to knock, in each pose (GRID,): the rest is
+        judged.
+    """
+    n = len(heard.slides)
+    labels = tuple((BOLTS, i, d) for i in range(n) for d in range(len(directions)))
+    labels += tuple((GEARS, j, -1) for j in range(n))
+    explained = heard.friction
+    if beside is not None:
+        explained = tuple(np.vstack([f, b]) for f, b in zip(heard.friction, beside, strict=True))
+    timing = np.full(len(labels), -1.0)
+    gap_mm = np.zeros(len(labels))
+    moments, share = np.zeros((len(heard.amplitude), 3, len(labels))), 0.0
+    for loads, gaps in ((heard.elastic, GAPS_MM), (heard.rigid, RIGID_GAPS_MM)):
+        for gap in gaps:
+            told = [
+                np.sqrt(knocks.trains(own, directions, gap, heard.slides, heard.period_s))
+                for own in loads
+            ]
+            found, parts, share = correlation(heard.amplitude, told, explained)
+            better = found > timing
+            timing = np.maximum(timing, found)
+            gap_mm[better] = gap if loads is heard.elastic else -gap
+            moments = np.where(better, parts, moments)
+    return Rhythm(
+        labels=labels,
+        directions=directions,
+        timing=timing,
+        gap_mm=gap_mm,
+        moments=moments,
+        throws=np.array([knocks.thrown(own, directions) for own in heard.free]),
+        friction=share,
+        reversing=np.array(
+            [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
+        ),
+    )
+
+
+def foretold(heard: Heard, rhythm: Rhythm, hypothesis: int) -> list[Array]:
+    """Amplitude that one hypothesis foretells in each pose (GRID,)."""
+    kind, i, d = rhythm.labels[hypothesis]
+    own = rhythm.directions[[max(d, 0)]]
+    gap = rhythm.gap_mm[hypothesis]
+    loads = heard.elastic if gap > 0 else heard.rigid
+    row = i if kind == BOLTS else len(heard.slides) + i
+    return [
+        np.sqrt(knocks.trains(each, own, abs(gap), heard.slides, heard.period_s)[row])
+        for each in loads
+    ]
+
+
+def correlation(
+    heard: Sequence[Array], told: Sequence[Array], friction: Sequence[Array]
+) -> tuple[Array, Array, float]:
+    """Correlation of amplitudes over all poses together, what friction explains projected out.
+
+    Parameters
+    ----------
+    heard : sequence of ndarray
+        Amplitude of the top band in each pose (GRID,).
+    told : sequence of ndarray
+        Amplitude that each hypothesis foretells (H, GRID).
+    friction : sequence of ndarray
+        Amplitude that reversals foretell (n, GRID).
+
+    Returns
+    -------
+    correlation : ndarray
+        Of each hypothesis (H,); 0 where friction foretells the same.
+    moments : ndarray
+        Covariance, power foretold and power heard by pose (R, 3, H).
+    share : float
+        Of the variance heard that friction explains.
+    """
+    y = np.concatenate(heard)
+    base = np.vstack([np.ones(len(y)), np.concatenate(friction, 1)])
+    base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-12)
+    span = np.linalg.svd(base, full_matrices=False)[2]
+    x = np.concatenate(told, 1)
+    before = np.linalg.norm(x - x.mean(1, keepdims=True), axis=1)
+    variance = float(((y - y.mean()) ** 2).sum())
+    y = y - span.T @ (span @ y)
+    x = x - (x @ span.T) @ span
+    size = np.linalg.norm(x, axis=1)
+    clear = size > 0.1 * before
+    found = np.where(clear, x @ y / np.maximum(size * np.linalg.norm(y), 1e-30), 0.0)
+    parts, at = [], 0
+    for own in heard:
+        s = slice(at, at + len(own))
+        at += len(own)
+        power = np.full(len(x), float(y[s] @ y[s]))
+        parts.append([(x[:, s] @ y[s]) * clear, (x[:, s] ** 2).sum(1), power])
+    return found, np.array(parts), 1 - float(y @ y) / max(variance, 1e-30)
+
+
+def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
+    """Log likelihood of each hypothesis by pose and independent vector (R, H).
+
+    Parameters
+    ----------
+    throws : ndarray
+        Direction of each hypothesis by pose (R, H, 3).
+    covariances : sequence of ndarray
+        Of the top band, noise taken off, the model's frame (3, 3) [m²/s⁴].
+    """
+    power = np.array([max(float(np.trace(c)), 1e-12) for c in covariances])
+    # Poses that hardly rang say little about direction.
+    weight = np.clip(power / power.max() * 20, 0, 1)
+    found = []
+    for u, c, w in zip(throws, covariances, weight, strict=True):
+        values, axes = np.linalg.eigh(c)
+        clean = (axes * np.maximum(values, 1e-14)) @ axes.T
+        clean /= np.trace(clean)
+        along = np.clip(np.einsum("ha,ab,hb->h", u, clean, u), 1 / 3, 1 - _SPREAD)
+        told = np.log(along) + 2 * np.log((1 - along) / 2) - 3 * np.log(1 / 3)
+        found.append(-0.5 * w * told)
+    return np.array(found)
+
+
+_SPREAD = 0.02
+"""Share of a knock's ringing that goes astray, modes of the links [1]."""
+
+
+def names_of(arm: SuspectArm, rhythm: Rhythm) -> list[str]:
+    """Place of every hypothesis (H,)."""
+    return [
+        place_name(kind, arm.links[i] if kind == BOLTS else arm.joints[i])
+        for kind, i, _ in rhythm.labels
+    ]

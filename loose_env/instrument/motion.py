@@ -1,0 +1,228 @@
+"""What the arm did: how the sensor is turned, springs of the gears, accelerations of the links."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from loose_env.instrument.arm import PoseModel, SuspectArm
+from loose_env.instrument.records import GRID, Record
+from loose_env.instrument.signals import Multisine
+from loose_env.typing import Array
+
+_LOSS = 0.06
+"""Loss factor of a gear's spring [1]."""
+_MODE_HZ, _MODE_SPREAD = 35.0, 3.3
+"""Usual mode of an arm on its gears [Hz] and the spread of its logarithm: 20 to 60 Hz in
+industrial arms (Klimchik et al. 2014), wide enough for a desk arm and a stiff gantry."""
+_ROTOR_SPREAD = 1.0
+_LATE_S = 2e-3
+"""Usual error of an alignment of two clocks [s]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gears:
+    """What carries the encoders' motion to the tool; n joints."""
+
+    rotation: Array
+    """Turns the sensor as mounted into the model's (3, 3)."""
+    late: Array
+    """Time by which each record's accelerometer lags its encoders (R,) [s]."""
+    spring: Array
+    """Spring of each gear (n,) [N·m/rad, N/m]."""
+    rotor: Array
+    """Rotor inertia on the link side of the spring (n,) [kg·m², kg]."""
+    left: float
+    """Share of the tool's motion that they leave [1]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Lines:
+    """Excited lines of a record as the gears see them."""
+
+    hertz: Array
+    joints: Array
+    tool: Array
+    model: PoseModel
+    scale: float
+
+
+def links_of(
+    joints: Array, model: PoseModel, spring: Array, rotor: Array, hertz: Array, loss: Array | float
+) -> Array:
+    """Lines of link acceleration (k, n) from the motors', the links hanging on springs."""
+    stiff = np.diag(spring * (1 + 1j * np.broadcast_to(loss, len(spring))))
+    omega2 = (2 * np.pi * hertz[:, None, None]) ** 2
+    system = stiff - omega2 * (model.inertia + np.diag(rotor))
+    found: Array = np.linalg.solve(system, (joints @ stiff.T)[:, :, None])[:, :, 0]
+    return found
+
+
+def turned(record: Record, gears: Gears, index: int, lines: Array, period: float) -> Array:
+    """Lines of the tool (k, 3) in the model's frame and on the encoders' clock."""
+    late = np.exp(2j * np.pi * lines / period * gears.late[index])[:, None]
+    found: Array = (record.tool[lines] * late) @ gears.rotation.T
+    return found
+
+
+def mounted(records: Sequence[Record], models: Sequence[PoseModel], signal: Multisine) -> Array:
+    """Turn of the sensor (3, 3), by gravity and slow motion in every pose (Wahba's problem)."""
+    b = np.zeros((3, 3))
+    for record, model in zip(records, models, strict=True):
+        if np.any(model.up):
+            b += 3 * np.outer(model.up, record.gravity) / (model.up @ model.up)
+        slow = np.arange(1, len(record.joints))
+        hertz = slow / signal.period_s
+        slow = slow[(hertz >= 3) & (hertz <= 8)]
+        own = record.joints[slow]
+        told = own @ model.jacobian.T + model.tilt(own, slow / signal.period_s)
+        read = record.tool[slow]
+        b += np.real(told.T @ read.conj()) / max(float((np.abs(read) ** 2).sum()), 1e-12)
+    u, _, v = np.linalg.svd(b)
+    rotation: Array = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+    return rotation
+
+
+def fit_gears(
+    arm: SuspectArm, records: Sequence[Record], models: Sequence[PoseModel], signal: Multisine
+) -> Gears:
+    """Springs of the gears that carry the encoders' motion to the tool, as it was measured.
+
+    Linear, without servo or friction; from the low lines upward, since a start above a mode falls
+    into a wrong valley.
+    """
+    rotation = mounted(records, models, signal)
+    n, excited = arm.n, signal.excited
+    data = [
+        _Lines(
+            hertz=signal.hertz,
+            joints=record.joints[excited],
+            tool=record.tool[excited] @ rotation.T,
+            model=model,
+            scale=float(np.sqrt(np.mean(np.abs(record.tool[excited]) ** 2))),
+        )
+        for record, model in zip(records, models, strict=True)
+    ]
+    own = np.mean([np.diag(d.model.inertia) for d in data], 0)
+
+    def parts(p: Array) -> tuple[Array, Array]:
+        rotor = arm.rotors / (1 + np.exp(-p[n : 2 * n]))
+        return (own + rotor) * (2 * np.pi * np.exp(p[:n])) ** 2, rotor
+
+    def miss(p: Array, highest: float, robust: bool = True) -> Array:
+        use = signal.hertz <= highest
+        spring, rotor = parts(p)
+        found = [
+            (p[:n] - np.log(_MODE_HZ)) / _MODE_SPREAD,
+            (p[n : 2 * n] + 4.0) / _ROTOR_SPREAD,
+            p[2 * n :],
+        ]
+        for k, d in enumerate(data):
+            moved = links_of(d.joints[use], d.model, spring, rotor, d.hertz[use], _LOSS)
+            told = moved @ d.model.jacobian.T + d.model.tilt(moved, d.hertz[use])
+            late = np.exp(2j * np.pi * d.hertz[use] * _LATE_S * p[2 * n + k])[:, None]
+            e = (d.tool[use] * late - told) / d.scale
+            if robust:  # a resonance missed by a hair must not rule
+                e = e / np.sqrt(1 + np.abs(e) ** 2)
+            found += [e.real.ravel(), e.imag.ravel()]
+        return np.concatenate(found)
+
+    top = float(signal.hertz.max())
+    best = None
+    for mode in (20.0, 35.0, 60.0):
+        p = np.r_[np.full(n, np.log(mode)), np.full(n, -4.0), np.zeros(len(data))]
+        for highest in (9.0, 13.0, 19.0, top):
+            if highest <= top:
+                fit = least_squares(miss, p, max_nfev=12, diff_step=1e-3, args=(highest,))
+                p = fit.x
+        best = fit if best is None or fit.cost < best.cost else best
+    assert best is not None
+    spring, rotor = parts(best.x)
+    return Gears(
+        rotation=rotation,
+        late=_LATE_S * best.x[2 * n :],
+        spring=spring,
+        rotor=rotor,
+        left=float(np.mean(best.fun[2 * n + len(data) :] ** 2) * 2),
+    )
+
+
+def wave(lines: Array) -> Array:
+    """Real waves (GRID, c) of lines (L, c)."""
+    full = np.zeros((GRID // 2 + 1, lines.shape[1]), dtype=complex)
+    full[: len(lines)] = lines / 2
+    full[0] = 0.0
+    found: Array = np.fft.irfft(full * GRID, GRID, axis=0)
+    return found
+
+
+def accelerations(
+    record: Record, model: PoseModel, gears: Gears, index: int, period: float, *, rigid: bool
+) -> Array:
+    """Link accelerations over a period (GRID, n).
+
+    Encoders through the gears, then moved as little as needed toward the tool as measured; with
+    `rigid` the encoders alone, for play that lies behind no spring.
+    """
+    k = np.arange(1, len(record.joints))
+    hertz = k / period
+    own = record.joints[k]
+    lines = np.zeros(record.joints.shape, dtype=complex)
+    if rigid:
+        lines[k] = own
+        return wave(lines)
+    moved = links_of(own, model, gears.spring, gears.rotor, hertz, _LOSS)
+    read = turned(record, gears, index, k, period) - model.tilt(moved, hertz)
+    spread = np.diag(np.mean(np.abs(moved) ** 2, 0) + 1e-12)
+    told = model.jacobian @ spread @ model.jacobian.T
+    noise = _TRUST**2 * np.trace(told) / 3 * np.eye(3)
+    gain = spread @ model.jacobian.T @ np.linalg.inv(told + noise)
+    lines[k] = moved + (read - moved @ model.jacobian.T) @ gain.T
+    return wave(lines)
+
+
+_TRUST = 0.3
+"""Error of the springs' tool motion, relative to it, at which encoders and tool weigh alike [1]."""
+
+
+def rotor_speeds(record: Record, period: float) -> Array:
+    """Motor speeds over a period (GRID, n) [rad/s, m/s]."""
+    k = np.arange(len(record.joints))
+    lines = record.joints.astype(complex)
+    lines[1:] = lines[1:] / (2j * np.pi * k[1:, None] / period)
+    return wave(lines)
+
+
+_SOFTER = (0.15, 0.3, 0.45, 0.6, 0.75, 0.88, 1.0)
+"""Springs tried, over the healthy one's [1]."""
+_LOSSIER = (_LOSS, 0.3, 0.8)
+
+
+def softening(
+    records: Sequence[Record],
+    models: Sequence[PoseModel],
+    gears: Gears,
+    signal: Multisine,
+) -> tuple[Array, float]:
+    """Tool motion left where one joint may have become softer than on the healthy day.
+
+    Returns the share left for each joint (n,), and where none may.
+    """
+    tried = [(f, loss) for f in _SOFTER for loss in _LOSSIER]
+    n = len(gears.spring)
+    left = np.zeros((n, len(tried)))
+    for index, (record, model) in enumerate(zip(records, models, strict=True)):
+        read = turned(record, gears, index, signal.excited, signal.period_s)
+        own, size = record.joints[signal.excited], float(np.mean(np.abs(read) ** 2))
+        for j in range(n):
+            for c, (factor, loss) in enumerate(tried):
+                spring, losses = gears.spring.copy(), np.full(n, _LOSS)
+                spring[j], losses[j] = spring[j] * factor, loss
+                moved = links_of(own, model, spring, gears.rotor, signal.hertz, losses)
+                told = moved @ model.jacobian.T + model.tilt(moved, signal.hertz)
+                e = np.abs(read - told) ** 2 / size
+                left[j, c] += np.mean(e / (1 + e)) / len(records)
+    return left.min(1), float(left[0, tried.index((1.0, _LOSS))])

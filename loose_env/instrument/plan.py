@@ -1,0 +1,434 @@
+"""Plan of a session: poses, levels and the signal, written for the machine that plays it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.instrument.arm import SuspectArm, read_arm
+from loose_env.instrument.controllers import Controller, adjusted, preset
+from loose_env.instrument.poses import Candidate, choose_poses, is_tested_share, tested_share
+from loose_env.instrument.result import Diagnosis
+from loose_env.instrument.signals import Multisine, multisine
+from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
+from loose_env.recording import DESCRIPTION, read_description, write_csv
+from loose_env.recording import FORMAT as RECORDING_FORMAT
+from loose_env.typing import Array
+
+FORMAT = "loose-plan/2"
+PLAN, RECORDING, MODEL = "plan.json", "recording", "model.xml"
+_MARGIN = 0.05
+"""Share of a joint's range that poses keep from its ends [1]."""
+_SEED = 1995
+"""Of the phases: the same signal every month, so that sessions compare."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSettings:
+    """Settings of a session.
+
+    Examples
+    --------
+    >>> PlanSettings(poses=2)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: poses is 3 to 24, got 2
+    """
+
+    controller: str = "ur_rtde"
+    """Controller that plays the plan: ur_rtde, ros2_jtc, kuka_rsi, franka_fci, fanuc_stream,
+    velocity_drive, hobby_servo or plc_csv."""
+    commands: str | None = None
+    """Kind of command, where it is not the controller's usual: position, velocity or torque."""
+    rate_hz: float | None = None
+    """Rate of the commands [Hz], where it is not the controller's usual."""
+    bandwidth_hz: float | None = None
+    """Highest frequency that the joints follow [Hz], where it is known."""
+    max_speed_rad_s: tuple[float, ...] = ()
+    """Largest speed, one value or one a joint [rad/s; m/s where it slides]."""
+    max_acceleration_rad_s2: tuple[float, ...] = ()
+    """Largest acceleration, one value or one a joint [rad/s²; m/s² where it slides]."""
+    max_jerk_rad_s3: tuple[float, ...] = ()
+    """Largest jerk, one value or one a joint [rad/s³; m/s³ where it slides]."""
+    max_torque_nm: tuple[float, ...] = ()
+    """Peak torque of each drive, where the model states none [N·m; N where it slides]."""
+    poses: int = 6
+    """Number of poses."""
+    levels: tuple[float, ...] = (1.0,)
+    """Levels, lowest first, as shares of the limits [1]: the next is played only where the one
+    before does not show a knock."""
+    low: tuple[float, ...] = ()
+    """Lowest position of each joint that poses may take [rad, m]; by default the model's range."""
+    high: tuple[float, ...] = ()
+    """Highest position of each joint that poses may take [rad, m]."""
+    corner_hz: float | None = None
+    """Highest frequency that the accelerometer passes [Hz]; by default 0.45 of its rate."""
+    reference: bool = False
+    """Plan the same runs on a healthy machine too: before the fault, or after the repair."""
+    tool: str | None = None
+    """Site or body that carries the accelerometer; by default the model's own."""
+    package_path: str | None = None
+    """Folder of the ROS package in which the meshes of a URDF lie."""
+    payload_kg: float = 0.0
+    """Mass at the tool that the model lacks [kg]."""
+    payload_at_m: tuple[float, ...] = (0.0, 0.0, 0.0)
+    """Its centre in the tool frame, x y z [m]."""
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if not 3 <= self.poses <= 24:
+            raise InvalidSetting(f"poses is 3 to 24, got {self.poses}")
+        if not self.levels or not all(0 < x <= 1 for x in self.levels):
+            raise InvalidSetting(
+                f"levels are shares of the limits, above 0 and at most 1, got {self.levels}"
+            )
+        if list(self.levels) != sorted(set(self.levels)):
+            raise InvalidSetting(f"levels go upwards, each once, got {self.levels}")
+        if self.commands not in (None, "position", "velocity", "torque"):
+            raise InvalidSetting(f"commands is position, velocity or torque, got {self.commands!r}")
+        if self.corner_hz is not None and not self.corner_hz > 0:
+            raise InvalidSetting(f"corner_hz is above 0 Hz, got {self.corner_hz!r}")
+        if self.payload_kg < 0 or len(self.payload_at_m) != 3:
+            raise InvalidSetting(
+                "payload_kg is zero or more, and payload_at_m three numbers, got "
+                f"{self.payload_kg!r} and {self.payload_at_m!r}"
+            )
+
+    @property
+    def limits(self) -> Controller:
+        """The controller with what was stated of it."""
+        return adjusted(
+            preset(self.controller).controller,
+            **{
+                name: getattr(self, name)
+                for name in (
+                    "commands",
+                    "rate_hz",
+                    "bandwidth_hz",
+                    "max_speed_rad_s",
+                    "max_acceleration_rad_s2",
+                    "max_jerk_rad_s3",
+                    "max_torque_nm",
+                )
+            },
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedRun:
+    """A run to be played and recorded."""
+
+    file: str
+    """Table of commands, and of the recording."""
+    pose: Mapping[str, float]
+    """Positions about which it shakes [rad, m where a joint slides]."""
+    level: float
+    """Share of the limits [1]."""
+    condition: str
+    """"suspect", or "healthy" for a reference."""
+    peak: Mapping[str, float]
+    """Peak acceleration of each joint [rad/s², m/s²]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lines:
+    """The signal as ``plan.json`` keeps it."""
+
+    period_s: float
+    periods: int
+    lead_s: float
+    excited: tuple[int, ...]
+    silent: tuple[int, ...]
+    phases: tuple[tuple[float, ...], ...]
+    crest: tuple[float, ...]
+
+    @property
+    def signal(self) -> Multisine:
+        """The same with arrays."""
+        return Multisine(
+            period_s=self.period_s,
+            periods=self.periods,
+            lead_s=self.lead_s,
+            excited=np.array(self.excited),
+            silent=np.array(self.silent),
+            phases=np.array(self.phases),
+            crest=np.array(self.crest),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """The content of ``plan.json``."""
+
+    model: str
+    """Model file that it was made of."""
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    settings: PlanSettings
+    signal: Lines
+    runs: tuple[PlannedRun, ...]
+    tested: Mapping[str, float]
+    """Place -> share of its directions that the poses test at full level [1]."""
+    slides: tuple[str, ...] = ()
+    """Joints that slide, among those that turn."""
+    hobby: bool = False
+    notes: tuple[str, ...] = ()
+    format: str = FORMAT
+
+    @property
+    def untested(self) -> tuple[str, ...]:
+        """Places that the poses do not test in full."""
+        return tuple(p for p, share in self.tested.items() if not is_tested_share(share))
+
+    @property
+    def seconds(self) -> float:
+        """Time of shaking of the runs under test [s]."""
+        runs = [r for r in self.runs if r.condition == "suspect"]
+        return len(runs) * self.signal.signal.seconds
+
+    def to_json(self) -> str:
+        """Text of ``plan.json``."""
+        return json_text(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Plan:
+        """Read the text of ``plan.json``."""
+        return restored(cls, whole_of(text, format=FORMAT, noun="plan"), "plan")
+
+
+def plan(
+    model: str | Path,
+    settings: PlanSettings | None = None,
+    *,
+    known: Diagnosis | None = None,
+    first: int = 1,
+) -> tuple[Plan, SuspectArm]:
+    """Plan a session: which poses, which levels, which signal.
+
+    Parameters
+    ----------
+    model : str or Path
+        MJCF or URDF of a serial arm on a fixed base.
+    settings : PlanSettings, optional
+        Controller, limits, poses.
+    known : Diagnosis, optional
+        What a session found: the poses then test what was not tested, or tell the places that are
+        still open apart.
+    first : int
+        Number of the first run.
+
+    Returns
+    -------
+    Plan
+        What ``plan.json`` holds.
+    SuspectArm
+        The arm it was made for.
+
+    Raises
+    ------
+    InvalidData, InvalidSetting, UnknownName
+        If there is no such arm, or no pose in the room.
+
+    Examples
+    --------
+    >>> from loose_env.arms import SIX_AXIS_SERVO_ARM
+    >>> made, arm = plan(SIX_AXIS_SERVO_ARM, PlanSettings(controller="ros2_jtc", poses=3))
+    >>> len(made.runs), made.seconds, arm.joints[0]
+    (3, 15.0, 'joint1')
+    """
+    own = settings or PlanSettings()
+    arm = read_arm(
+        model,
+        tool=own.tool,
+        package=own.package_path,
+        payload_kg=own.payload_kg,
+        payload_at_m=own.payload_at_m,
+    )
+    limits = own.limits
+    low, high = _room(arm, own)
+    signal = multisine(arm.n, limits.bandwidth_hz, np.random.default_rng(_SEED))
+    wanted = () if known is None else _open_places(arm, known)
+    rng = np.random.default_rng([_SEED, first])
+    chosen = choose_poses(arm, signal, limits, own.poses, rng, low=low, high=high, wanted=wanted)
+    runs = _runs(arm, chosen, own, first)
+    share = tested_share(np.array([c.reversing for c in chosen]), arm.n)
+    made = Plan(
+        model=Path(model).name,
+        joints=arm.joints,
+        links=arm.links,
+        settings=own,
+        signal=Lines(
+            period_s=signal.period_s,
+            periods=signal.periods,
+            lead_s=signal.lead_s,
+            excited=tuple(int(k) for k in signal.excited),
+            silent=tuple(int(k) for k in signal.silent),
+            phases=tuple(tuple(row.round(6).tolist()) for row in signal.phases),
+            crest=tuple(signal.crest.round(6).tolist()),
+        ),
+        runs=runs,
+        tested=dict(zip(arm.places, share.round(3).tolist(), strict=True)),
+        slides=tuple(j for j, slide in zip(arm.joints, arm.slides, strict=True) if slide),
+        hobby=preset(own.controller).hobby,
+        notes=arm.notes,
+    )
+    return made, arm
+
+
+def _room(arm: SuspectArm, own: PlanSettings) -> tuple[Array, Array]:
+    """Lowest and highest pose, within the model's ranges less a margin."""
+    wide = np.where(arm.slides, np.inf, np.pi)
+    margin = _MARGIN * (arm.high - arm.low)
+    low, high = np.maximum(arm.low + margin, -wide), np.minimum(arm.high - margin, wide)
+    for name, given in (("low", own.low), ("high", own.high)):
+        if given and len(given) != arm.n:
+            raise InvalidSetting(
+                f"{name} has one position for each of {', '.join(arm.joints)}; got {len(given)}"
+            )
+    low = np.maximum(low, own.low) if own.low else low
+    high = np.minimum(high, own.high) if own.high else high
+    if not (low < high).all():
+        j = int((low >= high).argmax())
+        raise InvalidSetting(
+            f"joint {arm.joints[j]} has no room: {low[j]:.3g} to {high[j]:.3g}; widen --low, --high"
+        )
+    return low, high
+
+
+def _open_places(arm: SuspectArm, known: Diagnosis) -> list[int]:
+    """Numbers of the places that a diagnosis left open."""
+    if known.verdict == "loose":
+        names = {p.name for p in known.places if p.verdict in ("loose", "suspect")}
+    else:
+        names = set(known.untested)
+    return [k for k, place in enumerate(arm.places) if place in names]
+
+
+def _runs(
+    arm: SuspectArm, chosen: Sequence[Candidate], own: PlanSettings, first: int
+) -> tuple[PlannedRun, ...]:
+    found = []
+    for condition, stem in (("suspect", "run"), ("healthy", "reference"))[: 1 + own.reference]:
+        number = first
+        for level in own.levels:
+            for one in chosen:
+                found.append(
+                    PlannedRun(
+                        file=f"{stem}-{number:02d}.csv",
+                        pose=dict(zip(arm.joints, one.pose.round(4).tolist(), strict=True)),
+                        level=level,
+                        condition=condition,
+                        peak=dict(
+                            zip(arm.joints, (level * one.peak).round(4).tolist(), strict=True)
+                        ),
+                    )
+                )
+                number += 1
+    return tuple(found)
+
+
+def commands_of(made: Plan, arm: SuspectArm, run: PlannedRun) -> tuple[Array, Array]:
+    """Times (T,) and commands (T, n) of a run, in the controller's kind and rate."""
+    limits = made.settings.limits
+    pose = arm.pose_of(dict(run.pose))
+    peak = np.array([run.peak[j] for j in arm.joints])
+    inertia = arm.at(pose).inertia
+    played = made.signal.signal.played(peak, limits.commands, pose, inertia, limits.rate_hz)
+    return np.arange(len(played)) / limits.rate_hz, played
+
+
+def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
+    """Write ``plan.json``, a table of commands for each run, and the recording to be filled.
+
+    Runs that were measured under an earlier plan of the same arm stay in the recording.
+
+    Raises
+    ------
+    InvalidData
+        If the folder holds the recording of another arm.
+    """
+    recording = folder / RECORDING
+    kept: list[PlannedRun] = []
+    entries: list[dict[str, object]] = []
+    if (recording / DESCRIPTION).exists():
+        model = recording / MODEL
+        if not model.is_file() or model.read_text("utf-8") != arm.recording_model.xml:
+            raise InvalidData(
+                f"{recording}: the recording there was planned with another model, tool or "
+                "payload; give another --out"
+            )
+        earlier = read_plan(folder)
+        measured = {
+            e.file
+            for e in read_description(recording / DESCRIPTION).runs
+            if (recording / e.file).is_file()
+        }
+        kept = [r for r in earlier.runs if r.file in measured]
+        taken = {r.file for r in kept}
+        clash = taken & {r.file for r in made.runs}
+        if clash:
+            raise InvalidData(f"{recording}: {min(clash)} is measured already; see first")
+    entries = [_entry(run) for run in (*kept, *made.runs)]
+    whole = Plan(**{**made.__dict__, "runs": (*kept, *made.runs)})
+    written = [write_text(recording / MODEL, arm.recording_model.xml)]
+    description = {"format": RECORDING_FORMAT, "model": MODEL, "runs": entries}
+    written.append(write_text(recording / DESCRIPTION, json_text(description)))
+    name = {"position": "position", "velocity": "velocity", "torque": "torque"}
+    kind = name[made.settings.limits.commands]
+    for run in made.runs:
+        if run.condition == "healthy":
+            continue
+        time, played = commands_of(made, arm, run)
+        columns = {"time": time, **{f"{kind}.{j}": played[:, k] for k, j in enumerate(arm.joints)}}
+        path = folder / run.file
+        write_csv(path, columns)
+        written.append(path)
+    written.append(write_text(recording / PLAN, whole.to_json()))
+    written.append(write_text(folder / PLAN, whole.to_json()))
+    return written
+
+
+def _entry(run: PlannedRun) -> dict[str, object]:
+    return {
+        "file": run.file,
+        "excited": list(run.pose),
+        "pose": dict(run.pose),
+        "condition": run.condition,
+        "planned": True,
+    }
+
+
+def read_plan(folder: Path) -> Plan:
+    """Read ``plan.json`` of a session, or of its recording.
+
+    Raises
+    ------
+    InvalidData
+        If there is none, or it is none of the format.
+    """
+    place = folder / PLAN if folder.is_dir() else folder
+    if not place.is_file() and (folder.parent / PLAN).is_file():
+        place = folder.parent / PLAN
+    if not place.is_file():
+        raise InvalidData(
+            f"{folder}: there is no {PLAN}; a diagnosis needs runs of a plan: "
+            "loose plan MODEL --out SESSION"
+        )
+    return read_result_file(place, Plan.from_json, noun="plan")
+
+
+def next_number(folder: Path) -> int:
+    """Number of the first run to come in a session's folder."""
+    if not (folder / RECORDING / DESCRIPTION).exists():
+        return 1
+    files = [
+        e.file
+        for e in read_description(folder / RECORDING / DESCRIPTION).runs
+        if (folder / RECORDING / e.file).is_file()
+    ]
+    numbers = [int(Path(f).stem.rsplit("-", 1)[-1]) for f in files]
+    return max(numbers, default=0) + 1

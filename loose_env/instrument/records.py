@@ -1,0 +1,306 @@
+"""One run as a periodic record: lines of joints and tool, and the envelope of the top band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from loose_env.instrument.arm import SuspectArm
+from loose_env.instrument.signals import Multisine
+from loose_env.recording import Run
+from loose_env.typing import Array
+
+GRID = 1000
+"""Samples of a period on which loads and envelopes are compared."""
+_TOP_BAND = (0.6, 0.9)
+"""The band that rings, as shares of the highest frequency that the sensor passes [1]."""
+_ENVELOPE_S = 0.004
+"""Time over which the top band's energy is smoothed [s]: a seat's knock rings about as long."""
+_OUTLIER = 4.0
+"""Energy over the median of the other periods from which a sample is somebody else's [1]."""
+_STANDARD_GRAVITY = 9.81
+REPEATS = 0.60
+"""Correlation of the envelope between periods from which the shaking causes it [1]."""
+_LOUD = 3.0
+"""Energy of the top band over its floor from which there is a rhythm to repeat [1]."""
+FEWEST_PERIODS = 2
+"""Whole periods that a record needs: with one nothing can be seen to repeat."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Record:
+    """A run that can be used; n joints, L lines from 0 upwards, all of one period."""
+
+    name: str
+    condition: str
+    level: float
+    """Share of the largest level at which it was played [1]."""
+    pose: Array
+    """Mean joint positions (n,) [rad, m]."""
+    joints: Array
+    """Lines of joint acceleration (L, n) [rad/s², m/s²]."""
+    joint_noise: Array
+    """Variance of these, of what does not repeat (L, n)."""
+    tool: Array
+    """Lines of the accelerometer, sensor frame (L, 3) [m/s²]."""
+    tool_noise: Array
+    """Variance of these (L, 3)."""
+    gravity: Array
+    """Mean reading (3,) [m/s²]."""
+    motion: float
+    """Rms of the tool's motion in the band of the lines [m/s²]."""
+    band_hz: tuple[float, float]
+    """The top band [Hz]."""
+    envelope: Array
+    """Energy of the top band over a period, median of the periods (GRID,) [m²/s⁴]."""
+    floor: float
+    """Energy of the top band that is noise [m²/s⁴]."""
+    covariance: Array
+    """Of the top band, noise taken off, sensor frame (3, 3) [m²/s⁴]."""
+    repeats: float
+    """Correlation of the top band's envelope between periods [1]: near 1 for what the shaking
+    causes, near 0 for a striking cable."""
+    foreign: bool
+    """True if what rings is not the machine's: it is loud and does not repeat. The envelope is
+    then that of the quietest period at each instant, in which a cable strikes least."""
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unusable:
+    """A run that cannot be used, with the reason and what to do."""
+
+    name: str
+    why: str
+    remedy: str
+
+
+def read_run(
+    arm: SuspectArm, run: Run, signal: Multisine, *, level: float, corner_hz: float | None
+) -> Record | Unusable:
+    """Read a run of a plan's signal: find its periods, and what repeats in them.
+
+    Clocks need not agree: the signal is found in the joints' motion, and lines are fitted at the
+    true sample times.
+
+    Parameters
+    ----------
+    corner_hz : float, optional
+        Highest frequency that the accelerometer passes [Hz]; by default 0.45 of its rate.
+    """
+
+    def useless(why: str, remedy: str) -> Unusable:
+        return Unusable(name=run.name, why=why, remedy=remedy)
+
+    sensor = arm.recording_model.accelerometer
+    missing = [s for s in (sensor, *arm.recording_model.positions) if s not in run.sensors]
+    if missing:
+        return useless(
+            f"it has no column for {', '.join(missing)}",
+            f"log sensor.{missing[0]} too, and import again",
+        )
+    t = run.time - run.time[0]
+    q = np.column_stack([_whole(t, run.sensors[s]) for s in arm.recording_model.positions])
+    tool = np.column_stack([_whole(t, a) for a in run.sensors[sensor].T])
+    if not (np.isfinite(q).all() and np.isfinite(tool).all()):
+        return useless("a channel holds no number", "check the logger's columns")
+    window = _moving(t, q)
+    if window is None:
+        return useless("no joint moves", "play the signal while the logger runs")
+    if np.ptp(tool, axis=0).min() == 0:
+        axis = "xyz"[int(np.ptp(tool, axis=0).argmin())]
+        return useless(
+            f"the accelerometer's {axis} axis is constant", "check its cable and range, run again"
+        )
+    clipped = _clipped(tool)
+    if clipped > 0.002:
+        return useless(
+            f"the accelerometer is at its limit in {100 * clipped:.2g} % of the samples",
+            "take a larger range, or plan with a lower --level",
+        )
+    start, end = window
+    lead = 0.8 * signal.lead_s
+    periods = int((end - start - lead + 0.03 * signal.period_s) / signal.period_s)
+    periods = min(periods, signal.periods)
+    if periods < FEWEST_PERIODS:
+        return useless(
+            f"the joints move for {end - start:.2g} s; the signal lasts {signal.seconds:.2g} s",
+            "the machine stopped: see its log, lower --level, and run again",
+        )
+    remarks = []
+    if periods < signal.periods:
+        remarks.append(f"{periods} of {signal.periods} periods are whole")
+    first = end - periods * signal.period_s - 0.01 * signal.period_s
+    top = int(signal.excited.max()) + 4
+    first = _in_phase(t, q, first, periods, top, signal)
+    inside = (t >= first) & (t < first + periods * signal.period_s)
+    rate = float(1 / np.median(np.diff(t)))
+    omega = 2 * np.pi * np.arange(top + 1) / signal.period_s
+    lines, noise = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)
+    read, read_noise = _lines(t[inside] - first, tool[inside], periods, top, signal.period_s)
+    scale = 1.0
+    gravity = read[0].real
+    if 0.8 < np.linalg.norm(gravity) < 1.2 and np.any(arm.model.opt.gravity):
+        scale = _STANDARD_GRAVITY
+        remarks.append("the accelerometer is logged in g: taken as such")
+    band = [share * min(corner_hz or np.inf, 0.45 * rate / 0.9) for share in _TOP_BAND]
+    band[1] = min(band[1], 0.45 * rate)
+    ring = _ringing(t, tool * scale, rate, (band[0], band[1]), first, periods, signal.period_s)
+    envelope, floor, covariance, repeats, foreign = ring
+    if foreign:
+        remarks.append(
+            f"what rings does not repeat with the shaking (correlation {repeats:.2f}): a cable, a "
+            "hand or a neighbour; what every period has is judged"
+        )
+    excited = read[signal.excited] * scale
+    return Record(
+        name=run.name,
+        condition=run.condition,
+        level=level,
+        pose=lines[0].real,
+        joints=-lines * omega[:, None] ** 2,
+        joint_noise=noise * omega[:, None] ** 4,
+        tool=read * scale,
+        tool_noise=read_noise * scale**2,
+        gravity=gravity * scale,
+        motion=float(np.sqrt(0.5 * (np.abs(excited) ** 2).sum())),
+        band_hz=(band[0], band[1]),
+        envelope=envelope,
+        floor=floor,
+        covariance=covariance,
+        repeats=repeats,
+        foreign=foreign,
+        remarks=tuple(remarks),
+    )
+
+
+def _whole(t: Array, column: Array) -> Array:
+    """Column without gaps: missing samples by their neighbours'."""
+    there = np.isfinite(column)
+    if there.all() or there.sum() < 2:
+        return column
+    return np.interp(t, t[there], column[there])
+
+
+def _moving(t: Array, q: Array) -> tuple[float, float] | None:
+    """First and last time at which the joints move; None where none does."""
+    step = np.median(np.diff(t))
+    n = max(3, round(0.05 / step))
+    kernel = np.ones(n) / n
+    speed = np.zeros(len(t))
+    for joint in q.T:
+        wave = joint - np.convolve(np.pad(joint, n, mode="edge"), kernel, "same")[n:-n]
+        energy = np.convolve(wave**2, kernel, "same")
+        most = np.percentile(energy, 75)
+        # Encoder steps at rest are no motion: some counts at least.
+        if np.sqrt(most) > 1e-5:
+            speed += energy / most
+    if not speed.any():
+        return None
+    on = np.flatnonzero(speed > 0.1 * np.percentile(speed, 75))
+    return float(t[on[0]]), float(t[on[-1]])
+
+
+def _clipped(tool: Array) -> float:
+    """Largest share of an axis' samples at its own extreme, beyond the two that a wave has."""
+    shares = []
+    for axis in tool.T:
+        for extreme in (axis.max(), axis.min()):
+            at = np.abs(axis - extreme) <= 1e-9 * abs(extreme)
+            shares.append((at[1:] & at[:-1]).mean())
+    return float(max(shares))
+
+
+def _lines(t: Array, y: Array, periods: int, top: int, period: float) -> tuple[Array, Array]:
+    """Lines (top+1, c) of y by least squares at the true times, and their variance."""
+    angle = 2 * np.pi * np.outer(t / period, np.arange(top + 1))
+    basis = np.hstack([np.cos(angle), -np.sin(angle[:, 1:])])
+    each = []
+    for p in range(periods):
+        own = (t >= p * period) & (t < (p + 1) * period)
+        found = np.linalg.lstsq(basis[own], y[own], rcond=None)[0]
+        lines = found[: top + 1].astype(complex)
+        lines[1:] += 1j * found[top + 1 :]
+        each.append(lines)
+    several = np.array(each)
+    return several.mean(0), (np.abs(several - several.mean(0)) ** 2).sum(0) / max(
+        (periods - 1) * periods, 1
+    )
+
+
+def _in_phase(t: Array, q: Array, first: float, periods: int, top: int, signal: Multisine) -> float:
+    """Start of the first whole period, moved to where the lines have the commands' phases."""
+    inside = (t >= first) & (t < first + periods * signal.period_s)
+    lines = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)[0]
+    own = -lines[signal.excited] * np.exp(-1j * signal.phases.T)
+    own *= signal.excited[:, None] ** 2  # as accelerations, in which the signal is flat
+    shift = np.arange(-0.5, 0.5, 1e-3) * signal.period_s
+    turned = np.exp(2j * np.pi * np.outer(shift, signal.excited) / signal.period_s)
+    weight = np.linalg.norm(own, axis=0)
+    agreed = (turned @ (own / np.maximum(weight, 1e-12))).real.sum(1)
+    best = float(shift[agreed.argmax()])
+    moved = first + best
+    last = t[-1] - periods * signal.period_s
+    if moved > last + 1e-3:
+        moved -= signal.period_s
+    return max(moved, 0.0)
+
+
+def _ringing(
+    t: Array,
+    tool: Array,
+    rate: float,
+    band: tuple[float, float],
+    first: float,
+    periods: int,
+    period: float,
+) -> tuple[Array, float, Array, float, bool]:
+    """Envelope of the top band on the grid, floor, covariance, repeats, and if it is foreign."""
+    sos = butter(4, band, "bandpass", fs=rate, output="sos")
+    h = sosfiltfilt(sos, tool - tool.mean(0), axis=0)
+    n = max(1, round(_ENVELOPE_S * rate))
+    energy = np.convolve((h**2).sum(1), np.ones(n) / n, "same")
+    at = first + (np.arange(periods)[:, None] + np.arange(GRID) / GRID) * period
+    each = np.interp(at, t, energy)
+    median = np.median(each, 0)
+    rest = t < first - 1.1
+    floor = float(np.median(energy[rest])) if rest.sum() * rate**-1 > 0.15 else np.inf
+    floor = min(floor, float(np.percentile(median, 5)))
+    samples = np.stack([np.interp(at, t, axis) for axis in h.T], -1)
+    kept = each <= _OUTLIER * median + 1e-12
+    # Interpolation takes from a band near the sampling's end: directions need the ratio alone.
+    own = samples[kept]
+    covariance = own.T @ own / max(len(own), 1)
+    total = np.trace(covariance)
+    covariance *= max(float(median.mean()), 1e-18) / max(total, 1e-18)
+    covariance -= np.eye(3) * floor / 3
+    wide = np.sqrt(np.apply_along_axis(np.convolve, 1, each, np.ones(10) / 10, "same"))
+    alike = np.corrcoef(wide)[np.triu_indices(periods, 1)]
+    repeats = float(np.median(alike))
+    foreign = repeats < REPEATS and float(median.mean()) > _LOUD * floor
+    return each.min(0) if foreign else median, floor, covariance, repeats, foreign
+
+
+def exchanged(
+    records: Sequence[Record], signal: Multisine, joints: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Joints whose motion follows another's command, or the opposite of their own, in sentences."""
+    n = len(joints)
+    agree = np.zeros((n, n))
+    for record in records:
+        own = record.joints[signal.excited]
+        size = np.maximum(np.linalg.norm(own, axis=0), 1e-12)
+        for i in range(n):
+            turned = own * np.exp(-1j * signal.phases[i])[:, None]
+            agree[i] += turned.sum(0).real / size / np.sqrt(len(own)) / len(records)
+    found = []
+    for j in range(n):
+        i = int(np.abs(agree[:, j]).argmax())
+        if i != j and abs(agree[i, j]) > 0.7 and abs(agree[j, j]) < 0.5:
+            found.append(f"the column of {joints[j]} follows the command of {joints[i]}")
+        elif agree[j, j] < -0.7:
+            found.append(f"the column of {joints[j]} has the opposite sign of its command")
+    return tuple(found)

@@ -1,0 +1,111 @@
+"""A suspect session against a healthy one of another day: what rings more, what became softer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loose_env.instrument.arm import PoseModel
+from loose_env.instrument.motion import Gears, softening
+from loose_env.instrument.records import Record
+from loose_env.instrument.signals import Multisine
+from loose_env.typing import Array
+
+_NEAR = 0.05
+"""Largest distance of a joint between two poses that are one [rad, m]: what a controller leaves."""
+
+
+_CLEAR = 10.0
+"""Power over its noise from which lines of distortion are compared [1]: below, a few lines scatter
+by more than a decibel."""
+
+
+def decibels(power: Array | float) -> Array:
+    """Power in decibels; nothing is -140 dB."""
+    found: Array = 10 * np.log10(np.maximum(np.asarray(power, dtype=float), 1e-14))
+    return found
+
+
+def pairs(records: Sequence[Record], reference: Sequence[Record]) -> list[tuple[int, int]]:
+    """Indices of suspect and healthy records of one pose and level, made by measured motion."""
+    found, free = [], set(range(len(reference)))
+    for k, record in enumerate(records):
+        near = [
+            (float(np.abs(record.pose - reference[r].pose).max()), r)
+            for r in free
+            if abs(np.log(record.level / reference[r].level)) < 0.1
+        ]
+        if near and min(near)[0] < _NEAR:
+            found.append((k, min(near)[1]))
+            free.discard(min(near)[1])
+    return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Features:
+    """What a record says without any model, over the tool's motion (R,) [dB]."""
+
+    top: Array
+    """Energy of the top band."""
+    even: Array
+    """Even lines, which nothing excites: seats, and play under a one-sided load."""
+    odd: Array
+    """Odd lines left out: friction, and large play."""
+
+
+def features(records: Sequence[Record], signal: Multisine) -> Features:
+    """Ringing and distortion of every record."""
+    even = np.arange(4, int(signal.excited.max()), 2)
+
+    def share(record: Record, lines: Array) -> float:
+        power = (np.abs(record.tool[lines]) ** 2).sum(1).mean()
+        noise = record.tool_noise[lines].sum(1).mean()
+        return float(max(power - noise, _CLEAR * noise) / max(record.motion**2, 1e-12))
+
+    top = [np.mean(r.envelope) - r.floor for r in records]
+    return Features(
+        top=decibels(np.array([t / r.motion**2 for t, r in zip(top, records, strict=True)])),
+        even=decibels(np.array([share(r, even) for r in records])),
+        odd=decibels(np.array([share(r, signal.silent) for r in records])),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Change:
+    """What changed since the healthy session, in the pose that gained most [dB]."""
+
+    top: float
+    even: float
+    odd: float
+    softer: Array
+    """Log of the tool motion left where no joint may be softer, over where this one may (n,)."""
+    stiff: float
+    """Tool motion left with the healthy gears, over what they left on the healthy day [1]."""
+
+
+def change(
+    records: Sequence[Record],
+    healthy: Sequence[Record],
+    models: Sequence[PoseModel],
+    gears: Gears,
+    known: Gears,
+    signal: Multisine,
+) -> Change:
+    """Compare records of a suspect and of a healthy session, pose by pose."""
+    now, then = features(records, signal), features(healthy, signal)
+    left, none = softening(records, models, gears, signal)
+    # A cable that strikes is louder, and no part of the machine.
+    own = [not (a.foreign or b.foreign) for a, b in zip(records, healthy, strict=True)]
+
+    def rise(after: Array, before: Array) -> float:
+        return float((after - before)[own].max(initial=-140.0))
+
+    return Change(
+        top=rise(now.top, then.top),
+        even=rise(now.even, then.even),
+        odd=rise(now.odd, then.odd),
+        softer=np.log(none / np.maximum(left, 1e-12)),
+        stiff=none / max(known.left, 1e-12),
+    )

@@ -1,1 +1,0 @@
-"""Looseness of a real arm: a plan to shake it, and where its records say that something knocks."""
