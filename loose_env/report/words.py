@@ -25,11 +25,12 @@ def place_label(name: str) -> str:
 
     Examples
     --------
-    >>> place_label("backlash@elbow"), place_label("structural_looseness@forearm")
-    ('joint elbow, gear', 'link forearm, seat')
+    >>> place_label("backlash@elbow"), place_label("structural_looseness@wrist_1_link")
+    ('joint elbow, gear', 'wrist_1_link, seat')
     """
     kind, _, at = name.partition("@")
-    return f"link {at}, seat" if kind == BOLTS else f"joint {at}, gear"
+    noun, part = ("link", "seat") if kind == BOLTS else ("joint", "gear")
+    return f"{at}, {part}" if noun in at.lower() else f"{noun} {at}, {part}"
 
 
 def place_table(d: Diagnosis) -> Table:
