@@ -123,15 +123,16 @@ def write_diagnosis(
     say : callable
         Receives the reason why there is no page.
     """
-    written, page = [], Path(folder) / "report.html"
-    (Path(folder) / "result.json").unlink(missing_ok=True)
+    written, page, here = [], folder / "report.html", Path.cwd()
+    result = str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
+    (folder / "result.json").unlink(missing_ok=True)
     try:
-        html = _page(d, Path(model_path), recording, diagnosis_commands(d, given, str(folder)))
+        html = _page(d, Path(model_path), recording, diagnosis_commands(d, given, result))
         written.append(write_text(page, html))
     except MissingExtra as error:
         page.unlink(missing_ok=True)  # that of an earlier result
         say(f"no report.html: {error}")
-    written.append(d.write(Path(folder) / "result.json"))  # last: it says that all is there
+    written.append(d.write(folder / "result.json"))  # last: it says that all is there
     return written
 
 

@@ -103,9 +103,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_page_terminal_and_notebook_say_the_same(case: str, tmp_path: Path) -> None:
     d = CASES[case]
-    written = report.write_diagnosis(
-        tmp_path, d, DESK_ARM, recording="cell <4>", given="runs/cell 4"
-    )
+    written = report.write_diagnosis(tmp_path, d, DESK_ARM, recording="cell <4>")
     assert [path.name for path in written] == ["report.html", "result.json"]
     assert read_diagnosis(tmp_path) == d
     page = written[0].read_text("utf-8")
