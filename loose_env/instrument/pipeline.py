@@ -275,7 +275,7 @@ class _Finished:
         headline, remedy = _words(places, alarm, settled=settled, several=several, hobby=hobby)
         runs = self._with_told(heard, told, alarm.loose)
         return self._result(
-            "loose" if alarm.loose else "tight", headline, remedy, places,
+            "loose" if alarm.loose else "open" if alarm.louder else "tight", headline, remedy, places,
             settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
             evidence={**alarm.evidence, "gears_left": gears.left, "second": second}, runs=runs,
         )  # fmt: skip
@@ -428,6 +428,11 @@ def _words(
 ) -> tuple[str, str]:
     """Headline and remedy."""
     untested = [p for p in places if p.verdict == "not tested"]
+    if alarm.louder:
+        return (
+            "Nothing knocks, but the arm rings louder than on the healthy day.",
+            "Tighten the accelerometer's mount, tie cables down, take the same payload, and repeat.",
+        )
     if not alarm.loose:
         tight = len(places) - len(untested)
         headline = f"Nothing knocks: {tight} of {len(places)} places are tight"

@@ -56,6 +56,8 @@ class Record:
     """The top band [Hz]."""
     envelope: Array
     """Energy of the top band over a period, median of the periods (GRID,) [m²/s⁴]."""
+    quiet: float
+    """Mean of it in the quietest period at each instant, in which nothing foreign strikes [m²/s⁴]."""
     floor: float
     """Energy of the top band that is noise [m²/s⁴]."""
     covariance: Array
@@ -149,7 +151,7 @@ def read_run(
     band = [share * min(corner_hz or np.inf, 0.45 * rate / 0.9) for share in _TOP_BAND]
     band[1] = min(band[1], 0.45 * rate)
     ring = _ringing(t, tool * scale, rate, (band[0], band[1]), first, periods, signal.period_s)
-    envelope, floor, covariance, repeats, foreign = ring
+    envelope, quiet, floor, covariance, repeats, foreign = ring
     if foreign:
         remarks.append(
             f"what rings does not repeat with the shaking (correlation {repeats:.2f}): a cable, a "
@@ -169,6 +171,7 @@ def read_run(
         motion=float(np.sqrt(0.5 * (np.abs(excited) ** 2).sum())),
         band_hz=(band[0], band[1]),
         envelope=envelope,
+        quiet=quiet,
         floor=floor,
         covariance=covariance,
         repeats=repeats,
@@ -257,8 +260,8 @@ def _ringing(
     first: float,
     periods: int,
     period: float,
-) -> tuple[Array, float, Array, float, bool]:
-    """Envelope of the top band on the grid, floor, covariance, repeats, and if it is foreign."""
+) -> tuple[Array, float, float, Array, float, bool]:
+    """Envelope of the top band on the grid, quiet mean, floor, covariance, repeats, and if it is foreign."""
     sos = butter(4, band, "bandpass", fs=rate, output="sos")
     h = sosfiltfilt(sos, tool - tool.mean(0), axis=0)
     n = max(1, round(_ENVELOPE_S * rate))
@@ -270,9 +273,9 @@ def _ringing(
     floor = float(np.median(energy[rest])) if rest.sum() * rate**-1 > 0.15 else np.inf
     floor = min(floor, float(np.percentile(median, 5)))
     samples = np.stack([np.interp(at, t, axis) for axis in h.T], -1)
-    kept = each <= _OUTLIER * median + 1e-12
+    near = each <= _OUTLIER * median + 1e-12
     # Interpolation takes from a band near the sampling's end: directions need the ratio alone.
-    own = samples[kept]
+    own = samples[near]
     covariance = own.T @ own / max(len(own), 1)
     total = np.trace(covariance)
     covariance *= max(float(median.mean()), 1e-18) / max(total, 1e-18)
@@ -281,7 +284,9 @@ def _ringing(
     alike = np.corrcoef(wide)[np.triu_indices(periods, 1)]
     repeats = float(np.median(alike))
     foreign = repeats < REPEATS and float(median.mean()) > _LOUD * floor
-    return each.min(0) if foreign else median, floor, covariance, repeats, foreign
+    least = each.min(0)
+    kept = least if foreign else median
+    return kept, float(least.mean()), floor, covariance, repeats, foreign
 
 
 def exchanged(

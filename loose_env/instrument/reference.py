@@ -64,7 +64,8 @@ def features(records: Sequence[Record], signal: Multisine) -> Features:
         noise = record.tool_noise[lines].sum(1).mean()
         return float(max(power - noise, _CLEAR * noise) / max(record.motion**2, 1e-12))
 
-    top = [np.mean(r.envelope) - r.floor for r in records]
+    # The quietest period at each instant: a cable that strikes is no part of the machine.
+    top = [max(r.quiet - r.floor, 0.1 * r.floor) for r in records]
     return Features(
         top=decibels(np.array([t / r.motion**2 for t, r in zip(top, records, strict=True)])),
         even=decibels(np.array([share(r, even) for r in records])),
@@ -96,16 +97,10 @@ def change(
     """Compare records of a suspect and of a healthy session, pose by pose."""
     now, then = features(records, signal), features(healthy, signal)
     left, none = softening(records, models, gears, signal)
-    # A cable that strikes is louder, and no part of the machine.
-    own = [not (a.foreign or b.foreign) for a, b in zip(records, healthy, strict=True)]
-
-    def rise(after: Array, before: Array) -> float:
-        return float((after - before)[own].max(initial=-140.0))
-
     return Change(
-        top=rise(now.top, then.top),
-        even=rise(now.even, then.even),
-        odd=rise(now.odd, then.odd),
+        top=float((now.top - then.top).max()),
+        even=float((now.even - then.even).max()),
+        odd=float((now.odd - then.odd).max()),
         softer=np.log(none / np.maximum(left, 1e-12)),
         stiff=none / max(known.left, 1e-12),
     )

@@ -148,7 +148,7 @@ def _bands(visits: Sequence[Visit]) -> dict[str, float]:
     """Upper end of each statistic's band: a reference's limit, or the first sessions' scatter."""
     limits = Numbers()
     found = {
-        "rhythm": limits.rhythm,
+        "rhythm": limits.rhythm_beside,
         "top_db": limits.top_db,
         "even_db": limits.even_db,
         "odd_db": limits.odd_db,
@@ -167,10 +167,5 @@ def _judged(visit: Visit, bands: dict[str, float], banded: bool) -> Visit:
     """Visit with its alarm."""
     if visit.diagnosis is None:
         return visit
-    if not banded:
-        return replace(visit, alarm=visit.diagnosis.verdict == "loose")
     out = any(visit.values.get(name, 0.0) > limit for name, limit in bands.items())
-    beside = visit.diagnosis.verdict == "loose" and not any(
-        bands[name] > getattr(Numbers(), name) for name in bands
-    )
-    return replace(visit, alarm=out or beside)
+    return replace(visit, alarm=visit.diagnosis.verdict == "loose" and (out or not banded))
