@@ -82,7 +82,10 @@ class DiagnosisReport(_Report[Diagnosis]):
         place = _target(folder, self.recording)
         name = self.recording.folder.name
         model = self.recording.model_path
-        return report.write_diagnosis(place, self.result, model, recording=name, say=say)
+        given = str(self.recording.folder)
+        return report.write_diagnosis(
+            place, self.result, model, recording=name, given=given, say=say
+        )
 
     def __repr__(self) -> str:
         """Headline, table, next steps and warnings."""

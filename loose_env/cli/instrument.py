@@ -154,8 +154,9 @@ class Diagnose(OnRecording):
             found = diagnose(recording, self.settings, say=console.say)
             found = replace(found, preflight=preflight)
         name = self.recording.resolve().name
+        given, model = str(self.recording), recording.model_path
         written = write_diagnosis(
-            folder.path, found, recording.model_path, recording=name, say=console.say
+            folder.path, found, model, recording=name, given=given, say=console.say
         )
         folder.note(written)
         text = [diagnosis_text(found, folder=str(self.recording))]

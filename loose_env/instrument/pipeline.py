@@ -264,10 +264,8 @@ class _Finished:
         told = foretold(heard, rhythm, scores.best[top])
         second = self._beside(heard, rhythm, scores.best[top]) if alarm.loose else 0.0
         several = second > self.numbers.second
-        settled = (
-            alarm.loose and scores.probability[top] >= self.numbers.sure and not several
-            and not hobby
-        )  # fmt: skip
+        sure = bool(scores.probability[top] >= self.numbers.sure)  # JSON has no numpy.bool
+        settled = alarm.loose and sure and not several and not hobby
         places = _places(arm, rhythm, alarm, scores, settled=settled)
         remarks = list(self.session.remarks)
         if gears.left > _POOR:

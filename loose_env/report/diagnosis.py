@@ -52,7 +52,7 @@ def diagnosis_html(d: Diagnosis, *, folder: str = "") -> str:
 
 
 def _brief(d: Diagnosis, folder: str) -> Brief:
-    rows = place_table(d).rows
+    rows, loose = place_table(d).rows, d.verdict != "tight"
     cells: list[Any] = [list(rows[0]), *(list(row.values()) for row in rows)] if rows else []
     return Brief(
         headline=diagnosis_headline(d),
@@ -60,7 +60,7 @@ def _brief(d: Diagnosis, folder: str) -> Brief:
             ("Next", "next: ", [sentence(d.remedy)]),
             ("Commands", "  ", diagnosis_commands(d, folder)),
             ("", "  ", cells),
-            ("Reasons", "because: ", [sentence(words) for words in d.reasons]),
+            ("Reasons", "because: " if loose else "nearest: ", [sentence(w) for w in d.reasons]),
             ("Remarks", "note: ", _remarks(d)),
         ],
     )
@@ -123,32 +123,37 @@ def write_diagnosis(
     say : callable
         Receives the reason why there is no page.
     """
-    written, page = [], Path(folder) / "report.html"
-    (Path(folder) / "result.json").unlink(missing_ok=True)
+    written, page, here = [], folder / "report.html", Path.cwd()
+    result = str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
+    (folder / "result.json").unlink(missing_ok=True)
     try:
-        html = _page(d, Path(model_path), recording, diagnosis_commands(d, given, str(folder)))
+        html = _page(d, Path(model_path), recording, diagnosis_commands(d, given, result))
         written.append(write_text(page, html))
     except MissingExtra as error:
         page.unlink(missing_ok=True)  # that of an earlier result
         say(f"no report.html: {error}")
-    written.append(d.write(Path(folder) / "result.json"))  # last: it says that all is there
+    written.append(d.write(folder / "result.json"))  # last: it says that all is there
     return written
 
 
 def _page(d: Diagnosis, model: Path, recording: str, commands: Sequence[str]) -> str:
     cards, left_out = _cards(d, model)
+    type_in = "After the repair, with the first plan's options:" if d.settled else "Type:"
     doctor = [f"{f.run}: {f.found}. {f.remedy}" for f in d.preflight if f.severity == "error"]
     return render_page(
         diagnosis_headline(d),
         [
             Section(
                 heading="What to do next",
-                points=[sentence(d.remedy), *(["Type:"] if commands else [])],
+                points=[sentence(d.remedy), *([type_in] if commands else [])],
                 code="\n".join(commands),
             ),
             Section(heading="Links and joints", tables=[place_table(d)]),
             Section(heading="Pictures", intro=left_out, cards=cards),
-            Section(heading="Reasons", points=[sentence(words) for words in d.reasons]),
+            Section(
+                heading="What came nearest" if d.verdict == "tight" else "Reasons",
+                points=[sentence(words) for words in d.reasons],
+            ),
             Section(heading="Remarks", points=_remarks(d)),
             warnings_section(("critical", words) for words in doctor),
             Section(heading="Numbers", tables=[_evidence_table(d)]),
@@ -163,9 +168,9 @@ def _page(d: Diagnosis, model: Path, recording: str, commands: Sequence[str]) ->
 
 def _summary(d: Diagnosis) -> list[str]:
     used = [r for r in d.runs if r.used and r.condition == "suspect"]
-    beside = "compared with a healthy session" if d.reference else "no healthy session beside"
-    runs = "One run" if len(used) == 1 else f"{len(used)} runs"
-    said = [f"{runs}, {d.shaken_s:.0f} s of shaking, {beside}."]
+    healthy = len([r for r in d.runs if r.used and r.condition == "healthy"])
+    beside = f"compared with {healthy} healthy ones" if d.reference else "no healthy session beside"
+    said = [f"Runs: {len(used)} of the arm under test, {beside}; {d.shaken_s:.0f} s of shaking."]
     top = d.places[0] if d.places else None
     if top is not None and top.verdict in ("loose", "suspect"):
         said.insert(0, f"{begun(top.words)}: {percent(top.probability)}, if one place is loose.")

@@ -63,7 +63,7 @@ def plan_commands(folder: str | Path, model: str | Path) -> list[str]:
 def write_plan_page(
     path: str | os.PathLike[str], plan: Plan, *, folder: str | Path, model: str | Path
 ) -> Path:
-    """Write the page of a plan, to take to the machine; `folder` and `model` as the reader types.
+    """Write the page of a plan; `folder` and `model` are as the reader types them.
 
     Raises
     ------

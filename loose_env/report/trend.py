@@ -64,7 +64,9 @@ def write_trend_page(path: str | os.PathLike[str], t: Trend) -> Path:
         "reference or the scatter of the first sessions where that is wider. Above it is an alarm."
     )
     cards = [
-        FigureCard(title=" and ".join(_SHORT[n] for n in names), image=figure, caption=caption)
+        FigureCard(
+            title=" and ".join(_SHORT[n] for n in names).capitalize(), image=figure, caption=caption
+        )
         for names, figure in _charts(t)
     ]
     page = render_page(

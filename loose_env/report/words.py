@@ -25,11 +25,12 @@ def place_label(name: str) -> str:
 
     Examples
     --------
-    >>> place_label("backlash@elbow"), place_label("structural_looseness@forearm")
-    ('joint elbow, gear', 'link forearm, seat')
+    >>> place_label("backlash@elbow"), place_label("structural_looseness@wrist_1_link")
+    ('joint elbow, gear', 'wrist_1_link, seat')
     """
     kind, _, at = name.partition("@")
-    return f"link {at}, seat" if kind == BOLTS else f"joint {at}, gear"
+    noun, part = ("link", "seat") if kind == BOLTS else ("joint", "gear")
+    return f"{at}, {part}" if noun in at.lower() else f"{noun} {at}, {part}"
 
 
 def place_table(d: Diagnosis) -> Table:
@@ -45,7 +46,7 @@ def place_table(d: Diagnosis) -> Table:
                 "Probability": percent(place.probability) if suspected else "-",
                 "Rhythm": f"{place.rhythm:.2f}" if heard else "-",
                 "Tested": f"{100 * place.tested:.0f} %",
-                "Reason": place.why or "-",
+                "Reason": place.why.split(" (limit")[0] or "-",
             }
         )
     note = (

@@ -70,7 +70,7 @@ def session_of(folder: Path) -> Path:
 
 
 def diagnosis_page(folder: Path) -> Path:
-    return loose_env.diagnose(session_of(folder)).write(folder / "found")[-1]
+    return loose_env.diagnose(session_of(folder)).write(folder / "found")[0]
 
 
 def trend_page(folder: Path) -> Path:
