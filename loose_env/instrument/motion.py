@@ -62,8 +62,8 @@ def links_of(
     stiff = np.diag(spring * (1 + 1j * np.broadcast_to(loss, len(spring))))
     omega2 = (2 * np.pi * hertz[:, None, None]) ** 2
     system = stiff - omega2 * (model.inertia + np.diag(rotor))
-    found: ComplexArray = np.linalg.solve(system, (joints @ stiff.T)[:, :, None])[:, :, 0]
-    return found
+    found = np.linalg.solve(system, (joints @ stiff.T)[:, :, None])[:, :, 0]
+    return found.astype(np.complex128)
 
 
 def turned(

@@ -18,12 +18,13 @@ ROOT = Path(__file__).resolve().parents[2]
 PARTS = {
     "gap": ROOT / "loose_env/gap/core",
     "doctor": ROOT / "loose_env/doctor/thresholds.py",
-    "instrument": ROOT / "loose_env/instrument/settings/thresholds.py",
+    "instrument": ROOT / "loose_env/instrument/decide.py",
 }
 """Part -> the module of its thresholds, or the folder of such."""
 _ENTRY = re.compile(
     r"^(?:# (?P<part>[^\n]+)"
-    r'|(?P<name>_?[A-Z][A-Z_0-9]+) = (?P<value>[^\n]+)\n"""(?P<meaning>.+?)""")$',
+    r"|(?P<name>_?[A-Z][A-Z_0-9]+|    [a-z_]+: float) = (?P<value>[^\n]+)"
+    r'\n *"""(?P<meaning>.+?)""")$',
     re.MULTILINE | re.DOTALL,
 )
 
@@ -48,7 +49,8 @@ def threshold_table(source: str) -> str:
                 rows.append(part)
                 part = ""
             meaning = " ".join(entry["meaning"].split()).rstrip(".")
-            rows.append(f"| `{entry['name']}` | {entry['value']} | {meaning} |")
+            name = entry["name"].strip().removesuffix(": float")
+            rows.append(f"| `{name}` | {entry['value']} | {meaning} |")
     return "\n".join(rows)
 
 

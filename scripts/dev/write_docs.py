@@ -23,14 +23,17 @@ from loose_env.cli.command import command
 from loose_env.envs import DIFFICULTIES, DiagnosisEnv
 from loose_env.errors import InvalidData
 from loose_env.gap import Tolerances
+from loose_env.instrument import PRESETS, Numbers
 from loose_env.io import write_text
 from loose_env.registration import IDS, TIERS
+from scripts.dev.threshold_table import threshold_table
 from scripts.study import between
 from scripts.suites.gap.ablation import numbers_table
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = DOCS / "environments.md"
 GAP = DOCS / "gap.md"
+INSTRUMENT = DOCS / "instrument.md"
 COLUMNS = 100
 """Width of prose."""
 LEFT_OUT = ("Version History",)
@@ -107,6 +110,33 @@ def gap() -> str:
     """Text of the page on model errors, its tables of numbers as the code has them now."""
     text = between(GAP.read_text(encoding="utf-8"), numbers_table(), "numbers", GAP)
     return between(text, "\n".join(tolerance_table()), "tolerances", GAP)
+
+
+def instrument() -> str:
+    """Text of the page on the instrument, its numbers and presets as the code has them now."""
+    numbers = threshold_table(inspect.getsource(Numbers)).splitlines()
+    text = between(INSTRUMENT.read_text("utf-8"), "\n".join(numbers), "numbers", INSTRUMENT)
+    return between(text, "\n".join(preset_sections()), "presets", INSTRUMENT)
+
+
+def preset_sections() -> list[str]:
+    """A section for each controller preset."""
+    lines = []
+    for name, one in PRESETS.items():
+        c = one.controller
+        lines += [
+            f"### {name}",
+            "",
+            f"{one.machine}. Commands: {c.commands}, {c.rate_hz:g} Hz, lines up to "
+            f"{c.bandwidth_hz:g} Hz, at most {c.max_speed_rad_s[0]:g} rad/s and "
+            f"{c.max_acceleration_rad_s2[0]:g} rad/s². Log: {one.log}.",
+            "",
+            "```text",
+            *one.code.splitlines(),
+            "```",
+            "",
+        ]
+    return lines[:-1]
 
 
 def tolerance_table() -> list[str]:
@@ -275,7 +305,8 @@ class Options:
 
 def write(options: Options) -> None:
     """Write the pages, or check them."""
-    for page, text in ((PAGE, environments()), (GAP, gap())):
+    pages = ((PAGE, environments()), (GAP, gap()), (INSTRUMENT, instrument()))
+    for page, text in pages:
         if not options.check:
             print(f"wrote {write_text(page, text)}")
         elif page.read_text(encoding="utf-8") != text:
