@@ -136,17 +136,18 @@ class Alarm:
 def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) -> Alarm:
     """Say whether something knocks: by its rhythm, or by what rose over the healthy session."""
     timing = float(rhythm.timing.max())
-    evidence = {"rhythm": timing, "friction": rhythm.friction}
+    evidence = {"rhythm": timing, "chance": rhythm.chance, "friction": rhythm.friction}
     if change is None:
-        said = timing > numbers.rhythm
+        said = timing > max(numbers.rhythm, rhythm.chance)
         words = "the top band rings in the rhythm of a knock" if said else _UNHEARD
         words += f": correlation {timing:.2f} (limit {numbers.rhythm:.2f})"
         return Alarm(loose=said, reasons=(words,), evidence=evidence)
     evidence |= {"top_db": change.top, "even_db": change.even, "odd_db": change.odd}
     evidence["stiff"] = change.stiff
+    beside = numbers.rhythm_beside if change.top > numbers.top_db else numbers.rhythm
     tests = (
         (
-            timing > (numbers.rhythm_beside if change.top > numbers.top_db else numbers.rhythm),
+            timing > max(rhythm.chance, beside),
             f"the top band rings {change.top:.1f} dB louder than on the healthy day, in the rhythm "
             f"of a knock: correlation {timing:.2f} (limit {numbers.rhythm_beside:.2f})",
         ),

@@ -10,9 +10,9 @@ import numpy as np
 from loose_env.instrument import knocks
 from loose_env.instrument.arm import BOLTS, GEARS, PoseModel, SuspectArm, place_name
 from loose_env.instrument.motion import Gears, accelerations, rotor_speeds
-from loose_env.instrument.records import Record
+from loose_env.instrument.records import GRID, Record
 from loose_env.instrument.signals import Multisine
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 GAPS_MM = (0.02, 0.06, 0.12, 0.25)
 """Clearances tried [mm]: a knock's time hardly depends on them, its loudness little."""
@@ -53,6 +53,9 @@ class Rhythm:
     """Of it by pose: covariance, power foretold, power heard (R, 3, H)."""
     throws: Array
     """Direction in which each would throw the tool (R, H, 3)."""
+    chance: float
+    """Highest correlation of any hypothesis with what was heard at other times [1]: a few strikes
+    of a cable agree with some place by chance, and do so as well when they are shifted."""
     friction: float
     """Share of the variance heard that reversals of friction explain [1]."""
     reversing: Array
@@ -126,13 +129,17 @@ def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None
     timing = np.full(len(labels), -1.0)
     gap_mm = np.zeros(len(labels))
     moments, share = np.zeros((len(heard.amplitude), 3, len(labels))), 0.0
+    rng = np.random.default_rng(_SHIFTS)
+    shifts = rng.integers(GRID, size=(_SHIFTS, len(heard.amplitude)), dtype=np.intp)
+    chance = 0.0
     for loads, gaps in ((heard.elastic, GAPS_MM), (heard.rigid, RIGID_GAPS_MM)):
         for gap in gaps:
             told = [
                 np.sqrt(knocks.trains(own, directions, gap, heard.slides, heard.period_s))
                 for own in loads
             ]
-            found, parts, share = correlation(heard.amplitude, told, explained)
+            found, parts, share, other = correlation(heard.amplitude, told, explained, shifts)
+            chance = max(chance, other)
             better = found > timing
             timing = np.maximum(timing, found)
             gap_mm[better] = gap if loads is heard.elastic else -gap
@@ -144,6 +151,7 @@ def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None
         gap_mm=gap_mm,
         moments=moments,
         throws=np.array([knocks.thrown(own, directions) for own in heard.free]),
+        chance=chance,
         friction=share,
         reversing=np.array(
             [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
@@ -164,9 +172,16 @@ def foretold(heard: Heard, rhythm: Rhythm, hypothesis: int) -> list[Array]:
     ]
 
 
+_SHIFTS = 16
+"""Other times at which what was heard is compared too."""
+
+
 def correlation(
-    heard: Sequence[Array], told: Sequence[Array], friction: Sequence[Array]
-) -> tuple[Array, Array, float]:
+    heard: Sequence[Array],
+    told: Sequence[Array],
+    friction: Sequence[Array],
+    shifts: IndexArray | None = None,
+) -> tuple[Array, Array, float, float]:
     """Correlation of amplitudes over all poses together, what friction explains projected out.
 
     Parameters
@@ -177,6 +192,8 @@ def correlation(
         Amplitude that each hypothesis foretells (H, GRID).
     friction : sequence of ndarray
         Amplitude that reversals foretell (n, GRID).
+    shifts : ndarray, optional
+        Samples by which each pose is shifted for a comparison by chance (S, R).
 
     Returns
     -------
@@ -186,6 +203,8 @@ def correlation(
         Covariance, power foretold and power heard by pose (R, 3, H).
     share : float
         Of the variance heard that friction explains.
+    chance : float
+        Highest correlation of any hypothesis with the shifted amplitudes; 0 without shifts.
     """
     y = np.concatenate(heard)
     base = np.vstack([np.ones(len(y)), np.concatenate(friction, 1)])
@@ -199,13 +218,19 @@ def correlation(
     size = np.linalg.norm(x, axis=1)
     clear = size > 0.1 * before
     found = np.where(clear, x @ y / np.maximum(size * np.linalg.norm(y), 1e-30), 0.0)
+    chance = 0.0
+    for shift in () if shifts is None else shifts:
+        moved = np.concatenate([np.roll(a, int(k)) for a, k in zip(heard, shift, strict=True)])
+        moved = moved - span.T @ (span @ moved)
+        by = np.where(clear, x @ moved / np.maximum(size * np.linalg.norm(moved), 1e-30), 0.0)
+        chance = max(chance, float(by.max()))
     parts, at = [], 0
     for own in heard:
         s = slice(at, at + len(own))
         at += len(own)
         power = np.full(len(x), float(y[s] @ y[s]))
         parts.append([(x[:, s] @ y[s]) * clear, (x[:, s] ** 2).sum(1), power])
-    return found, np.array(parts), 1 - float(y @ y) / max(variance, 1e-30)
+    return found, np.array(parts), 1 - float(y @ y) / max(variance, 1e-30), chance
 
 
 def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:

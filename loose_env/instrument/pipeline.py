@@ -402,7 +402,7 @@ def _places(
         direction = None
         if kind == BOLTS:
             d = rhythm.directions[rhythm.labels[best][2]]
-            direction = (float(d[0]), float(d[1]), float(d[2]))
+            direction = (round(float(d[0]), 5), round(float(d[1]), 5), round(float(d[2]), 5))
         verdict: PlaceVerdict
         if alarm.loose and rank == 0 and settled:
             verdict, why = "loose", alarm.reasons[0]
@@ -420,7 +420,7 @@ def _places(
                 kind=kind,
                 at=at,
                 verdict=verdict,
-                probability=round(chance, 4),
+                probability=round(float(chance), 4),
                 rhythm=round(float(rhythm.timing[names == place].max()), 4),
                 tested=round(shares[place], 3),
                 direction=direction,

@@ -83,7 +83,9 @@ def test_correlation_takes_off_what_friction_explains() -> None:
     rng = np.random.default_rng(3)
     friction, knock = rng.random((1, 1000)), rng.random((1, 1000))
     heard = 3 * friction[0] + knock[0]
-    found, moments, share = correlation([heard], [np.vstack([knock, friction])], [friction])
+    told = [np.vstack([knock, friction])]
+    found, moments, share, chance = correlation([heard], told, [friction], np.array([[300], [500]]))
+    assert abs(chance) < 0.2
     assert found[0] == pytest.approx(1.0) and found[1] == 0.0 and share > 0.8
     assert moments.shape == (1, 3, 2)
 
