@@ -131,23 +131,27 @@ class Alarm:
     louder: bool = False
     """True if it rings louder than on the healthy day, but nothing knocks: the sensor's mount, a
     cable or a payload changed."""
+    masked: bool = False
+    """True if what rings agrees with some place at any time: strikes of something else hide the
+    rhythm."""
 
 
 def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) -> Alarm:
     """Say whether something knocks: by its rhythm, or by what rose over the healthy session."""
     timing = float(rhythm.timing.max())
     evidence = {"rhythm": timing, "chance": rhythm.chance, "friction": rhythm.friction}
+    masked = rhythm.chance > numbers.rhythm
     if change is None:
-        said = timing > max(numbers.rhythm, rhythm.chance)
+        said = timing > numbers.rhythm > rhythm.chance
         words = "the top band rings in the rhythm of a knock" if said else _UNHEARD
         words += f": correlation {timing:.2f} (limit {numbers.rhythm:.2f})"
-        return Alarm(loose=said, reasons=(words,), evidence=evidence)
+        return Alarm(loose=said, reasons=(words,), evidence=evidence, masked=masked)
     evidence |= {"top_db": change.top, "even_db": change.even, "odd_db": change.odd}
     evidence["stiff"] = change.stiff
-    beside = numbers.rhythm_beside if change.top > numbers.top_db else numbers.rhythm
+    rose = change.top > numbers.top_db and timing > max(numbers.rhythm_beside, rhythm.chance)
     tests = (
         (
-            timing > max(rhythm.chance, beside),
+            rose or timing > numbers.rhythm > rhythm.chance,
             f"the top band rings {change.top:.1f} dB louder than on the healthy day, in the rhythm "
             f"of a knock: correlation {timing:.2f} (limit {numbers.rhythm_beside:.2f})",
         ),
@@ -169,7 +173,11 @@ def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) ->
             f"of no place (correlation {timing:.2f} of {numbers.rhythm_beside:.2f})"
         )
     return Alarm(
-        loose=bool(reasons), reasons=reasons or (nearest,), evidence=evidence, louder=louder
+        loose=bool(reasons),
+        reasons=reasons or (nearest,),
+        evidence=evidence,
+        louder=louder,
+        masked=masked and not reasons,
     )
 
 

@@ -275,7 +275,9 @@ class _Finished:
             )
         headline, remedy = _words(places, alarm, settled=settled, several=several, hobby=hobby)
         runs = self._with_told(heard, told, alarm.loose)
-        verdict: Verdict = "loose" if alarm.loose else "open" if alarm.louder else "tight"
+        verdict: Verdict = (
+            "loose" if alarm.loose else "open" if alarm.louder or alarm.masked else "tight"
+        )
         return self._result(
             verdict, headline, remedy, places,
             settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
@@ -441,6 +443,11 @@ def _words(
 ) -> tuple[str, str]:
     """Headline and remedy."""
     untested = [p for p in places if p.verdict == "not tested"]
+    if alarm.masked:
+        return (
+            "Something that is not the arm strikes, and hides what the arm does.",
+            "Tie cables down, keep hands and neighbours away, and repeat the session.",
+        )
     if alarm.louder:
         return (
             "Nothing knocks, but the arm rings louder than on the healthy day.",

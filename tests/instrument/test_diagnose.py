@@ -85,7 +85,7 @@ def test_a_striking_cable_is_no_knock(healthy: Recording) -> None:
         return replace(run, sensors={**run.sensors, name: values})
 
     quiet = diagnose(changed(healthy, struck))
-    assert quiet.verdict == "tight"
+    assert quiet.verdict in ("tight", "open") and "knocks:" not in quiet.headline
     assert any("does not repeat" in remark for remark in quiet.remarks)
 
 
