@@ -484,7 +484,7 @@ def instrument(names: Sequence[str] | None = None) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "recording"
             loose_arm(folder, loose=DIAGNOSES[name], reference=True)
-            for way in ("--no-settings.reference", ""):
+            for way in ("--no-reference", ""):
                 out = Path(place) / f"found{way}"
                 _loose("diagnose", str(folder), "--out", str(out), *([way] if way else []))
                 result = json.loads((out / "result.json").read_text("utf-8"))
