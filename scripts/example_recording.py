@@ -174,7 +174,6 @@ def loose_arm(
                 name=run.file,
                 time=time,
                 sensors=readings,
-                excited=arm.joints,
                 pose=run.pose,
                 condition="healthy" if run.condition == "healthy" else "suspect",
             )

@@ -165,7 +165,7 @@ def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) ->
         ),
     )
     reasons = tuple(words for said, words in tests if said)
-    louder = change.top > numbers.top_db and not reasons
+    louder = change.top > 2 * numbers.top_db and not reasons
     nearest = f"{_UNHEARD}: correlation {timing:.2f} (limit {numbers.rhythm_beside:.2f})"
     if louder:
         nearest = (

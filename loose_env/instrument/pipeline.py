@@ -358,7 +358,12 @@ class _Finished:
             date="" if latest is None else latest.isoformat(timespec="seconds"),
             version=__version__,
             seconds=round(time.process_time() - self.started, 2),
-            shaken_s=round(sum(r.time[-1] - r.time[0] for r in self.recording.runs), 2),
+            shaken_s=round(
+                sum(
+                    r.time[-1] - r.time[0] for r in self.recording.runs if r.condition == "suspect"
+                ),
+                2,
+            ),
             settings=asdict(self.numbers),
         )
 

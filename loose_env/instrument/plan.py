@@ -395,7 +395,6 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
 def _entry(run: PlannedRun) -> dict[str, object]:
     return {
         "file": run.file,
-        "excited": list(run.pose),
         "pose": dict(run.pose),
         "condition": run.condition,
         "planned": True,
