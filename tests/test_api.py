@@ -116,7 +116,7 @@ def test_a_gap_is_written_with_its_corrected_model(
 
 
 @pytest.mark.parametrize(
-    ("call", "name"), [(loose_env.diagnose, "reference"), (loose_env.explain_gap, "threads")]
+    ("call", "name"), [(loose_env.diagnose, "sure"), (loose_env.explain_gap, "threads")]
 )
 def test_what_cannot_be_used_is_said(call, name: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     wrong = f"{name}z"

@@ -58,7 +58,7 @@ class DiagnoseSettings:
 
     def __post_init__(self) -> None:
         """Check."""
-        if not 0.5 <= self.sure < 1:
+        if not (isinstance(self.sure, float | int) and 0.5 <= self.sure < 1):
             raise InvalidSetting(f"sure is a probability between 0.5 and 1, got {self.sure!r}")
 
 

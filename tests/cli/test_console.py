@@ -20,7 +20,7 @@ from loose_env.version import __version__
 from scripts.dev.write_schemas import FORMATS, schema
 from tests.doctor.machine import record, with_sensors, xml
 
-INSPECT = ["inspect", str(DESK_ARM), "--poses", "2"]
+INSPECT = ["inspect", str(DESK_ARM), "--poses", "3"]
 Capture = pytest.CaptureFixture[str]
 
 
@@ -111,14 +111,13 @@ def test_json_stands_alone_on_the_standard_output_or_in_a_file(
 ) -> None:
     assert main([*INSPECT, "--json", "-"]) == 0
     said = capsys.readouterr()
-    assert json.loads(said.out)["format"] == "loose-inspection/1"
-    assert "modes of the held arm" in said.err and "faults, in 2 poses" in said.err
+    assert json.loads(said.out)["format"] == "loose-plan/2" and "forearm" in said.err
     assert main([*INSPECT, "--json", str(tmp_path / "new" / "i.json"), "--verbose"]) == 0
     verbose = capsys.readouterr()
-    assert "modes of the held arm" in verbose.out and "loose-env" not in verbose.out
-    assert f"loose-env {__version__}, Python" in verbose.err and "poses=2" in verbose.err
+    assert "forearm" in verbose.out and "loose-env" not in verbose.out
+    assert f"loose-env {__version__}, Python" in verbose.err and "poses=3" in verbose.err
     assert (tmp_path / "new" / "i.json").read_text("utf-8") == said.out
-    few = ["--poses", "2", "--seconds", "1.2", "--json", "-", "--quiet"]
+    few = ["--poses", "3", "--json", "-", "--quiet"]
     assert main(["plan", str(DESK_ARM), "--out", str(tmp_path / "session"), *few]) == 0
     quiet = capsys.readouterr()
     assert json.loads(quiet.out) == read(tmp_path / "session" / "plan.json")
@@ -163,7 +162,7 @@ def test_verbose_keeps_the_trace_of_an_error(tmp_path: Path, capsys: Capture) ->
 def test_shells_complete_commands_and_options(shell: str, capsys: Capture) -> None:
     assert main(["--print-completion", shell]) == 0
     script = capsys.readouterr().out
-    assert all(name in script for name in (*COMMANDS, "most-tool", "kinds"))
+    assert all(name in script for name in (*COMMANDS, "bandwidth-hz", "kinds"))
     if shell != "bash":
         return
     ask = 'COMP_WORDS=({0}); COMP_CWORD={1}; _tyro_loose; printf "%s\\n" "${{COMPREPLY[@]}}"'

@@ -142,7 +142,7 @@ ANOTHER = (("encoder", "gauge"),)
     ("spoil", "model", "reason"),
     [
         (lambda rows: [rows[0], *rows[1:2] * (len(rows) - 1)], (), "time"),
-        (lambda rows: [rows[0], *(_with(r, 1, "0.3") for r in rows[1:])], (), "no joint moves"),
+        (lambda rows: [rows[0], *(_with(r, 1, "0.3") for r in rows[1:])], (), "nothing moved"),
         (lambda rows: [rows[0], *(_with(r, 1, "nan") for r in rows[1:])], (), "100.0% of 800"),
         (lambda rows: rows[:2], (), "the run has 1 samples; it needs at least 10"),
         (lambda rows: rows, FALLING, "'trunk' is no hinge and no slide; fix that body"),

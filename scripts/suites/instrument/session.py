@@ -47,7 +47,7 @@ def pack(plan: Plan, path: Path) -> None:
 
 def unpack(path: Path) -> Plan:
     """Read a plan."""
-    with np.load(path) as file:
+    with np.load(path, allow_pickle=False) as file:
         plan: dict[str, Any] = json.loads(str(file["about"]))
         for i, run in enumerate(plan["runs"]):
             run["command"] = file[f"command-{i}"]

@@ -150,9 +150,7 @@ def shaken() -> Files:
     """A recording to diagnose."""
     from scripts.example_recording import loose_arm
 
-    found = _written(lambda place: loose_arm(place / "s" / "recording"), "s/recording")
-    plan = _written(lambda place: loose_arm(place / "s" / "recording"), "s")["plan.json"]
-    return {**found, "plan.json": plan}
+    return _written(lambda place: loose_arm(place / "recording"), "recording")
 
 
 @functools.cache
