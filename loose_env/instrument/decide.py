@@ -11,7 +11,7 @@ from loose_env.instrument.arm import BOLTS, SuspectArm
 from loose_env.instrument.locate import Rhythm, direction_scores, names_of
 from loose_env.instrument.motion import Gears
 from loose_env.instrument.poses import REVERSES
-from loose_env.instrument.records import Record
+from loose_env.instrument.records import REPEATS, Record
 from loose_env.instrument.reference import Change
 from loose_env.typing import Array
 
@@ -136,22 +136,42 @@ class Alarm:
     rhythm."""
 
 
-def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) -> Alarm:
-    """Say whether something knocks: by its rhythm, or by what rose over the healthy session."""
+def repeats(records: Sequence[Record]) -> float:
+    """Correlation between periods of what rings, loud poses by their power."""
+    power = np.array([max(float(r.envelope.mean()) - r.floor, 1e-18) for r in records])
+    return float(np.average([r.repeats for r in records], weights=power))
+
+
+def detect(
+    rhythm: Rhythm,
+    numbers: Numbers,
+    *,
+    change: Change | None = None,
+    repeats: float = 0.0,
+) -> Alarm:
+    """Say whether something knocks: by its rhythm, or by what rose over the healthy session.
+
+    Parameters
+    ----------
+    repeats : float
+        Correlation between periods of what rings. A steady rhythm agrees with itself at other times
+        too: only what does not repeat is held against agreement by chance.
+    """
     timing = float(rhythm.timing.max())
     evidence = {"rhythm": timing, "chance": rhythm.chance, "friction": rhythm.friction}
-    masked = rhythm.chance > numbers.rhythm
+    chance = 0.0 if repeats >= REPEATS else rhythm.chance
+    masked = chance > numbers.rhythm
     if change is None:
-        said = timing > numbers.rhythm > rhythm.chance
+        said = timing > numbers.rhythm > chance
         words = "the top band rings in the rhythm of a knock" if said else _UNHEARD
         words += f": correlation {timing:.2f} (limit {numbers.rhythm:.2f})"
         return Alarm(loose=said, reasons=(words,), evidence=evidence, masked=masked)
     evidence |= {"top_db": change.top, "even_db": change.even, "odd_db": change.odd}
     evidence["stiff"] = change.stiff
-    rose = change.top > numbers.top_db and timing > max(numbers.rhythm_beside, rhythm.chance)
+    rose = change.top > numbers.top_db and timing > max(numbers.rhythm_beside, chance)
     tests = (
         (
-            rose or timing > numbers.rhythm > rhythm.chance,
+            rose or timing > numbers.rhythm > chance,
             f"the top band rings {change.top:.1f} dB louder than on the healthy day, in the rhythm "
             f"of a knock: correlation {timing:.2f} (limit {numbers.rhythm_beside:.2f})",
         ),

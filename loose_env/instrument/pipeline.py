@@ -127,7 +127,8 @@ def diagnose(
     heard = hear(arm, session.suspect, models, gears, signal, healthy=session.healthy or None)
     say(f"following the loads of {2 * arm.n} places")
     rhythm = rhythm_of(heard, knocks.sphere(knocks.DIRECTIONS))
-    alarm = decide.detect(rhythm, limits, change=compared)
+    steady = decide.repeats(session.suspect)
+    alarm = decide.detect(rhythm, limits, change=compared, repeats=steady)
     scores = decide.score(
         arm, rhythm, session.suspect, gears, np.random.default_rng(0),
         numbers=limits,
