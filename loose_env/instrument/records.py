@@ -26,6 +26,10 @@ REPEATS = 0.60
 """Correlation of the envelope between periods from which the shaking causes it [1]."""
 _LOUD = 3.0
 """Energy of the top band over its floor from which there is a rhythm to repeat [1]."""
+_SWELLS = 0.65
+"""Share of the lead that is left when the swelling motion is seen [1]."""
+_SHORT = 0.02
+"""Share of a period by which the last one may be cut [1]: lines are fitted at the true times."""
 FEWEST_PERIODS = 2
 """Whole periods that a record needs: with one nothing can be seen to repeat."""
 
@@ -124,9 +128,17 @@ def read_run(
             "take a larger range, or plan with a lower --level",
         )
     start, end = window
-    lead = 0.8 * signal.lead_s
+    lead = _SWELLS * signal.lead_s
     periods = int((end - start - lead + 0.03 * signal.period_s) / signal.period_s)
     periods = min(periods, signal.periods)
+    top = int(signal.excited.max()) + 4
+    if periods >= FEWEST_PERIODS:
+        first = end - (periods + 0.01) * signal.period_s
+        first = _in_phase(t, q, first, periods, top, signal)
+        if first < 0:
+            first, periods = first + signal.period_s, periods - 1
+        if first + (periods - _SHORT) * signal.period_s > t[-1]:
+            periods -= 1
     if periods < FEWEST_PERIODS:
         return useless(
             f"the joints move for {end - start:.2g} s; the signal lasts {signal.seconds:.2g} s",
@@ -135,9 +147,6 @@ def read_run(
     remarks = []
     if periods < signal.periods:
         remarks.append(f"{periods} of {signal.periods} periods are whole")
-    first = end - periods * signal.period_s - 0.01 * signal.period_s
-    top = int(signal.excited.max()) + 4
-    first = _in_phase(t, q, first, periods, top, signal)
     inside = (t >= first) & (t < first + periods * signal.period_s)
     rate = float(1 / np.median(np.diff(t)))
     omega = 2 * np.pi * np.arange(top + 1) / signal.period_s
@@ -244,12 +253,7 @@ def _in_phase(t: Array, q: Array, first: float, periods: int, top: int, signal: 
     turned = np.exp(2j * np.pi * np.outer(shift, signal.excited) / signal.period_s)
     weight = np.linalg.norm(own, axis=0)
     agreed = (turned @ (own / np.maximum(weight, 1e-12))).real.sum(1)
-    best = float(shift[agreed.argmax()])
-    moved = first + best
-    last = t[-1] - periods * signal.period_s
-    if moved > last + 1e-3:
-        moved -= signal.period_s
-    return max(moved, 0.0)
+    return first + float(shift[agreed.argmax()])
 
 
 def _ringing(

@@ -18,8 +18,8 @@ _TRIES = 30
 _SPARE = 0.6
 """Share of the torque left beside the static load that a line sum's peak may ask for [1]: rotors
 and friction, which a rigid model lacks, take the rest."""
-_FADE_S = 0.3
-"""Time over which the signal swells [s]."""
+_FADE_S = 0.6
+"""Time over which the signal swells [s]: shorter, its slope adds to the peak acceleration."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,7 +65,8 @@ class Multisine:
         # The lines' phase is that of the first sample after the lead.
         angle = np.multiply.outer(t - self.lead_s, w)[:, None] + self.phases
         scale = peak / self.crest
-        fade = np.clip(t / _FADE_S, 0, 1)[:, None] ** 2
+        u = np.clip(t / _FADE_S, 0, 1)[:, None]
+        fade = u**3 * (10 - 15 * u + 6 * u**2)  # no kink: acceleration stays within its limit
         found: Array
         if commands == "position":
             found = pose - fade * scale * (np.cos(angle) / w**2).sum(-1)
