@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument import decide, knocks
 from loose_env.instrument.arm import BOLTS, PoseModel, SuspectArm, read_arm
 from loose_env.instrument.decide import Alarm, Scores
@@ -99,7 +99,7 @@ def diagnose(
     Raises
     ------
     InvalidData
-        If there is no plan, or the model is no serial arm.
+        If there is no plan, or another arm's, or the model is no serial arm.
 
     Examples
     --------
@@ -112,6 +112,11 @@ def diagnose(
     own = settings or DiagnoseSettings()
     limits = replace(numbers or decide.Numbers(), sure=own.sure)
     plan, arm = plan or read_plan(recording.folder), read_arm(recording.model_path)
+    if plan.joints != arm.joints:
+        raise InvalidData(
+            f"{recording.folder}: the plan is for the joints {', '.join(plan.joints)}, the model "
+            f"has {', '.join(arm.joints)}; give the recording the plan that it was played by"
+        )
     signal = plan.signal.signal
     session = _read(arm, recording, plan, own)
     done = _Finished(recording, plan, limits, session, started)

@@ -92,7 +92,7 @@ class PlanSettings:
             raise InvalidSetting(f"commands is position, velocity or torque, got {self.commands!r}")
         if self.corner_hz is not None and not self.corner_hz > 0:
             raise InvalidSetting(f"corner_hz is above 0 Hz, got {self.corner_hz!r}")
-        if self.payload_kg < 0 or len(self.payload_at_m) != 3:
+        if not 0 <= self.payload_kg < np.inf or len(self.payload_at_m) != 3:
             raise InvalidSetting(
                 "payload_kg is zero or more, and payload_at_m three numbers, got "
                 f"{self.payload_kg!r} and {self.payload_at_m!r}"
@@ -305,6 +305,11 @@ def _open_places(arm: SuspectArm, known: Diagnosis) -> list[int]:
         names = {p.name for p in known.places if p.verdict in ("loose", "suspect")}
     else:
         names = set(known.untested)
+    if not {p.name for p in known.places} <= set(arm.places):
+        raise InvalidData(
+            f"the diagnosis is of another arm, with {known.places[0].name}; this one has "
+            f"{', '.join(arm.places)}: give the diagnosis of a session of this model"
+        )
     return [k for k, place in enumerate(arm.places) if place in names]
 
 
@@ -349,7 +354,7 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
     Raises
     ------
     InvalidData
-        If the folder holds the recording of another arm.
+        If the folder holds the recording of another arm, or runs of another signal.
     """
     recording = folder / RECORDING
     kept: list[PlannedRun] = []
@@ -369,6 +374,13 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
         }
         kept = [r for r in earlier.runs if r.file in measured]
         taken = {r.file for r in kept}
+        if kept and earlier.signal != made.signal:
+            raise InvalidData(
+                f"{recording}: its runs were planned with another signal, up to "
+                f"{earlier.signal.signal.hertz.max():g} Hz where this one reaches "
+                f"{made.signal.signal.hertz.max():g} Hz; plan with the same controller and "
+                "bandwidth, or give another --out"
+            )
         clash = taken & {r.file for r in made.runs}
         if clash:
             raise InvalidData(f"{recording}: {min(clash)} is measured already; see first")

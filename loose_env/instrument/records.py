@@ -113,6 +113,16 @@ def read_run(
     tool = np.column_stack([_whole(t, a) for a in run.sensors[sensor].T])
     if not (np.isfinite(q).all() and np.isfinite(tool).all()):
         return useless("a channel holds no number", "check the logger's columns")
+    rate, highest = float(1 / np.median(np.diff(t))), float(signal.hertz.max())
+    passes = min(corner_hz or np.inf, 0.45 * rate / 0.9)
+    band = [_TOP_BAND[0] * passes, min(_TOP_BAND[1] * passes, 0.45 * rate)]
+    if band[0] <= highest:
+        return useless(
+            f"it holds {passes:.3g} Hz at most, and the signal itself reaches {highest:.3g} Hz: "
+            "no band is left for what knocks",
+            f"log at {2 * highest / _TOP_BAND[0]:.0f} Hz or more with an accelerometer that passes "
+            "half of it, or plan with a lower --bandwidth-hz",
+        )
     window = _moving(t, q)
     if window is None:
         return useless("no joint moves", "play the signal while the logger runs")
@@ -148,7 +158,6 @@ def read_run(
     if periods < signal.periods:
         remarks.append(f"{periods} of {signal.periods} periods are whole")
     inside = (t >= first) & (t < first + periods * signal.period_s)
-    rate = float(1 / np.median(np.diff(t)))
     omega = 2 * np.pi * np.arange(top + 1) / signal.period_s
     lines, noise = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)
     read, read_noise = _lines(t[inside] - first, tool[inside], periods, top, signal.period_s)
@@ -157,8 +166,6 @@ def read_run(
     if 0.8 < np.linalg.norm(gravity) < 1.2 and np.any(arm.model.opt.gravity):
         scale = _STANDARD_GRAVITY
         remarks.append("the accelerometer is logged in g: taken as such")
-    band = [share * min(corner_hz or np.inf, 0.45 * rate / 0.9) for share in _TOP_BAND]
-    band[1] = min(band[1], 0.45 * rate)
     ring = _ringing(t, tool * scale, rate, (band[0], band[1]), first, periods, signal.period_s)
     envelope, quiet, floor, covariance, repeats, foreign = ring
     if foreign:
