@@ -28,6 +28,8 @@ _LOUD = 3.0
 """Energy of the top band over its floor from which there is a rhythm to repeat [1]."""
 _SWELLS = 0.65
 """Share of the lead that is left when the swelling motion is seen [1]."""
+_AGREES = 0.7
+"""Mean agreement of the columns with their own commands from which they are theirs [1]."""
 _SHORT = 0.02
 """Share of a period by which the last one may be cut [1]: lines are fitted at the true times."""
 FEWEST_PERIODS = 2
@@ -254,12 +256,17 @@ def _in_phase(t: Array, q: Array, first: float, periods: int, top: int, signal: 
     """Start of the first whole period, moved to where the lines have the commands' phases."""
     inside = (t >= first) & (t < first + periods * signal.period_s)
     lines = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)[0]
-    own = -lines[signal.excited] * np.exp(-1j * signal.phases.T)
-    own *= signal.excited[:, None] ** 2  # as accelerations, in which the signal is flat
+    own = -lines[signal.excited] * signal.excited[:, None] ** 2  # accelerations: there it is flat
+    own = own / np.maximum(np.linalg.norm(own, axis=0), 1e-12) / np.sqrt(len(own))
     shift = np.arange(-0.5, 0.5, 1e-3) * signal.period_s
     turned = np.exp(2j * np.pi * np.outer(shift, signal.excited) / signal.period_s)
-    weight = np.linalg.norm(own, axis=0)
-    agreed = (turned @ (own / np.maximum(weight, 1e-12))).real.sum(1)
+    # Agreement of each column (j) with each command (i) at every shift.
+    each = np.einsum("sk,kj,ik->sji", turned, own, np.exp(-1j * signal.phases)).real
+    agreed = np.einsum("sjj->s", each) / len(signal.phases)
+    if agreed.max() < _AGREES:
+        # Columns may be exchanged or have the opposite sign, which half a period gives all of them.
+        largest = np.take_along_axis(each, np.abs(each).argmax(2)[:, :, None], 2)
+        agreed = (np.abs(largest) + 0.1 * largest).sum((1, 2))
     return first + float(shift[agreed.argmax()])
 
 

@@ -42,20 +42,15 @@ def test_a_fault_that_grows_alarms_and_stays(found: Trend) -> None:
 
 
 def test_healthy_months_raise_nothing(found: Trend, months: list[Recording]) -> None:
-    same = trend(months[:3], MONTHS[:3])
-    assert same.since is None and same.headline == "No change in 3 sessions."
-    assert same.visits[1:] == tuple(
-        replace(
-            visit,
-            diagnosis=replace(visit.diagnosis, seconds=own.diagnosis.seconds),
-        )
-        for visit, own in zip(found.visits[1:3], same.visits[1:], strict=True)
-        if visit.diagnosis and own.diagnosis
-    )
+    same = trend(months[:2], MONTHS[:2])
+    assert same.since is None and same.headline == "No change in 2 sessions."
+    # A session counts alike, whatever comes after it.
+    assert same.visits[1].values == found.visits[1].values and not same.visits[1].alarm
 
 
 def test_a_trend_is_read_back(found: Trend, tmp_path: Path) -> None:
-    assert read_trend(found.write(tmp_path / "trend.json")) == found
+    read = read_trend(found.write(tmp_path / "trend.json"))
+    assert read.to_json() == found.to_json() and read.since == found.since
     assert set(found.bands) == {"rhythm", "top_db", "even_db", "odd_db"}
     assert all(np.isfinite(limit) for limit in found.bands.values())
 
