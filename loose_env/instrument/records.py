@@ -322,7 +322,8 @@ def exchanged(
     found = []
     for j in range(n):
         i = int(np.abs(agree[:, j]).argmax())
-        if i != j and abs(agree[i, j]) > 0.7 and abs(agree[j, j]) < 0.5:
+        # Commands of a few lines agree by up to 0.6 with one another.
+        if abs(agree[i, j]) > max(_AGREES, abs(agree[j, j]) + 0.2):
             found.append(f"the column of {joints[j]} follows the command of {joints[i]}")
         elif agree[j, j] < -0.7:
             found.append(f"the column of {joints[j]} has the opposite sign of its command")
