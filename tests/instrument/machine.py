@@ -87,6 +87,10 @@ def simulated(truth: Truth) -> mujoco.MjModel:
             spring = body.add_joint(name=f"{joint}_spring", axis=list(hinge.axis), armature=2e-3)
             stiff = own * (2 * np.pi * truth.mode_hz) ** 2
             spring.stiffness, spring.damping = [stiff, 0, 0], [0.06 * np.sqrt(stiff * own), 0, 0]
+            spec.add_sensor(
+                name=spring.name, type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=spring.name,
+            )  # fmt: skip
         if truth.play == joint:
             teeth = body.add_joint(name="teeth", axis=list(hinge.axis))
             teeth.range, teeth.limited = [-truth.travel / 2, truth.travel / 2], True
@@ -139,6 +143,9 @@ def played(
     read = {
         j: np.round(sensed[::every, int(model.sensor(j).adr[0])] / COUNT) * COUNT for j in JOINTS
     }
+    for sensor in map(model.sensor, range(model.nsensor)):
+        if sensor.name.endswith("_spring"):
+            read[sensor.name] = sensed[::every, int(sensor.adr[0])]
     tool = smooth[::every]
     read["acc"] = tool + rng.normal(0, NOISE, tool.shape)
     return np.arange(len(tool)) / RATE, read
