@@ -127,11 +127,9 @@ def played(
     at = [int(model.joint(j).qposadr[0]) for j in JOINTS]
     data.qpos[at] = given[0]
     data.ctrl[:] = given[0]
-    for _ in range(2):  # rotors stand where the servos carry the weight
-        mujoco.mj_forward(model, data)
-        sag = data.qfrc_bias[[int(model.joint(j).dofadr[0]) for j in JOINTS]]
-        lift = sag / model.actuator_gainprm[:, 0]
-        data.qpos[at] = given[0]
+    mujoco.mj_forward(model, data)
+    weight = data.qfrc_bias[[int(model.joint(j).dofadr[0]) for j in JOINTS]]
+    lift = weight / model.actuator_gainprm[:, 0]  # servos carry the weight
     full = mujoco.mjtState.mjSTATE_FULLPHYSICS
     state = np.zeros(mujoco.mj_stateSize(model, full))
     mujoco.mj_getState(model, data, state, full)
