@@ -145,6 +145,11 @@ def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) ->
         said = timing > numbers.rhythm > rhythm.chance
         words = "the top band rings in the rhythm of a knock" if said else _UNHEARD
         words += f": correlation {timing:.2f} (limit {numbers.rhythm:.2f})"
+        if masked:
+            words = (
+                f"what rings agrees with some place at any time: correlation {rhythm.chance:.2f} "
+                f"when shifted, {timing:.2f} in time (limit {numbers.rhythm:.2f})"
+            )
         return Alarm(loose=said, reasons=(words,), evidence=evidence, masked=masked)
     evidence |= {"top_db": change.top, "even_db": change.even, "odd_db": change.odd}
     evidence["stiff"] = change.stiff
