@@ -24,8 +24,8 @@ class Numbers:
     """
 
     rhythm: float = 0.40
-    """Correlation of foretold and heard envelope from which something knocks [1]: healthy machines
-    of nine unlike kinds reach 0.07 to 0.32."""
+    """Correlation of foretold and heard envelope from which something knocks [1]: on
+    development numbers healthy machines of six kinds reached 0.07 to 0.27."""
     rhythm_beside: float = 0.25
     """The same where the top band was quieter in a healthy session [1]."""
     top_db: float = 1.5
