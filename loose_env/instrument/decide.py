@@ -141,10 +141,13 @@ def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) ->
     timing = float(rhythm.timing.max())
     evidence = {"rhythm": timing, "chance": rhythm.chance, "friction": rhythm.friction}
     masked = rhythm.chance > numbers.rhythm
+    sd = 1 / np.sqrt(max(numbers.samples, 1.0))  # of a correlation's arctanh (Fisher)
+    clear = np.arctanh(min(timing, 0.999)) - np.arctanh(min(rhythm.chance, 0.999)) > _TENTH * sd
     if change is None:
-        said = timing > numbers.rhythm > rhythm.chance
+        said = timing > numbers.rhythm and clear
         words = "the top band rings in the rhythm of a knock" if said else _UNHEARD
         words += f": correlation {timing:.2f} (limit {numbers.rhythm:.2f})"
+        masked = masked and not said
         if masked:
             words = (
                 f"what rings agrees with some place at any time: correlation {rhythm.chance:.2f} "
@@ -156,7 +159,7 @@ def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) ->
     rose = change.top > numbers.top_db and timing > max(numbers.rhythm_beside, rhythm.chance)
     tests = (
         (
-            rose or timing > numbers.rhythm > rhythm.chance,
+            rose or (timing > numbers.rhythm and clear),
             f"the top band rings {change.top:.1f} dB louder than on the healthy day, in the rhythm "
             f"of a knock: correlation {timing:.2f} (limit {numbers.rhythm_beside:.2f})",
         ),
@@ -186,6 +189,8 @@ def detect(rhythm: Rhythm, numbers: Numbers, *, change: Change | None = None) ->
     )
 
 
+_TENTH = 1.28
+"""Standard deviations that one in ten exceeds [1]: a rhythm stands out from chance."""
 _UNHEARD = "the rhythm of no place is heard"
 
 
