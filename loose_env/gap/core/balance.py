@@ -194,7 +194,10 @@ class Balance:
         parts = [self.forces(*effect.plain(values, way)) for way in range(len(effect.mountings))]
         its = [np.isin(names, runs)[:, None] for runs in effect.mountings]
         smooth, dry, readings = (
-            sum(np.where(own, getattr(part, name), 0.0) for own, part in zip(its, parts, strict=True))
+            sum(
+                np.where(own, getattr(part, name), 0.0)
+                for own, part in zip(its, parts, strict=True)
+            )
             for name in ("smooth", "dry", "readings")
         )
         operator = sum(own.mean() * part.operator for own, part in zip(its, parts, strict=True))

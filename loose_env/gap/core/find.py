@@ -22,8 +22,8 @@ from loose_env.gap.core.decision import (
 )
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import Exact, ExactFit, leading, open_joints, pool_of
-from loose_env.gap.core.mountings import by_runs
 from loose_env.gap.core.motion import LOWEST_HZ, smooth
+from loose_env.gap.core.mountings import by_runs
 from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
