@@ -414,7 +414,14 @@ def _places(
         if alarm.loose and rank == 0 and settled:
             verdict, why = "loose", alarm.reasons[0]
         elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
-            verdict, why = "suspect", "the session does not tell it from the other suspects"
+            verdict = "suspect"
+            why = (
+                "the session does not tell it from the other suspects"
+                if chance < 1 - _LISTED
+                else "the top band rings in its rhythm"
+            )
+        elif alarm.masked:
+            verdict, why = "not tested", "other strikes hide whether it knocks"
         elif is_tested_share(shares[place]):
             verdict = "tight"
             why = "its load reversed, and " + (
@@ -450,7 +457,7 @@ def _words(
     untested = [p for p in places if p.verdict == "not tested"]
     if alarm.masked:
         return (
-            "Something that is not the arm strikes, and hides what the arm does.",
+            "Something strikes, in no rhythm that tells a place of the arm.",
             "Tie cables down, keep hands and neighbours away, and repeat the session.",
         )
     if alarm.louder:
@@ -464,7 +471,7 @@ def _words(
         if not untested:
             return f"{headline}.", "Nothing to do; keep the recording as the healthy reference."
         return (
-            f"{headline}, {len(untested)} were not tested.",
+            f"{headline}, {len(untested)} {'was' if len(untested) == 1 else 'were'} not tested.",
             f"To test {untested[0].words} too: loose plan --known, with its poses.",
         )
     top = places[0]
