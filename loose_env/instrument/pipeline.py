@@ -13,6 +13,7 @@ import numpy as np
 from loose_env.errors import InvalidSetting
 from loose_env.instrument import decide, knocks
 from loose_env.instrument.arm import BOLTS, PoseModel, SuspectArm, read_arm
+from loose_env.instrument.clocks import read_run_on_one_clock
 from loose_env.instrument.decide import Alarm, Scores
 from loose_env.instrument.locate import (
     GAPS_MM,
@@ -27,7 +28,7 @@ from loose_env.instrument.locate import (
 from loose_env.instrument.motion import Gears, fit_gears
 from loose_env.instrument.plan import Plan, read_plan
 from loose_env.instrument.poses import is_tested_share
-from loose_env.instrument.records import GRID, Record, Unusable, exchanged, read_run
+from loose_env.instrument.records import GRID, Record, Unusable, exchanged
 from loose_env.instrument.reference import Change, change, pairs
 from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
 from loose_env.instrument.signals import Multisine
@@ -145,7 +146,7 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
     for run in recording.runs:
         if run.condition == "healthy" and not own.reference:
             continue
-        record = read_run(
+        record = read_run_on_one_clock(
             arm,
             run,
             signal,

@@ -73,6 +73,28 @@ def test_a_result_is_read_back_and_comes_again(
     assert again.places == found.places and again.evidence == found.evidence
 
 
+def test_an_accelerometer_that_was_started_later_is_set_right(
+    loose: Recording, found: Diagnosis
+) -> None:
+    def later(run: Run) -> Run:
+        rows = round(0.22 / float(np.median(np.diff(run.time))))
+        name, count = sensor(run), len(run.time) - rows
+        cut = {n: v[rows:] if n == name else v[:count] for n, v in run.sensors.items()}
+        return replace(
+            run,
+            time=run.time[:count],
+            sensors=cut,
+            controls={n: v[:count] for n, v in run.controls.items()},
+            torques={n: v[:count] for n, v in run.torques.items()},
+        )
+
+    late = diagnose(changed(loose, later), DiagnoseSettings(reference=False))
+    assert any("0.22 s early" in remark for remark in late.remarks)
+    assert late.places[0].at == found.places[0].at
+    assert late.evidence["rhythm"] == pytest.approx(found.evidence["rhythm"], abs=0.1)
+    assert not any("s early" in remark or "s late" in remark for remark in found.remarks)
+
+
 def test_a_striking_cable_is_no_knock(healthy: Recording) -> None:
     rng = np.random.default_rng(4)
 
