@@ -22,6 +22,8 @@ from loose_env.typing import Array
 _AT_BOUND = 1.02
 """Ratio of an interval's end to a parameter's bound at which it reaches it."""
 
+Mountings = tuple[tuple[str, ...], ...]
+"""Names of the runs of each way in which something is mounted."""
 Readings = dict[str, Array]
 """Column without axis -> readings (..., T) of a scalar, (..., T, 3) of a vector."""
 
@@ -172,6 +174,10 @@ class Effect:
     is_time_shift: ClassVar[bool] = False
     """Whether it shifts signals in time by its only parameter: accelerations are linear in it
     over a fraction of a millisecond only, positions over many."""
+    mountings: Mountings = ()
+    """Runs of each way in which it is mounted, where runs differ; none where all have it alike."""
+    choices: float = 1.0
+    """Among how many such ways, as likely, its own was chosen."""
     variants: ClassVar[tuple[str, ...]] = ("",)
     """Variants of the same kind, the default one first; the result file does not distinguish
     them."""
@@ -233,6 +239,10 @@ class Effect:
             all(getattr(own, name, None) is not getattr(base, name, None) for base in bases)
             for name in names
         )
+
+    def in_run(self, run: str, values: Array) -> tuple[Effect, Array] | None:
+        """The effect of one run, if it has one; all have the same but where `mountings` differ."""
+        return self, values
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
