@@ -144,7 +144,7 @@ class Effect:
     """What its locations name: "joint", "link", "actuator" or "sensor"; "arm" where they stand for
     all of it. A name alone does not tell, for a joint and its motor may share it. "": see `part`.
     """
-    in_model: ClassVar[bool] = True
+    in_model: bool = True
     """Whether plain MJCF expresses it; otherwise `code` and `torque_code` say how it is applied."""
     null_values: ClassVar[tuple[float, ...] | None] = None
     """Values at which the effect vanishes; None where it does so only in a limit."""
@@ -460,7 +460,7 @@ class DrivenEffect(Effect):
     before each step, and so does the code in the result.
     """
 
-    in_model: ClassVar[bool] = False
+    in_model: bool = False
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Compute the commands that reach the actuators in some states.

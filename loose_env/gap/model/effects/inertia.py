@@ -218,6 +218,7 @@ class MountedPayload(Payload):
         without = len(runs) - sum(map(len, mountings))
         most = max(mountings, key=len)
         self.usual = mountings.index(most) if len(most) > without else None
+        self.in_model = self.usual is not None
 
     @property
     def key(self) -> tuple[str, str, str]:
