@@ -85,8 +85,8 @@ def test_a_recording_in_memory_is_diagnosed_as_it_is(shaken: Recording, tmp_path
     found = loose_env.diagnose(part, say=said.append)
     assert len(found.result.runs) == 1 and found.result.verdict == "open"
     other = tmp_path / "renamed.xml"
-    other.write_text(shaken.model_path.read_text().replace("elbow_position", "elbow_angle"))
-    with pytest.raises(InvalidData, match=r"elbow_position.*names nothing in the model"):
+    other.write_text(shaken.model_path.read_text().replace("joint3_position", "joint3_angle"))
+    with pytest.raises(InvalidData, match=r"joint3_position.*names nothing in the model"):
         loose_env.diagnose(part, model=other)
     with pytest.raises(InvalidSetting, match="there is no model"):
         loose_env.diagnose(part, model=tmp_path / "none.xml")

@@ -23,6 +23,7 @@ from typing import Annotated, Any
 from tyro.conf import FlagCreatePairsOff, Positional, arg, create_mutex_group
 
 from loose_env.errors import InvalidSetting, LooseEnvError
+from loose_env.io import write_text
 
 STDOUT = "-"
 """Value of ``--json`` that stands for the standard output."""
@@ -204,7 +205,7 @@ class OutputFolder:
         """Note what was written, so that a later run knows it as its own."""
         inside = (path.relative_to(self.path) for path in written)
         names = sorted({path.parts[0] for path in inside} | self._written())
-        self.prepared().joinpath(_LIST).write_text(json.dumps(names) + "\n", encoding="utf-8")
+        write_text(self.prepared() / _LIST, json.dumps(names) + "\n")
 
     def _written(self) -> frozenset[str]:
         names = _read_json(self.path / KEPT / _LIST)

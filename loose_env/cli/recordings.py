@@ -108,9 +108,11 @@ class Import(Output):
         loose import --guess robot.mcap --model arm.xml --mapping mapping.toml
         loose import robot.mcap --mapping mapping.toml --out recording
         loose import --describe robot.mcap vibration.csv > mapping.toml
+        loose import robot-*.csv acc-*.csv --mapping mapping.toml --out session/recording
 
-    The recording is read back and checked before it takes its final name: a folder of that name is
-    always complete.
+    Into the recording of 'loose plan' go the runs that the mapping calls by the plan's names; its
+    model, poses and conditions stay. Any other recording is read back and checked before it takes
+    its final name: a folder of that name is always complete.
     """
 
     sources: Positional[
@@ -127,7 +129,7 @@ class Import(Output):
     mapping: Annotated[Path | None, arg(metavar="MAP")] = None
     """Mapping file, .toml or .json."""
     out: Annotated[Path | None, arg(metavar="RECORDING")] = None
-    """Folder of the recording."""
+    """Folder of the recording; a new one, or that of a plan."""
     model: Annotated[Path | None, arg(metavar="MODEL.xml")] = None
     """MJCF file in the place of the mapping's."""
     package_path: Annotated[Path | None, arg(metavar="DIR")] = None

@@ -314,6 +314,7 @@ def named_effect(found: Finding) -> NamedEffect:
         ambiguous_with=tuple(EffectLocation(kind=k, where=w) for k, w in found.confusable),
         units={p.name: p.unit for p in effect.parameters},
         variant=effect.variant,
+        mountings=effect.mountings,
         in_model=effect.in_model,
         probability=found.probability,
         z=found.z,

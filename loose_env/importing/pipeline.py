@@ -25,9 +25,12 @@ from loose_env.recording import (
     FileFormat,
     ModelColumns,
     Recording,
+    check_measured,
     check_target,
     existing_file,
     load_model,
+    planned_recording,
+    write_measured,
     write_recording,
 )
 
@@ -37,9 +40,9 @@ class ImportSettings:
     """Settings of the written recording."""
 
     file_format: FileFormat = "parquet"
-    """Format of the runs' tables."""
+    """Format of the runs' tables; in a planned recording the plan's."""
     overwrite: bool = False
-    """Replace an existing recording at the output."""
+    """Replace an existing recording at the output; of a planned one, the runs imported again."""
 
     def __post_init__(self) -> None:
         if self.file_format not in get_args(FileFormat):
@@ -67,11 +70,13 @@ def import_recording(
     mapping : str or Path
         Mapping file, TOML or JSON.
     out : str or Path
-        Folder of the recording. It is written beside its place, read back, and renamed.
+        Folder of the recording. It is written beside its place, read back, and renamed. Into a
+        planned recording go the runs that have the names of planned ones; its model, poses and
+        conditions stay.
     settings : ImportSettings, optional
         How it is written.
     model : str or Path, optional
-        MJCF file in the place of the mapping's.
+        MJCF file in the place of the mapping's; not for a planned recording, which has its own.
     say : callable, optional
         Is given lines on what was done.
 
@@ -92,15 +97,25 @@ def import_recording(
     """
     settings = settings or ImportSettings()
     say = say or _silent
-    check_target(out, overwrite=settings.overwrite)  # before hours of logs are read
+    session = planned_recording(out)
+    if session is None:
+        check_target(out, overwrite=settings.overwrite)  # before hours of logs are read
     plan = read_mapping(mapping)
     given = given_files([str(each) for each in sources])
-    model_file = _model_file(plan, Path(mapping), model)
+    if session is None:
+        model_file = _model_file(plan, Path(mapping), model)
+    elif model is not None:
+        raise InvalidSetting(f"{out} is a planned recording with a model of its own: no --model")
+    else:
+        model_file = existing_file(Path(out).resolve(), session.model, f"{out}: model")
     compiled = load_model(model_file)[1]
     _check_names(plan, compiled)
     files = files_of_runs(plan, given)
     check_units(plan, files)
     plan, files = _by_episode(plan, files)
+    if session is not None:
+        names = [(run.file, run.condition) for run in plan.runs]
+        check_measured(out, names, overwrite=settings.overwrite)
     pools = _read(plan, files, say)
     joined: list[Joined] = []
     for run, own in zip(plan.runs, files, strict=True):
@@ -109,6 +124,8 @@ def import_recording(
         joined.append(joined_run(run, own, pool, shifts, compiled))
         for line in joined[-1].lines:
             say(line)
+    if session is not None:
+        return write_measured(out, [each.run for each in joined], overwrite=settings.overwrite)
     return write_recording(
         out,
         model_xml=model_file,

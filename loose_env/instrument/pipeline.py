@@ -13,6 +13,7 @@ import numpy as np
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument import decide, knocks
 from loose_env.instrument.arm import BOLTS, PoseModel, SuspectArm, read_arm
+from loose_env.instrument.clocks import read_run_on_one_clock
 from loose_env.instrument.decide import Alarm, Scores
 from loose_env.instrument.locate import (
     GAPS_MM,
@@ -27,7 +28,7 @@ from loose_env.instrument.locate import (
 from loose_env.instrument.motion import Gears, fit_gears
 from loose_env.instrument.plan import Plan, read_plan
 from loose_env.instrument.poses import is_tested_share
-from loose_env.instrument.records import GRID, Record, Unusable, exchanged, read_run
+from loose_env.instrument.records import GRID, Record, Unusable, exchanged
 from loose_env.instrument.reference import Change, change, pairs
 from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
 from loose_env.instrument.signals import Multisine
@@ -151,7 +152,7 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
     for run in recording.runs:
         if run.condition == "healthy" and not own.reference:
             continue
-        record = read_run(
+        record = read_run_on_one_clock(
             arm,
             run,
             signal,
@@ -420,7 +421,14 @@ def _places(
         if alarm.loose and rank == 0 and settled:
             verdict, why = "loose", alarm.reasons[0]
         elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
-            verdict, why = "suspect", "the session does not tell it from the other suspects"
+            verdict = "suspect"
+            why = (
+                "the session does not tell it from the other suspects"
+                if chance < 1 - _LISTED
+                else "the top band rings in its rhythm"
+            )
+        elif alarm.masked:
+            verdict, why = "not tested", "other strikes hide whether it knocks"
         elif is_tested_share(shares[place]):
             verdict = "tight"
             why = "its load reversed, and " + (
@@ -456,7 +464,7 @@ def _words(
     untested = [p for p in places if p.verdict == "not tested"]
     if alarm.masked:
         return (
-            "Something that is not the arm strikes, and hides what the arm does.",
+            "Something strikes, in no rhythm that tells a place of the arm.",
             "Tie cables down, keep hands and neighbours away, and repeat the session.",
         )
     if alarm.louder:
@@ -470,7 +478,7 @@ def _words(
         if not untested:
             return f"{headline}.", "Nothing to do; keep the recording as the healthy reference."
         return (
-            f"{headline}, {len(untested)} were not tested.",
+            f"{headline}, {len(untested)} {'was' if len(untested) == 1 else 'were'} not tested.",
             f"To test {untested[0].words} too: loose plan --known, with its poses.",
         )
     top = places[0]

@@ -366,7 +366,7 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
                 f"{recording}: the recording there was planned with another model, tool or "
                 "payload; give another --out"
             )
-        earlier = read_plan(folder)
+        earlier = read_plan(recording)
         measured = {
             e.file
             for e in read_description(recording / DESCRIPTION).runs

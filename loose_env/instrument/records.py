@@ -137,7 +137,7 @@ def read_run(
     if clipped > 0.002:
         return useless(
             f"the accelerometer is at its limit in {100 * clipped:.2g} % of the samples",
-            "take a larger range, or plan with a lower --level",
+            "take a larger range, or plan with lower --levels",
         )
     start, end = window
     lead = _SWELLS * signal.lead_s
@@ -154,7 +154,7 @@ def read_run(
     if periods < FEWEST_PERIODS:
         return useless(
             f"the joints move for {end - start:.2g} s; the signal lasts {signal.seconds:.2g} s",
-            "the machine stopped: see its log, lower --level, and run again",
+            "the machine stopped: see its log, lower --levels, and run again",
         )
     remarks = []
     if periods < signal.periods:

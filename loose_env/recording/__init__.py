@@ -8,6 +8,7 @@ from loose_env.recording.corrupt_samples import (
     set_aside,
     without_corrupt,
 )
+from loose_env.recording.measured import check_measured, planned_recording, write_measured
 from loose_env.recording.model_columns import (
     JointSensors,
     ModelColumns,
@@ -55,12 +56,14 @@ __all__ = [
     "Run",
     "RunEntry",
     "check_comparison",
+    "check_measured",
     "check_target",
     "corrupt_mask",
     "existing_file",
     "joint_sensors",
     "load_model",
     "nearest",
+    "planned_recording",
     "read_description",
     "read_parquet",
     "read_recording",
@@ -69,6 +72,7 @@ __all__ = [
     "table_of",
     "without_corrupt",
     "write_csv",
+    "write_measured",
     "write_parquet",
     "write_recording",
 ]

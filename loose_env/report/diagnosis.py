@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -271,7 +272,9 @@ def _cards(d: Diagnosis, model: Path) -> tuple[list[FigureCard], list[str]]:
         )
     suspected = d.places[0] if d.places and d.places[0].verdict in ("loose", "suspect") else None
     try:
-        arm = arm_from_file(model)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of hypotheses of the environments
+            arm = arm_from_file(model)
         figure = arm_figure(arm, runs[0].pose, suspected)
         marked = f"Marked: {suspected.words}." if suspected else "Nothing is suspected."
         names = ", ".join(f"{k} {name}" for k, name in enumerate(arm.joints, 1))

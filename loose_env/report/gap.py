@@ -186,6 +186,8 @@ def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     """Rows of an effect's parameters; the first names the effect."""
     likely = "" if effect.probability is None else percent(effect.probability)
     name, rows = effect_words(effect.kind, effect.where), []
+    if effect.mountings:  # another payload in some runs
+        name += " in " + "; turned in ".join(", ".join(runs) for runs in effect.mountings)
     others = ", ".join(rivals_words(effect))
     # less the directions that the motion does not excite
     pairs = {p: (v, effect.interval_95.get(p)) for p, v in effect.parameters.items()}

@@ -198,9 +198,11 @@ def _steps(plan: Plan) -> list[str]:
         "and keep everybody out of its reach.",
         f"Play {run.file} at a tenth of its amplitude first, with a hand on the emergency stop: "
         f"of each row a tenth of the distance {way}. Stop if more than a faint hum is heard.",
-        f"Start the recorder, then play {run.file} whole ({kind} in SI units). Save positions and "
+        f"Start the recorder half a second before and stop it half a second after: play {run.file} "
+        f"whole ({kind} in SI units). Save positions and "
         f"accelerometer as {RECORDING}/{run.file}: columns time, sensor.NAME of the positions, "
-        "sensor.NAME.x, .y, .z of the accelerometer, in m/s² with gravity.",
+        "sensor.NAME.x, .y, .z of the accelerometer, in m/s² with gravity; the names are those of "
+        f"{RECORDING}/model.xml. loose import makes it of the files of two loggers.",
         "Go on with the next run: move, look, record, play. All runs belong to one session; leave "
         "screws and cables as they are.",
     ]

@@ -609,7 +609,7 @@ def differences(
     return [f"{place}: {before} before, {now} now"]
 
 
-CARRIED = ("environments", "agents")
+CARRIED = ("environments", "agents", "posterior")
 """Parts that are compared whole on processors that round alike: contact carries rounding on."""
 
 
@@ -631,9 +631,9 @@ def rounds_alike() -> bool:
 def comparable(part: str, found: Mapping[str, Any]) -> dict[str, Any]:
     """What every processor gives: a loose part carries rounding on, from its first knocks.
 
-    Of the environments all but the records; no whole episode of an agent.
+    Of the environments all but the records; no whole episode of an agent, and no posterior.
     """
-    if part == "agents":
+    if part in ("agents", "posterior"):
         return {}
     if part != "environments":
         return dict(found)

@@ -10,8 +10,8 @@ import pytest
 from mcap.writer import CompressionType
 
 from loose_env.cli.main import main
-from loose_env.errors import InvalidData
-from loose_env.importing import import_recording
+from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.importing import ImportSettings, import_recording
 from loose_env.recording import Run, read_recording, write_recording
 from tests.importing.sample_files import (
     ARM,
@@ -406,3 +406,80 @@ def test_a_urdf_is_guessed_and_imported_with_the_columns_of_its_joints(tmp_path:
     (run,) = read_recording(tmp_path / "rec").runs
     assert run.sensors["lift_pos"] == pytest.approx(angle, abs=1e-9)
     assert run.torques["lift"] == pytest.approx(torque, abs=1e-9)
+
+
+PLANNED = """{"format": "loose-recording/1", "model": "arm.xml", "runs": [
+ {"file": "run-01.csv", "pose": {"elbow": 0.25}, "planned": true},
+ {"file": "run-02.csv", "condition": "healthy", "planned": true},
+ {"file": "run-03.csv", "planned": true}]}"""
+
+
+def planned(home: Path) -> Path:
+    """A recording to be filled, with a file of the plan that the recording does not name."""
+    folder = home / "session"
+    folder.mkdir()
+    folder.joinpath("arm.xml").write_text(ARM)
+    folder.joinpath("plan.json").write_text("{}")
+    folder.joinpath("recording.json").write_text(PLANNED)
+    return folder
+
+
+def elbow(home: Path, mapping: Mapped, *runs: str) -> Path:
+    """Mapping of an elbow's log into runs of the given names."""
+    named = "\n".join(f'[[runs]]\nfile = "{each}"' for each in runs)
+    time = np.arange(400) / 200
+    degrees = np.degrees(motion(time)["elbow"])
+    write_csv(home / "log.csv", np.stack([time, degrees], 1), ["t", "encoder"])
+    return mapping(
+        f"""
+[sources.log]
+file = "log.csv"
+time = {{ column = "t" }}
+[columns]
+"sensor.elbow_angle" = {{ channel = "encoder", unit = "deg" }}
+{named}
+"""
+    )
+
+
+def test_runs_go_into_the_recording_of_a_plan(home: Path, mapping: Mapped) -> None:
+    folder = planned(home)
+    before = folder.joinpath("recording.json").read_text()
+    map_file = elbow(home, mapping, "run-01", "run-02.csv")
+    code = main(["import", str(home / "log.csv"), "--mapping", str(map_file), "--out", str(folder)])
+    assert code == 0
+    first, second = read_recording(folder).runs
+    assert (first.name, first.pose, first.condition) == ("run-01.csv", {"elbow": 0.25}, "suspect")
+    assert (second.name, second.pose, second.condition) == ("run-02.csv", None, "healthy")
+    assert folder.joinpath("recording.json").read_text() == before
+    names = {each.name for each in home.joinpath("session").iterdir()}
+    assert names == {"arm.xml", "plan.json", "recording.json", "run-01.csv", "run-02.csv"}
+    third = elbow(home, mapping, "run-03")
+    assert len(import_recording([home / "log.csv"], third, folder).runs) == 3
+
+
+@pytest.mark.parametrize(
+    ("runs", "says"),
+    [
+        (("run-01", "run-09"), "'run-09' is not in the plan"),
+        (('run-01"\ncondition = "healthy',), "plans it as suspect"),
+    ],
+)
+def test_runs_that_a_plan_has_not_change_nothing(
+    home: Path, mapping: Mapped, runs: tuple[str, ...], says: str
+) -> None:
+    folder = planned(home)
+    with pytest.raises(InvalidSetting, match=says):
+        import_recording([home / "log.csv"], elbow(home, mapping, *runs), folder)
+    assert not list(folder.glob("run-*"))
+
+
+def test_a_measured_run_is_replaced_only_where_asked(home: Path, mapping: Mapped) -> None:
+    folder, map_file = planned(home), elbow(home, mapping, "run-01")
+    import_recording([home / "log.csv"], map_file, folder)
+    with pytest.raises(InvalidSetting, match="measured already"):
+        import_recording([home / "log.csv"], map_file, folder)
+    again = ImportSettings(overwrite=True)
+    assert len(import_recording([home / "log.csv"], map_file, folder, again).runs) == 1
+    with pytest.raises(InvalidSetting, match="a model of its own"):
+        import_recording([home / "log.csv"], map_file, folder, again, model=home / "arm.xml")

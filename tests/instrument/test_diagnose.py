@@ -105,6 +105,20 @@ def test_a_result_is_read_back_and_comes_again(
     assert replace(again, seconds=0.0) == replace(quiet, seconds=0.0)
 
 
+def test_an_accelerometer_that_was_started_later_is_set_right(
+    loose: Recording, found: Diagnosis
+) -> None:
+    def later(run: Run) -> Run:
+        acc, kept = run.sensors["acc"], run.part(slice(0, len(run.time) - 220))
+        return with_sensors(kept, acc=acc[220:])
+
+    late = diagnose(changed(loose, later), DiagnoseSettings(reference=False))
+    assert any("0.22 s early" in remark for remark in late.remarks)
+    assert late.places[0].at == found.places[0].at
+    assert late.evidence["rhythm"] == pytest.approx(found.evidence["rhythm"], abs=0.1)
+    assert not any("s early" in remark or "s late" in remark for remark in found.remarks)
+
+
 def test_a_striking_cable_is_no_knock(healthy: Recording) -> None:
     rng = np.random.default_rng(4)
 
@@ -193,8 +207,8 @@ def test_two_runs_are_too_few_and_say_what_to_do(healthy: Recording) -> None:
 
 def test_a_healthy_session_in_other_poses_is_not_compared(healthy: Recording) -> None:
     def elsewhere(run: Run) -> Run:
-        moved = {n: v + 0.3 for n, v in run.sensors.items() if v.ndim == 1}
-        return replace(with_sensors(run, **moved), condition="healthy")
+        moved = {n: v + 0.3 * (v.ndim == 1) for n, v in run.sensors.items()}
+        return replace(run, sensors=moved, condition="healthy")
 
     told = diagnose(replace(healthy, runs=(*healthy.runs, *map(elsewhere, healthy.runs))))
     assert not told.reference and any("compared with none" in remark for remark in told.remarks)

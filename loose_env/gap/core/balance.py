@@ -21,6 +21,7 @@ from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passe
 from loose_env.gap.core.readings import Readings
 from loose_env.gap.model.effect import DrivenEffect, Effect
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
+from loose_env.gap.model.effects.inertia import MountedPayload
 from loose_env.gap.model.effects.sensors import column_of
 from loose_env.gap.model.hypothesis import compiled
 from loose_env.gap.model.nominal_model import NominalModel
@@ -161,6 +162,8 @@ class Balance:
 
     def forces(self, effect: Effect, values: Array) -> Forces:
         """Change of the balance by an effect at some values of its parameters."""
+        if isinstance(effect, MountedPayload):
+            return self._by_run(effect, values)
         own = type(effect)
         model, commands = None, self.commands
         if own.edit is not Effect.edit:
@@ -183,6 +186,25 @@ class Balance:
         if isinstance(effect, DrivenEffect):
             commands = effect.feedback(commands, self.position, self.speed, values)
         return self._change(model, commands, effect, values)
+
+    def _by_run(self, effect: MountedPayload, values: Array) -> Forces:
+        """Change of the balance by a payload that runs have in different ways."""
+        sizes = [len(run.position) for run in self.motion.runs]
+        names = np.repeat([run.name for run in self.motion.runs], sizes)
+        parts = [self.forces(*effect.plain(values, way)) for way in range(len(effect.mountings))]
+        its = [np.isin(names, runs)[:, None] for runs in effect.mountings]
+        smooth, dry, readings = (
+            sum(
+                np.where(own, getattr(part, name), 0.0)
+                for own, part in zip(its, parts, strict=True)
+            )
+            for name in ("smooth", "dry", "readings")
+        )
+        operator = sum(own.mean() * part.operator for own, part in zip(its, parts, strict=True))
+        return Forces(
+            smooth=np.asarray(smooth), dry=np.asarray(dry), readings=np.asarray(readings),
+            operator=np.asarray(operator),
+        )  # fmt: skip
 
     def _misread(self, effect: Effect, values: Array) -> str:
         """Position sensor that reads otherwise by an effect than its joint moves; "" if none."""

@@ -309,7 +309,11 @@ def _column(
     spread = USUAL_SHARE / max(share, 1e-12)
     if effect.proportional is not None and not effect.axes:
         low = 0.0
-    elif len(effect.parameters) == len(values) and effect.null_values is not None:
+    elif (
+        not effect.mountings
+        and len(effect.parameters) == len(values)
+        and effect.null_values is not None
+    ):
         null = _null(effect)
         along = np.flatnonzero(np.array(values) != null)
         if len(along) == 1:

@@ -6,6 +6,7 @@ interval excludes no effect, and the likelihood of data it was not fitted to ris
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
-from loose_env.gap.core.evidence import append
+from loose_env.gap.core.evidence import append, stretches_of
 from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
 from loose_env.gap.core.selection import Selection, Set, SetFit, at_joint, neighbours
 from loose_env.gap.model.effect import free_of, values_of
@@ -264,15 +265,27 @@ def pruned(selection: Selection, fit: SetFit) -> SetFit:
     return fit
 
 
-def folds_of(selection: Selection) -> list[list[list[NDArray[np.bool_]]]]:
-    """Held-out cells, scheme by scheme and fold by fold: whole runs, and alternate stretches."""
+def folds_of(selection: Selection, terms: Set) -> list[list[list[NDArray[np.bool_]]]]:
+    """Held-out cells, scheme by scheme and fold by fold: whole runs, and alternate stretches.
+
+    Stretches alone of a set by which runs differ: a run that is held out would say nothing of it.
+    """
     channels = selection.evidence.channels
     schemes = []
     runs = sorted({int(r) for c in channels for r in c.run})
-    if len(runs) > 1:
+    if len(runs) > 1 and not any(term.effect.mountings for term in terms):
         groups = [runs[k :: min(len(runs), 4)] for k in range(min(len(runs), 4))]
         schemes.append([[np.isin(c.run, group) for c in channels] for group in groups])
-    halves = [[c.stretch % 2 == k for c in channels] for k in (0, 1)]
+    # alternate ones of all runs, of each way in which they differ by themselves
+    ways = [way for term in terms for way in term.effect.mountings]
+    seen: Counter[tuple[bool, ...]] = Counter()
+    half = []
+    for run, _ in stretches_of(selection.evidence.balance):
+        name = selection.evidence.balance.motion.runs[run].name
+        own = tuple(name in way for way in ways)
+        half.append(seen[own] % 2)
+        seen[own] += 1
+    halves = [[np.array(half)[c.stretch] == k for c in channels] for k in (0, 1)]
     schemes.append(halves)
     return schemes if len(schemes) == 2 else [halves, halves]
 
@@ -293,10 +306,17 @@ def _held_out(
     return total
 
 
+def held_out_gain(selection: Selection, before: SetFit, after: SetFit) -> float:
+    """Rise of twice the log likelihood of held-out stretches from one set to another."""
+    halves = folds_of(selection, after.terms)[-1]
+    costs = (_held_out(selection, fit.terms, fit.powers, halves) for fit in (before, after))
+    return next(costs) - next(costs)
+
+
 def _gains(selection: Selection, terms: Set, powers: Sequence[Array]) -> tuple[Array, Array]:
     """Rise of twice the held-out log likelihood with each member, by runs and by stretches."""
     found = []
-    for folds in folds_of(selection):
+    for folds in folds_of(selection, terms):
         whole = _held_out(selection, terms, powers, folds)
         without = [
             _held_out(selection, tuple(t for t in terms if t is not term), powers, folds)
@@ -342,6 +362,8 @@ def _ends(term: Term, x: Array, covariance: Array) -> Array:
     sd = np.sqrt(np.diag(covariance))
     if len(x) == 1:
         return np.stack([term.values(x + side * _Z * sd) for side in (-1, 1)])
+    # coefficients of several ways add up to one mass: a deviation of one alone may leave none
+    sd = sd * (1e-2 if term.effect.mountings else 1.0)
     values, steps = term.values(x), np.diag(sd)
     slopes = (
         np.stack([(term.values(x + row) - term.values(x - row)) / 2 for row in steps]) / sd[:, None]
@@ -465,7 +487,7 @@ def held_out_rms(selection: Selection, fit: SetFit) -> Array:
     """Residual of each channel on held-out data, run by run if there are several."""
     channels = selection.evidence.channels
     total, count = np.zeros(len(channels)), np.zeros(len(channels))
-    for held in folds_of(selection)[0]:
+    for held in folds_of(selection, fit.terms)[0]:
         own = selection.on([~h for h in held]).fit(fit.terms, fit.powers, 3)
         for k, (channel, power) in enumerate(zip(channels, own.left, strict=True)):
             total[k] += power[held[k]].sum()

@@ -23,6 +23,7 @@ from loose_env.gap.core.decision import (
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import Exact, ExactFit, leading, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, smooth
+from loose_env.gap.core.mountings import by_runs
 from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
@@ -83,8 +84,11 @@ def find_gap(
         selection = evidence_of(used, settings, say)
         say("selection of effects")
         best = pruned(selection, selection.best())
+        best = by_runs(selection, best)
         left = left_open(selection, best)
-        stepped = settings.simulate and not selection.evidence.balance.released.any()
+        # simulations have one model for all runs
+        differ = any(term.effect.mountings for term in best.terms)
+        stepped = settings.simulate and not differ and not selection.evidence.balance.released.any()
         if left and stepped:
             decision, fits = _simulated(used, selection, best, left, settings, say)
         else:

@@ -116,7 +116,7 @@ def _effects(selection: Selection) -> tuple[VisibleEffect, ...]:
     beyond = data - data[:, :kept] @ inverse @ data[:kept]
     groups: dict[tuple[str, str], list[_Shown]] = {}
     for term in evidence.terms:
-        if term.contact in ("", USUAL):
+        if term.contact in ("", USUAL) and not term.effect.mountings:
             at = list(evidence.columns_of(term))
             precision = beyond[np.ix_(at, at)]
             gain = np.log1p(np.max(np.diag(precision) / evidence.precision[at]))

@@ -50,7 +50,7 @@ def left_by(selection: Selection, fit: SetFit) -> Array:
     balance, channels = selection.evidence.balance, selection.evidence.channels
     found, stretches = balance.residual.copy(), stretches_of(balance)
     parts = balance.motion.split(found)  # views
-    for held in folds_of(selection)[0]:
+    for held in folds_of(selection, fit.terms)[0]:
         own = selection.on([~h for h in held]).fit(fit.terms, fit.powers, 3)
         whole = balance.motion.split(_remainder(selection, own))
         for k in {int(s) for c, h in zip(channels, held, strict=True) for s in c.stretch[h]}:
@@ -254,19 +254,29 @@ def simulated(
     balance = answer.selection.evidence.balance
     if balance.released.any() or not stepped(corrected.effects):
         return {}, None
-    recording, models = answer.recording, [Hypothesis(), corrected]
+    recording = answer.recording
     with quiet():
         if answer.held_out is not None:
             recording = answer.held_out
             balance = Balance(balance.machine, smooth(recording, balance.machine))
         exact = Exact(recording, balance, threads=answer.settings.threads, between=True)
-        errors = _errors(exact, exact.simulator.predict(models))
+        errors = _errors(exact, _predicted(exact.simulator, corrected))
         played = _beginnings(recording, balance.motion, exact)
-        nominal, found = played.predict(models)
+        nominal, found = _predicted(played, corrected)
     return errors, Played(
         machine=balance.machine, trials=tuple(played.trials), channels=exact.channels,
         nominal=tuple(nominal), corrected=tuple(found),
     )  # fmt: skip
+
+
+def _predicted(simulator: Simulator, corrected: Hypothesis) -> list[list[Array]]:
+    """Readings of all runs by the nominal and the corrected model, each as its payload was."""
+    differ = any(effect.mountings for effect in corrected.effects)
+    runs = [trial.name if differ else "" for trial in simulator.trials]
+    models = {run: corrected.in_run(run) for run in runs}
+    nominal, *found = simulator.predict([Hypothesis(), *models.values()])
+    order = list(models)
+    return [list(nominal), [found[order.index(run)][k] for k, run in enumerate(runs)]]
 
 
 def _errors(exact: Exact, predicted: Sequence[Sequence[Array]]) -> dict[str, tuple[float, float]]:

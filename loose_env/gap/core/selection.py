@@ -140,7 +140,7 @@ class Selection:
         for simple, count in Counter(kinds[t.effect.kind] for t in own).items():
             places = self._places.get(simple, count)
             cost += KIND + 2 * log(places) + 2 * _log_choose(places, min(count, places)) + count
-        cost += FORM * sum(bool(t.effect.extends) for t in own)
+        cost += sum(FORM * bool(t.effect.extends) + 2 * log(t.effect.choices) for t in own)
         return cost + sum(log(max(self._shapes[t.name], 1)) for t in own)
 
     # ---- fits of a set

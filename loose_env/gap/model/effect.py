@@ -22,6 +22,8 @@ from loose_env.typing import Array
 _AT_BOUND = 1.02
 """Ratio of an interval's end to a parameter's bound at which it reaches it."""
 
+Mountings = tuple[tuple[str, ...], ...]
+"""Names of the runs of each way in which something is mounted."""
 Readings = dict[str, Array]
 """Column without axis -> readings (..., T) of a scalar, (..., T, 3) of a vector."""
 
@@ -142,7 +144,7 @@ class Effect:
     """What its locations name: "joint", "link", "actuator" or "sensor"; "arm" where they stand for
     all of it. A name alone does not tell, for a joint and its motor may share it. "": see `part`.
     """
-    in_model: ClassVar[bool] = True
+    in_model: bool = True
     """Whether plain MJCF expresses it; otherwise `code` and `torque_code` say how it is applied."""
     null_values: ClassVar[tuple[float, ...] | None] = None
     """Values at which the effect vanishes; None where it does so only in a limit."""
@@ -172,6 +174,10 @@ class Effect:
     is_time_shift: ClassVar[bool] = False
     """Whether it shifts signals in time by its only parameter: accelerations are linear in it
     over a fraction of a millisecond only, positions over many."""
+    mountings: Mountings = ()
+    """Runs of each way in which it is mounted, where runs differ; none where all have it alike."""
+    choices: float = 1.0
+    """Among how many such ways, as likely, its own was chosen."""
     variants: ClassVar[tuple[str, ...]] = ("",)
     """Variants of the same kind, the default one first; the result file does not distinguish
     them."""
@@ -233,6 +239,10 @@ class Effect:
             all(getattr(own, name, None) is not getattr(base, name, None) for base in bases)
             for name in names
         )
+
+    def in_run(self, run: str, values: Array) -> tuple[Effect, Array] | None:
+        """The effect of one run, if it has one; all have the same but where `mountings` differ."""
+        return self, values
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
@@ -450,7 +460,7 @@ class DrivenEffect(Effect):
     before each step, and so does the code in the result.
     """
 
-    in_model: ClassVar[bool] = False
+    in_model: bool = False
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Compute the commands that reach the actuators in some states.

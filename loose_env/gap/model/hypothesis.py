@@ -117,6 +117,11 @@ class Hypothesis:
         effects, values = tuple(e for e, _ in pairs), tuple(v for _, v in pairs)
         return replace(self, effects=effects, values=values)
 
+    def in_run(self, run: str) -> Hypothesis:
+        """The same as it was in one run, where runs have a payload in different ways."""
+        pairs = (effect.in_run(run, own) for effect, own in self.pairs)
+        return self.with_effects([pair for pair in pairs if pair is not None])
+
     def edit(self, spec: mujoco.MjSpec, *, export: bool = False) -> None:
         """Change a spec in place, that of the exported model too: factors first, then effects."""
         if self.nominal is not None:

@@ -45,6 +45,9 @@ class NamedEffect(EffectLocation):
     """Unit of each parameter, "" for a ratio."""
     variant: str = ""
     """Variant of the effect, "" for the default."""
+    mountings: tuple[tuple[str, ...], ...] = ()
+    """Files of the runs of each way in which it is mounted, where runs differ; ``model.xml`` has
+    the way of most runs, or none."""
     in_model: bool = True
     """Whether ``model.xml`` carries it; if not, ``code`` of the result applies it where it can."""
     probability: float | None = None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,6 +48,18 @@ def _names_of(true: Mapping[str, Any]) -> set[Named]:
     return own | {(kind, where) for each in true["accept"] for kind, where in each}
 
 
+def _in_runs(result: Mapping[str, Any], each: Mapping[str, Any]) -> bool:
+    """Whether an effect of some runs alone is said of these runs; true of one of all runs."""
+    if not each.get("runs"):
+        return True
+    said = [
+        {int(re.findall(r"\d+", Path(run).stem)[-1]) for way in own["mountings"] for run in way}
+        for own in result.get("effects", ())
+        if own.get("mountings")
+    ]
+    return {run + 1 for run in each["runs"]} in said
+
+
 def grade(result: Mapping[str, Any], truth: Mapping[str, Any]) -> Marks:
     """Mark a result: what was found, what is false, which intervals hold the true value.
 
@@ -57,7 +71,9 @@ def grade(result: Mapping[str, Any], truth: Mapping[str, Any]) -> Marks:
     outside, true = truth["role"] == "outside", truth["effects"]
     said = _said(result, truth)
     found = [
-        not outside and any(all(tuple(e) in said for e in names) for names in each["accept"])
+        not outside
+        and any(all(tuple(e) in said for e in names) for names in each["accept"])
+        and _in_runs(result, each)
         for each in true
     ]
     near = set().union(*(_names_of(each) for each in true)) if not outside else set()

@@ -5,6 +5,7 @@ A tilted base changes the direction of gravity. A balancer or the drives carry t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import ClassVar
@@ -13,7 +14,13 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.effect import AdditiveEffect, Effect, Parameter, WeightedEffect
+from loose_env.gap.model.effect import (
+    AdditiveEffect,
+    Effect,
+    Mountings,
+    Parameter,
+    WeightedEffect,
+)
 from loose_env.gap.model.effects.mjcf import (
     Inertial,
     added_name,
@@ -192,6 +199,63 @@ class Payload(WeightedEffect):
         body = carrier.add_body(name=added_name(spec, "tool", self.kind), pos=place)
         tensor = mass * (_RADIUS * reach_of(self.machine)) ** 2 * np.eye(3)
         set_inertial(self.machine, spec, body.name, Inertial(mass, centre, tensor))
+
+
+class MountedPayload(Payload):
+    """Payload that some runs lack, or that is turned between runs: one mass, a centre each way.
+
+    A model has one of these ways, or none: that of most runs.
+    """
+
+    def __init__(
+        self, machine: NominalModel, where: str, mountings: Mountings, runs: Sequence[str]
+    ) -> None:
+        super().__init__(machine, where, "centre")
+        self.mountings, self.runs = mountings, tuple(runs)
+        # each run has one of these ways or none; machines that change are one in ten
+        self.choices = 10.0 * (len(mountings) + 1) ** len(runs)
+        self.null_values = (0.0,) * len(self.parameters)  # type: ignore[misc]
+        without = len(runs) - sum(map(len, mountings))
+        most = max(mountings, key=len)
+        self.usual = mountings.index(most) if len(most) > without else None
+        self.in_model = self.usual is not None
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Kind, location, variant and runs."""
+        return self.kind, self.where, repr(self.mountings)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Mass, and its centre in each way in which it is mounted."""
+        mass, *centre = super().parameters
+        ways = ["", *(f"_{k}" for k in range(2, len(self.mountings) + 1))]
+        return (mass, *(replace(p, name=p.name + way) for way in ways for p in centre))
+
+    @property
+    def axes(self) -> tuple[tuple[float, ...], ...]:
+        """A mass at the tool, and beside it along each axis of each way."""
+        beside = self._off * np.eye(3 * len(self.mountings) + 1)[:, 1:]
+        return tuple((0.1 * self._moved, *row) for row in beside.tolist())
+
+    starts = axes
+
+    def plain(self, values: Array, way: int) -> tuple[Payload, Array]:
+        """The payload mounted in one way, with its values."""
+        centre = values[1 + 3 * way : 4 + 3 * way]
+        return Payload(self.machine, self.where, "centre"), np.array([values[0], *centre])
+
+    def in_run(self, run: str, values: Array) -> tuple[Payload, Array] | None:
+        """The payload of a run, if it has one; that of most in a run that was not compared."""
+        own = (k for k, runs in enumerate(self.mountings) if run in runs)
+        way = next(own, None) if run in self.runs else self.usual
+        return None if way is None else self.plain(values, way)
+
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Add the payload of most runs."""
+        if self.usual is not None:
+            payload, own = self.plain(values, self.usual)
+            payload.edit(spec, own)
 
 
 def payload_notes(machine: NominalModel) -> list[str]:

@@ -1,0 +1,83 @@
+"""Clocks of robot and accelerometer that were started apart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from loose_env.instrument.arm import PoseModel, SuspectArm
+from loose_env.instrument.records import Record, Unusable, read_run
+from loose_env.instrument.signals import Multisine
+from loose_env.recording import Run
+from loose_env.typing import Array
+
+_HIGHEST_HZ = 19.0
+"""Lines above are the gears' more than the clocks' [Hz]."""
+_STEP_S = 1e-3
+_BETTER = 0.1
+"""Growth of the share of the tool's motion explained from which a clock is said to be apart [1]:
+well-set clocks gain up to 0.03, some ms of gears; 0.3 s apart gain 0.2 and more."""
+_HALF = 0.45
+"""Largest offset, over the period [1]: half a period turns the signs of all lines, as a mirrored
+axis does."""
+
+
+def read_run_on_one_clock(
+    arm: SuspectArm, run: Run, signal: Multisine, *, level: float, corner_hz: float | None
+) -> Record | Unusable:
+    """Read a run as `read_run`; the accelerometer's clock is set right where it is far apart."""
+    record = read_run(arm, run, signal, level=level, corner_hz=corner_hz)
+    if isinstance(record, Unusable):
+        return record
+    late = clocks_apart_s(record, arm.at(record.pose), signal)
+    if not late:
+        return record
+    moved = set_right(run, arm.recording_model.accelerometer, late)
+    again = read_run(arm, moved, signal, level=level, corner_hz=corner_hz)
+    way = "late" if late > 0 else "early"
+    said = f"the accelerometer came {abs(late):.2f} s {way}, by its motion: set right"
+    if isinstance(again, Unusable):
+        return again
+    return replace(again, remarks=(said, *again.remarks))
+
+
+def clocks_apart_s(record: Record, model: PoseModel, signal: Multisine) -> float:
+    """Time by which the tool's readings come late after the joints', modulo a period [s].
+
+    The tool's lines are compared with those of the joints carried along as a rigid body, at the
+    best turn of the sensor. 0 where no offset explains clearly more than none.
+    """
+    lines = signal.excited[signal.hertz <= _HIGHEST_HZ]
+    hertz = lines / signal.period_s
+    own, read = record.joints[lines], record.tool[lines]
+    told = own @ model.jacobian.T + model.tilt(own, hertz)
+    size = np.sqrt((np.abs(told) ** 2).sum() * (np.abs(read) ** 2).sum())
+    if not size > 0:
+        return 0.0
+    steps = int(_HALF * signal.period_s / _STEP_S)
+    tried = _STEP_S * np.arange(-steps, steps + 1)
+    turns = np.exp(2j * np.pi * hertz * tried[:, None])
+    u, s, v = np.linalg.svd(np.real(np.einsum("li,tl,lj->tij", told.conj(), turns, read)))
+    s[:, 2] *= np.sign(np.linalg.det(u @ v))  # a sensor is turned, not mirrored
+    share: Array = s.sum(1) / size
+    best = int(share.argmax())
+    return float(tried[best]) if share[best] > share[steps] + _BETTER else 0.0
+
+
+def set_right(run: Run, sensor: str, late_s: float) -> Run:
+    """Run whose accelerometer is moved by whole rows; rows without a partner are cut off."""
+    rows = round(late_s / float(np.median(np.diff(run.time))))
+    count = len(run.time) - abs(rows)
+    first = max(-rows, 0)  # row of the joints that is kept first
+
+    def cut(values: Array, start: int) -> Array:
+        return values[start : start + count]
+
+    return replace(
+        run,
+        time=cut(run.time, first),
+        controls={n: cut(v, first) for n, v in run.controls.items()},
+        torques={n: cut(v, first) for n, v in run.torques.items()},
+        sensors={n: cut(v, first + rows if n == sensor else first) for n, v in run.sensors.items()},
+    )
