@@ -26,10 +26,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def play(bench: Path, tmp_path_factory: pytest.TempPathFactory) -> Play:
     """Plan a session of three poses for the bench arm, play it, and write its recording."""
 
-    def played(
-        truth: Truth, *, seed: int = 0, reference: bool = False, poses: int = 3
-    ) -> Recording:
-        made, arm = plan(bench, PlanSettings(poses=poses, reference=reference))
+    def played(truth: Truth, *, seed: int = 0, reference: bool = False) -> Recording:
+        made, arm = plan(bench, PlanSettings(poses=3, reference=reference))
         home = tmp_path_factory.mktemp("session")
         before = Truth(mode_hz=truth.mode_hz)
         return session(home, made, arm, truth, seed=seed, before=before)
