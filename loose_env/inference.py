@@ -28,13 +28,10 @@ __all__ = [
     "information_bound",
     "log_determinant",
     "log_score",
-    "next_radius",
     "overlap",
     "percentiles",
     "reliability",
-    "shorter_radius",
     "squared_distances",
-    "step_within",
     "whitener",
     "wilson",
 ]
@@ -45,9 +42,6 @@ _LEVEL = 0.95
 _CHUNK = 1_000_000  # numbers resampled at a time
 _ROOM = 1e-9  # least room between bounds that the solver needs
 _RIDGE = 1e-9  # curvature added to each number, over its own: two may be one direction
-_LEAST_RADIUS, _MOST_RADIUS = 0.05, 16.0  # of a trust region [standard deviations of the priors]
-_DAMPINGS = (-6.0, 14.0)  # common logarithms of the least and the largest damping
-_BISECTIONS = 30
 
 
 def whitener(covariance: Array) -> Array:
@@ -119,71 +113,6 @@ def bounded_step(
     target = -np.linalg.solve(root, slope / scale)
     # an active-set method: four times as fast as the default for some tens of numbers
     return np.asarray(lsq_linear(root.T, target, bounds=bounds, method="bvls").x) / scale
-
-
-def step_within(normal: Array, drive: Array, count: int, radius: float) -> Array:
-    """Newton step, damped so far that its first parameters stay within a radius.
-
-    The best one of a quadratic model within a sphere (Nocedal and Wright, Numerical Optimization,
-    2nd ed., theorem 4.1).
-
-    Parameters
-    ----------
-    normal : ndarray (P, P)
-        Curvature, positive definite.
-    drive : ndarray (P,)
-        Gradient.
-    count : int
-        Parameters that the radius is about.
-    radius : float
-        Largest norm of their step.
-
-    Returns
-    -------
-    ndarray (P,)
-
-    Examples
-    --------
-    >>> step_within(np.diag([1.0, 4.0]), np.array([1.0, 4.0]), 2, 10.0)
-    array([1., 1.])
-    >>> float(np.linalg.norm(step_within(np.eye(2), np.array([3.0, 4.0]), 2, 1.0)).round(6))
-    1.0
-    """
-    values, vectors = np.linalg.eigh(normal)
-    along = vectors.T @ drive
-
-    def step(damping: float) -> Array:
-        return np.asarray(vectors @ (along / (values + damping)))
-
-    found = step(0.0)
-    if np.linalg.norm(found[:count]) <= radius:
-        return found
-    low, high = _DAMPINGS
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        if np.linalg.norm(step(10.0**middle)[:count]) > radius:
-            low = middle
-        else:
-            high = middle
-    return step(10.0**high)
-
-
-def next_radius(radius: float, gain: float, foreseen: float) -> float:
-    """Radius after a step that was taken, by its gain over that of the quadratic model.
-
-    Examples
-    --------
-    >>> next_radius(1.0, 0.9, 1.0), next_radius(1.0, 0.3, 1.0), next_radius(1.0, 0.1, 1.0)
-    (2.0, 1.0, 0.5)
-    """
-    if gain > 0.5 * foreseen:
-        return min(2 * radius, _MOST_RADIUS)
-    return radius if gain > 0.25 * foreseen else radius / 2
-
-
-def shorter_radius(step: Array) -> float:
-    """Radius after a step that gained nothing."""
-    return max(float(np.linalg.norm(step)) / 3, _LEAST_RADIUS)
 
 
 def squared_distances(products: Array) -> Array:

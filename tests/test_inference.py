@@ -15,7 +15,6 @@ from loose_env.inference import (
     log_determinant,
     overlap,
     squared_distances,
-    step_within,
     whitener,
 )
 
@@ -45,17 +44,6 @@ def test_a_bounded_step_is_the_minimum_of_the_quadratic_within_its_bounds(seed: 
     assert (found >= low - 1e-6).all() and (found <= high + 1e-6).all()
     damped = bounded_step(curvature, slope, low, high, damping=10.0)
     assert np.linalg.norm(damped) < np.linalg.norm(found)
-
-
-def test_a_step_within_a_radius_is_on_it_and_no_other_there_is_better() -> None:
-    rng = np.random.default_rng(1)
-    normal, drive = curved(rng, 3), 5 * rng.normal(size=3)
-    found = step_within(normal, drive, 3, 0.5)
-    assert np.linalg.norm(found) == pytest.approx(0.5, rel=1e-4)
-    others = rng.normal(size=(4000, 3))
-    others *= 0.5 / np.linalg.norm(others, axis=1, keepdims=True)
-    gains = others @ drive - 0.5 * np.einsum("ki,ij,kj->k", others, normal, others)
-    assert found @ drive - 0.5 * found @ normal @ found >= gains.max() - 1e-3
 
 
 def test_the_overlap_is_the_integral_of_the_root_of_both_densities() -> None:

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from loose_env.arms import Chain, ModelFile, find_chain, read_model_file, report
-from loose_env.errors import InvalidData
 from loose_env.instrument.clearance import Collisions, Ground
 from loose_env.instrument.recording_model import RecordingModel, recording_model
 from loose_env.instrument.tool_site import body_beyond, sensed_sites, tool_site
@@ -271,13 +270,3 @@ def _chain_to_tool(file: ModelFile, tool: str | None) -> tuple[Chain, list[str]]
         "name another site or body with --tool"
     )
     return find_chain(file, outermost, None), [note]
-
-
-def require_accelerometer(arm: SuspectArm) -> str:
-    """Sensor at the tool, as columns name it; refused where the model has none."""
-    if not arm.recording_model.accelerometer:
-        raise InvalidData(
-            f"{arm.path.name}: the model has no accelerometer; a diagnosis needs one at the tool: "
-            '<sensor><accelerometer name="tool_acc" site="tool"/></sensor>'
-        )
-    return arm.recording_model.accelerometer

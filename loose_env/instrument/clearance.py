@@ -20,8 +20,6 @@ ALWAYS_TOUCHING = 0.9
 """Share of random poses from which two shapes that touch are neighbours by design [1]."""
 GROUND_TOLERANCE_M = 5e-3
 """Rounding of a model's heights [m]."""
-_STEP = 0.1
-"""Largest move of a joint between two checks of a path [rad or m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,18 +88,6 @@ class Collisions:
             names = [self.model.body(int(body[g])).name or "world" for g in (one, other)]
             found.append(" and ".join(names))
         return tuple(dict.fromkeys(found))
-
-    def touch_between(self, start: ArrayLike, end: ArrayLike) -> tuple[str, ...]:
-        """Colliding pairs on the straight joint-space path between two poses."""
-        if self.model is None:
-            return ()
-        first, last = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
-        steps = max(1, int(np.ceil(np.abs(last - first).max() / _STEP)))
-        for k in range(1, steps + 1):
-            found = self.touch(first + (last - first) * k / steps)
-            if found:
-                return found
-        return ()
 
     def _pairs(self, pose: Array) -> set[tuple[int, int]]:
         assert self.model is not None

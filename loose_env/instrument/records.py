@@ -48,8 +48,6 @@ class Record:
     """Mean joint positions (n,) [rad, m]."""
     joints: ComplexArray
     """Lines of joint acceleration (L, n) [rad/s², m/s²]."""
-    joint_noise: Array
-    """Variance of these, of what does not repeat (L, n)."""
     tool: ComplexArray
     """Lines of the accelerometer, sensor frame (L, 3) [m/s²]."""
     tool_noise: Array
@@ -161,7 +159,7 @@ def read_run(
         remarks.append(f"{periods} of {signal.periods} periods are whole")
     inside = (t >= first) & (t < first + periods * signal.period_s)
     omega = 2 * np.pi * np.arange(top + 1) / signal.period_s
-    lines, noise = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)
+    lines, _ = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)
     read, read_noise = _lines(t[inside] - first, tool[inside], periods, top, signal.period_s)
     scale = 1.0
     gravity = read[0].real
@@ -182,7 +180,6 @@ def read_run(
         level=level,
         pose=lines[0].real,
         joints=-lines * omega[:, None] ** 2,
-        joint_noise=noise * omega[:, None] ** 4,
         tool=read * scale,
         tool_noise=read_noise * scale**2,
         gravity=gravity * scale,

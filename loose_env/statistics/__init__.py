@@ -12,7 +12,6 @@ from loose_env.statistics.correlation import (
     axial_vector,
     comparative_index,
     lowest_coherence_direction_from,
-    tangents,
     wrap_axial,
 )
 from loose_env.statistics.gaussian_mixture import (
@@ -65,7 +64,6 @@ __all__ = [
     "record_covariances",
     "resolution_of",
     "shape_of",
-    "tangents",
     "transmission_by_instrument_from",
     "transmission_from",
     "wrap_axial",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.statistics._checks import as_direction, as_directions, as_floats, require_finite
+from loose_env.statistics._checks import as_directions, as_floats, require_finite
 from loose_env.statistics.transmission import Covariances, excitation_factor, whitener
 from loose_env.typing import Array
 
@@ -190,35 +190,6 @@ def axes_grid(count: int, dimension: int = 3) -> Array:
     turn = k * np.pi * (3.0 - math.sqrt(5.0))
     flat = np.sqrt(1.0 - height**2)
     return np.stack((flat * np.cos(turn), flat * np.sin(turn), height), axis=1)
-
-
-def tangents(direction: ArrayLike) -> Array:
-    """Orthonormal basis of the plane perpendicular to a direction.
-
-    Parameters
-    ----------
-    direction : array, shape (d,)
-        Any vector along the axis.
-
-    Returns
-    -------
-    array, shape (d - 1, d)
-        An orthonormal basis of what lies across.
-
-    Raises
-    ------
-    InvalidData
-        If `direction` is no finite vector with a length.
-
-    Examples
-    --------
-    >>> bool(np.allclose(tangents([0.0, 0.0, 2.0]) @ [0.0, 0.0, 1.0], 0.0))
-    True
-    """
-    vector = as_floats(direction, "direction")
-    unit = as_direction(vector, vector.shape[-1])
-    _, _, basis = np.linalg.svd(unit[None])
-    return np.asarray(basis[1:], dtype=np.float64)
 
 
 class LowestCoherence(NamedTuple):

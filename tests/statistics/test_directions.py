@@ -14,7 +14,6 @@ from loose_env.statistics import (
     axial_difference,
     axial_mean,
     axial_vector,
-    tangents,
     wrap_axial,
 )
 
@@ -96,13 +95,6 @@ def test_the_grid_leaves_no_hole() -> None:
     for count in (40, 400):
         nearest = np.arccos(np.abs(anywhere @ axes_grid(count).T).max(axis=1).clip(max=1.0))
         assert nearest.max() < 1.1 * np.sqrt(2 * np.pi / count)
-
-
-def test_tangents_are_across() -> None:
-    for u in axes_grid(20):
-        basis = tangents(u)
-        np.testing.assert_allclose(basis @ basis.T, np.eye(2), atol=1e-12)
-        np.testing.assert_allclose(basis @ u, 0.0, atol=1e-12)
 
 
 def test_bad_settings_are_refused() -> None:
