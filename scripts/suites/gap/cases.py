@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.io import write_text
 from loose_env.recording import Run, write_recording
 from loose_env.typing import Array
+from scripts.suites.blind import drawn_from
 from scripts.suites.gap.arms import ARMS, MACHINES, Figures, model_xml, varied
 from scripts.suites.gap.dynamics import DAMPING, Factors, Signals, build, forward, mass_and_bias
 from scripts.suites.gap.effects import (
@@ -49,8 +50,6 @@ from scripts.suites.gap.machine import (
     shaken_motion,
 )
 
-FIRST_JUDGED = 10_000
-"""First number that is drawn from a phrase."""
 SEED = 53_001
 """Seed of the development numbers."""
 FORMAT = "gap-truth/2"
@@ -145,31 +144,9 @@ class Case:
         return dataclasses.replace(self.setup.arm, effects=self.effects)
 
 
-def numbers_of(words: Iterable[str]) -> list[int]:
-    """Numbers of cases from words such as ``7`` and ``10000-10059``."""
-    found: dict[int, None] = {}
-    for word in words:
-        ends = word.split("-")
-        if (
-            len(ends) > 2
-            or not all(end.isdecimal() for end in ends)
-            or int(ends[0]) > int(ends[-1])
-        ):
-            raise InvalidSetting(f"{word!r} is no case; give numbers as in 7 or 10000-10059")
-        found.update(dict.fromkeys(range(int(ends[0]), int(ends[-1]) + 1)))
-    return list(found)
-
-
 def seed_of(number: int, phrase: str = "") -> tuple[int, ...]:
     """Seed of a case; judged ones need a phrase."""
-    if number < FIRST_JUDGED:
-        return (SEED, number)
-    if not phrase:
-        raise InvalidSetting(
-            f"case {number} is for judging: give a --phrase of which its draw is made "
-            f"(numbers below {FIRST_JUDGED} are for development)"
-        )
-    return (int.from_bytes(hashlib.sha256(phrase.encode()).digest()[:8], "big"), number)
+    return (drawn_from(number, phrase, SEED), number)
 
 
 def name_of(number: int, phrase: str = "") -> str:

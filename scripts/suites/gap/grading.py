@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.evaluation import wilson
+from scripts.suites.blind import share
 from scripts.suites.gap.cases import FORMAT, WORLDS
 
 Named = tuple[str, str]
@@ -132,14 +132,6 @@ def _values(true: Mapping[str, Any], effect: Mapping[str, Any]) -> tuple[list[bo
 
 
 # ---------------------------------------------------------------------------------- table
-
-
-def share(hits: int, count: int) -> str:
-    """A share in per cent with Wilson's 95 % interval."""
-    if count == 0:
-        return "none"
-    low, high = wilson(hits, count)
-    return f"{hits}/{count} = {100 * hits / count:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
 def _right(role: str) -> Callable[[Sequence[Marks]], str]:

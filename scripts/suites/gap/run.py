@@ -21,7 +21,6 @@ Others enter with files: recordings are made from a phrase that is kept back, ea
 from __future__ import annotations
 
 import functools
-import hashlib
 import importlib
 import json
 import math
@@ -39,8 +38,9 @@ import loose_env
 from loose_env.cli.command import command
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import Checked, Count, Positive, write_text
+from scripts.suites.blind import commit, numbers_of, sealed_truth
 from scripts.suites.gap import ablation
-from scripts.suites.gap.cases import TOLERANCES, made, name_of, numbers_of
+from scripts.suites.gap.cases import TOLERANCES, made, name_of
 from scripts.suites.gap.effects import CATALOGUE, KINDS
 from scripts.suites.gap.grading import failed, grade, methods_table, table, words_of
 from scripts.suites.rows import Row, check_code, code_hash, kept, run_cases
@@ -122,7 +122,7 @@ def run_case(
     begun, name = time.perf_counter(), made(number, phrase, blind)
     row: Row = {"number": number, "phrase": phrase, "code": code, "error": ""}
     if answers is not None:
-        return row | grade(answered(answers, name), _truth(blind, name, phrase))
+        return row | grade(answered(answers, name), sealed_truth(blind, phrase, name))
     folder = out / "results" / name
     shutil.rmtree(folder, ignore_errors=True)  # nothing of an earlier run may be graded
     folder.mkdir(parents=True)
@@ -136,7 +136,7 @@ def run_case(
             ended = f"exit code {done.returncode}"
         except subprocess.TimeoutExpired:
             ended = f"longer than {LONGEST:.0f} s"
-    truth = _truth(blind, name, phrase)
+    truth = sealed_truth(blind, phrase, name)
     if (folder / "result.json").is_file():
         result, cost = (
             json.loads((folder / file).read_text(encoding="utf-8"))
@@ -149,32 +149,14 @@ def run_case(
     return {**row, "seconds": round(time.perf_counter() - begun, 1)}
 
 
-def _commitment(phrase: str, truth: Path) -> str:
-    """SHA-256 of the phrase and a file of truth: neither can be changed afterwards."""
-    return hashlib.sha256(phrase.encode() + truth.read_bytes()).hexdigest()
-
-
-def _truth(blind: Path, name: str, phrase: str) -> Mapping[str, Any]:
-    """The sealed truth, which is the committed one where there are commitments."""
-    path, given = blind / "truth" / f"{name}.json", blind / "commitments.json"
-    if given.is_file():
-        known = json.loads(given.read_text(encoding="utf-8"))
-        if known.get(name) != _commitment(phrase, path):
-            raise InvalidData(f"{path} is not the truth that {given.name} was made from")
-    return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]
-
-
 def make(numbers: Sequence[int], phrase: str, folder: Path) -> None:
     """Write recordings, truth, what entrants are told, and commitments to the truth."""
     names = sorted(made(number, phrase, folder) for number in numbers)
     protocol = {
-        "format": "gap-benchmark/2", "cases": names, "verdicts": VERDICTS,
+        "format": "gap-benchmark/2", "verdicts": VERDICTS,
         "tolerances": TOLERANCES, "kinds": {name: dict(KINDS[name].units) for name in CATALOGUE},
     }  # fmt: skip
-    write_text(folder / "protocol.json", json.dumps(protocol, indent=1) + "\n")
-    kept_back = {name: _commitment(phrase, folder / "truth" / f"{name}.json") for name in names}
-    write_text(folder / "commitments.json", json.dumps(kept_back, indent=1) + "\n")
-    print(f"{len(names)} cases in {folder}; keep {folder / 'truth'} and the phrase back")
+    commit(folder, phrase, names, protocol)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +203,7 @@ def code_of(tool: str) -> str:
         own = [Path(loose_env.__file__).parent / part for part in ("gap", "recording")]
     else:
         own = [Path(importlib.import_module(tool.partition(":")[0]).__file__ or "")]
-    return code_hash(*own, *suite)
+    return code_hash(*own, *suite, here.parent / "blind.py")
 
 
 def run(given: RunSettings) -> None:

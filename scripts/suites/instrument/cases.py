@@ -9,22 +9,20 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
-from loose_env.errors import InvalidSetting
+from scripts.suites.blind import FIRST_JUDGED, drawn_from
 from scripts.suites.instrument import standins
 from scripts.suites.instrument.machines import DESIGNS, Sheet, nominal_spec
 from scripts.suites.instrument.physics import KINDS, Chances, Fault, Simulated, World
 from scripts.suites.instrument.sensing import DAMAGES
 
 Machine = Simulated | standins.StandIn
-FIRST_JUDGED = 10_000
-"""First number that is drawn from a phrase."""
 SEED = 71_003
 """Seed of the development numbers."""
 SHEETS: Mapping[str, Sheet] = {
@@ -118,32 +116,9 @@ def nominal_xml(name: str) -> str:
     return str(spec.to_xml())
 
 
-def numbers_of(words: Iterable[str]) -> list[int]:
-    """Numbers of cases from words such as ``7`` and ``10000-10059``."""
-    found: dict[int, None] = {}
-    for word in words:
-        ends = word.split("-")
-        if (
-            len(ends) > 2
-            or not all(end.isdecimal() for end in ends)
-            or int(ends[0]) > int(ends[-1])
-        ):
-            raise InvalidSetting(f"{word!r} is no case; give numbers as in 7 or 10000-10059")
-        found.update(dict.fromkeys(range(int(ends[0]), int(ends[-1]) + 1)))
-    return list(found)
-
-
 def seed_of(number: int, phrase: str, series: Series) -> tuple[int, ...]:
     """Seed of a case; judged ones need a phrase."""
-    if number < FIRST_JUDGED:
-        return (SEED, SERIES.index(series), number)
-    if not phrase:
-        raise InvalidSetting(
-            f"case {number} is for judging: give a --phrase of which its draw is made "
-            f"(numbers below {FIRST_JUDGED} are for development)"
-        )
-    hashed = int.from_bytes(hashlib.sha256(phrase.encode()).digest()[:8], "big")
-    return (hashed, SERIES.index(series), number)
+    return (drawn_from(number, phrase, SEED), SERIES.index(series), number)
 
 
 def machine_of(number: int) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from scripts.suites.blind import share
 from scripts.suites.instrument.cases import CLASSES, GROWS_FROM, HEALTHY, SHEETS
 from scripts.suites.instrument.sensing import DAMAGES
 
@@ -96,22 +97,6 @@ def _name(fault: Mapping[str, Any]) -> str:
 
 
 # ----------------------------------------------------------------------------------- tables
-
-
-def wilson(hits: int, count: int, z: float = 1.959964) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share."""
-    share, scale = hits / count, 1 + z**2 / count
-    middle = (share + z**2 / (2 * count)) / scale
-    half = z * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2)) / scale
-    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
-
-
-def share(hits: int, count: int) -> str:
-    """A share in per cent with Wilson's 95 % interval."""
-    if count == 0:
-        return "none"
-    low, high = wilson(hits, count)
-    return f"{hits}/{count} = {100 * hits / count:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
 Rows = Sequence[Mapping[str, Any]]

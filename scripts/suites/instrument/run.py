@@ -47,8 +47,9 @@ import loose_env
 from loose_env.cli.command import command, one_of
 from loose_env.errors import InvalidData, InvalidSetting, words_of
 from loose_env.io import Checked, Count, plain, write_text
+from scripts.suites.blind import commit, committed, numbers_of, sealed_truth
 from scripts.suites.instrument import grading, session
-from scripts.suites.instrument.cases import SERIES, Case, Series, drawn, numbers_of, skipped
+from scripts.suites.instrument.cases import SERIES, Case, Series, drawn, skipped
 from scripts.suites.instrument.session import Plan
 from scripts.suites.rows import Row, check_code, code_hash, kept, run_cases
 
@@ -159,14 +160,14 @@ class Place:
 
         A suite with commitments is taken as it is, whatever the tool's own plan.
         """
-        if self.committed():
-            name = next((n for n in self.committed() if n.startswith(f"{case.name}-")), "")
+        if known := committed(self.blind):
+            name = next((n for n in known if n.startswith(f"{case.name}-")), "")
             if not name:
                 raise InvalidSetting(f"{self.blind} has no case {case.number} of this phrase")
             return self.blind / "recordings" / name, self.blind / "truth" / f"{name}.json"
         plan = self.plan_of(case)
         here = Path(__file__).parent
-        code = code_hash(*(here / f"{name}.py" for name in GENERATOR))
+        code = code_hash(here.parent / "blind.py", *(here / f"{name}.py" for name in GENERATOR))
         asks = hasattr(tool_of(self.planner), "enough") and len(session.levels_of(plan["runs"])) > 1
         words = f"{code}{session.plan_hash(plan)}{code_of(self.planner) if asks else ''}"
         name = f"{case.name}-{hashlib.sha256(words.encode()).hexdigest()[:6]}"
@@ -182,32 +183,14 @@ class Place:
     def _enough(self, folder: Path) -> bool:
         return bool(ask(self.planner, "enough", folder)[0])
 
-    def truth(self, sealed: Path) -> Mapping[str, Any]:
-        """The sealed truth, which is the committed one where there are commitments."""
-        if (known := self.committed()) and known[sealed.stem] != self.commitment(sealed):
-            raise InvalidData(f"{sealed} is not the truth that the commitments were made from")
-        return cast(Mapping[str, Any], json.loads(sealed.read_text("utf-8")))
-
-    def committed(self) -> dict[str, str]:
-        """Commitments of a suite that was made for others; none else."""
-        path = self.blind / "commitments.json"
-        return dict(json.loads(path.read_text("utf-8"))) if path.is_file() else {}
-
-    def commitment(self, sealed: Path) -> str:
-        """SHA-256 of the phrase and a file of truth: neither can be changed afterwards."""
-        return hashlib.sha256(self.phrase.encode() + sealed.read_bytes()).hexdigest()
-
 
 def make(numbers: Sequence[int], place: Place) -> None:
     """Write recordings, truth, what entrants are told, and commitments to the truth."""
     (place.blind / "commitments.json").unlink(missing_ok=True)
     sealed = [place.played(drawn(n, place.phrase, place.series))[1] for n in numbers]
-    protocol = {"format": "instrument-benchmark/1", "cases": sorted(s.stem for s in sealed),
-                "verdicts": grading.VERDICTS, "kinds": grading.KINDS}  # fmt: skip
-    write_text(place.blind / "protocol.json", json.dumps(protocol, indent=1) + "\n")
-    kept_back = {s.stem: place.commitment(s) for s in sorted(sealed)}
-    write_text(place.blind / "commitments.json", json.dumps(kept_back, indent=1) + "\n")
-    print(f"{len(sealed)} cases in {place.blind}; keep {place.blind / 'truth'} and the phrase back")
+    protocol = {"format": "instrument-benchmark/1", "verdicts": grading.VERDICTS,
+                "kinds": grading.KINDS}  # fmt: skip
+    commit(place.blind, place.phrase, [s.stem for s in sealed], protocol)
 
 
 # -------------------------------------------------------------------------------------- rows
@@ -234,7 +217,7 @@ def run_case(
         none = {"alarms": [False] * 12, "unanswered": 12}
         ways = {way: grading.failed(truth) | {"cpu": None} for way in grading.WAYS}
         return row | (none if place.series == "months" else ways)
-    truth = place.truth(sealed)
+    truth = sealed_truth(place.blind, place.phrase, sealed.stem)
     row["shaken"] = truth["shaken"]
     if place.series == "months":
         said = [ask(tool, "diagnose", each, variant)[0] for each in sorted(folder.iterdir())]

@@ -14,9 +14,9 @@ pytest.importorskip("pyarrow")
 
 from loose_env.errors import InvalidSetting
 from loose_env.recording import read_recording
+from scripts.suites.blind import FIRST_JUDGED
 from scripts.suites.gap.arms import MACHINES, model_xml, planar3, spatial3
 from scripts.suites.gap.cases import (
-    FIRST_JUDGED,
     TOLERANCES,
     VISIBLE,
     draw_case,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting
+from scripts.suites.blind import numbers_of
 from scripts.suites.instrument import cases, grading, run, sensing, session, standins
 from scripts.suites.instrument.machines import DESIGNS, STEP
 from scripts.suites.instrument.null import Null
@@ -84,9 +85,9 @@ def test_roles_come_in_their_shares():
 
 
 def test_numbers_that_are_no_cases_are_refused():
-    assert cases.numbers_of(["3", "7-9"]) == [3, 7, 8, 9]
+    assert numbers_of(["3", "7-9"]) == [3, 7, 8, 9]
     with pytest.raises(InvalidSetting, match="no case"):
-        cases.numbers_of(["9-7"])
+        numbers_of(["9-7"])
 
 
 @pytest.mark.parametrize("name", OWN)
