@@ -13,13 +13,24 @@ import math
 import os
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Self,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from annotated_types import Ge, GroupedMetadata, Gt, Lt
@@ -31,6 +42,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 __all__ = [
     "Checked",
     "Count",
+    "JsonFile",
     "NonNegative",
     "NonNegativeCount",
     "Positive",
@@ -308,6 +320,34 @@ def whole_of(text: str, *, format: str, noun: str) -> dict[str, Any]:
         given = whole.get("format") if isinstance(whole, dict) else whole
         raise InvalidData(f"a {noun} of the format {format!r} is needed, not {given!r:.60}")
     return whole
+
+
+class JsonFile:
+    """A dataclass that is the content of a JSON file, with the key ``format``."""
+
+    noun: ClassVar[str]
+    """What errors call it."""
+
+    def to_json(self) -> str:
+        """Text of the file; numbers that are not finite become null."""
+        content = asdict(self)  # type: ignore[call-overload]
+        return json_text({"format": content["format"], **content})
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Read the text of a file.
+
+        Raises
+        ------
+        InvalidData
+            If it is none of the class's format.
+        """
+        whole = whole_of(text, format=vars(cls)["format"], noun=cls.noun)
+        return restored(cls, whole, cls.noun)
+
+    def write(self, path: str | Path) -> Path:
+        """Write the file beside its place and rename it."""
+        return write_text(Path(path), self.to_json())
 
 
 def read_result_file(path: str | Path, parse: Callable[[str], T], *, noun: str) -> T:

@@ -10,7 +10,6 @@ import numpy as np
 from loose_env.instrument.arm import BOLTS, SuspectArm
 from loose_env.instrument.locate import Rhythm, direction_scores, names_of
 from loose_env.instrument.motion import Gears
-from loose_env.instrument.poses import REVERSES
 from loose_env.instrument.records import REPEATS, Record
 from loose_env.instrument.reference import Change
 from loose_env.typing import Array
@@ -163,8 +162,8 @@ def detect(
     masked = chance > numbers.rhythm
     sd = 1 / np.sqrt(max(numbers.samples, 1.0))  # of a correlation's arctanh (Fisher)
     clear = np.arctanh(min(timing, 0.999)) - np.arctanh(min(chance, 0.999)) > _TENTH * sd
+    said = bool(timing > numbers.rhythm and clear and not masked)
     if change is None:
-        said = timing > numbers.rhythm and clear and not masked
         words = "the top band rings in the rhythm of a knock" if said else _UNHEARD
         words += f": correlation {timing:.2f} (limit {numbers.rhythm:.2f})"
         if masked:
@@ -178,7 +177,7 @@ def detect(
     rose = change.top > numbers.top_db and timing > max(numbers.rhythm_beside, chance)
     tests = (
         (
-            rose or (timing > numbers.rhythm and clear and not masked),
+            rose or said,
             f"the top band rings {change.top:.1f} dB louder than on the healthy day, in the rhythm "
             f"of a knock: correlation {timing:.2f} (limit {numbers.rhythm_beside:.2f})",
         ),
@@ -191,7 +190,7 @@ def detect(
             f"odd lines rose by {change.odd:.1f} dB (limit {numbers.odd_db:g} dB)",
         ),
     )
-    reasons = tuple(words for said, words in tests if said)
+    reasons = tuple(words for passed, words in tests if passed)
     louder = change.top > 2 * numbers.top_db and not reasons
     nearest = f"{_UNHEARD}: correlation {timing:.2f} (limit {numbers.rhythm_beside:.2f})"
     if louder:
@@ -211,10 +210,3 @@ def detect(
 _TENTH = 1.28
 """Standard deviations that one in ten exceeds [1]: a rhythm stands out from chance."""
 _UNHEARD = "the rhythm of no place is heard"
-
-
-def tested(arm: SuspectArm, rhythm: Rhythm) -> dict[str, float]:
-    """Share of each place's directions whose load reversed well beyond friction in some pose."""
-    names = np.array(names_of(arm, rhythm))
-    able = rhythm.reversing.max(0) >= REVERSES
-    return {place: float(able[names == place].mean()) for place in arm.places}

@@ -55,7 +55,8 @@ class Rhythm:
     """Direction in which each would throw the tool (R, H, 3)."""
     chance: float
     """Highest correlation of any hypothesis with what was heard at other times [1]: a few strikes
-    of a cable agree with some place by chance, and do so as well when they are shifted."""
+    of a cable agree with some place by chance, and do so as well when they are shifted. 0 beside a
+    place that is known to knock."""
     friction: float
     """Share of the variance heard that reversals of friction explain [1]."""
     reversing: Array
@@ -129,9 +130,10 @@ def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None
     timing = np.full(len(labels), -1.0)
     gap_mm = np.zeros(len(labels))
     moments, share = np.zeros((len(heard.amplitude), 3, len(labels))), 0.0
-    rng = np.random.default_rng(_SHIFTS)
-    shifts = rng.integers(GRID, size=(_SHIFTS, len(heard.amplitude)), dtype=np.intp)
-    chance = 0.0
+    shifts, chance = None, 0.0
+    if beside is None:  # what agrees by chance is asked of the whole
+        rng = np.random.default_rng(_SHIFTS)
+        shifts = rng.integers(GRID, size=(_SHIFTS, len(heard.amplitude)), dtype=np.intp)
     for loads, gaps in ((heard.elastic, GAPS_MM), (heard.rigid, RIGID_GAPS_MM)):
         for gap in gaps:
             told = [
@@ -161,15 +163,34 @@ def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None
 
 def foretold(heard: Heard, rhythm: Rhythm, hypothesis: int) -> list[Array]:
     """Amplitude that one hypothesis foretells in each pose (GRID,)."""
-    kind, i, d = rhythm.labels[hypothesis]
-    own = rhythm.directions[[max(d, 0)]]
     gap = rhythm.gap_mm[hypothesis]
     loads = heard.elastic if gap > 0 else heard.rigid
-    row = i if kind == BOLTS else len(heard.slides) + i
-    return [
-        np.sqrt(knocks.trains(each, own, abs(gap), heard.slides, heard.period_s)[row])
-        for each in loads
+    return [_told(heard, rhythm, hypothesis, own, abs(gap)) for own in loads]
+
+
+def beside(heard: Heard, rhythm: Rhythm, best: int) -> float:
+    """Correlation of another place's knocks beside what the best one foretells."""
+    told = [
+        np.array(
+            [_told(heard, rhythm, best, elastic, gap) for gap in GAPS_MM]
+            + [_told(heard, rhythm, best, rigid, gap) for gap in RIGID_GAPS_MM]
+        )
+        for elastic, rigid in zip(heard.elastic, heard.rigid, strict=True)
     ]
+    beyond = rhythm_of(heard, rhythm.directions[::4], beside=told)
+    other = [label[:2] != rhythm.labels[best][:2] for label in beyond.labels]
+    return float(beyond.timing[other].max())
+
+
+def _told(
+    heard: Heard, rhythm: Rhythm, hypothesis: int, loads: knocks.Loads, gap_mm: float
+) -> Array:
+    """Amplitude that one hypothesis foretells under loads, at a clearance (GRID,)."""
+    kind, i, d = rhythm.labels[hypothesis]
+    row = i if kind == BOLTS else len(heard.slides) + i
+    own = rhythm.directions[[max(d, 0)]]
+    found: Array = np.sqrt(knocks.trains(loads, own, gap_mm, heard.slides, heard.period_s)[row])
+    return found
 
 
 _SHIFTS = 16

@@ -16,10 +16,9 @@ from loose_env.instrument.arm import BOLTS, PoseModel, SuspectArm, read_arm
 from loose_env.instrument.clocks import read_run_on_one_clock
 from loose_env.instrument.decide import Alarm, Scores
 from loose_env.instrument.locate import (
-    GAPS_MM,
-    RIGID_GAPS_MM,
     Heard,
     Rhythm,
+    beside,
     foretold,
     hear,
     names_of,
@@ -27,7 +26,7 @@ from loose_env.instrument.locate import (
 )
 from loose_env.instrument.motion import Gears, fit_gears
 from loose_env.instrument.plan import Plan, read_plan
-from loose_env.instrument.poses import is_tested_share
+from loose_env.instrument.poses import is_tested_share, tested_share
 from loose_env.instrument.records import GRID, Record, Unusable, exchanged
 from loose_env.instrument.reference import Change, change, pairs
 from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
@@ -144,7 +143,7 @@ def diagnose(
 
 
 def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettings) -> _Session:
-    """Read all runs; those that a cable or a hand rang in are left out, and said."""
+    """Read all runs, and pair those of a healthy day; what cannot be used is said."""
     signal = plan.signal.signal
     levels = {Path(run.file).stem: run.level for run in plan.runs}
     records: dict[str, list[Record]] = {"suspect": [], "healthy": []}
@@ -178,19 +177,19 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
     together = pairs(suspect, healthy)
     if healthy and len(together) < decide.FEWEST_POSES:
         remarks.append("too few healthy runs are in the same poses: compared with none")
+        healthy = []
     elif healthy:
         alone = len(suspect) - len(together)
         if alone:
             remarks.append(f"{alone} runs have no healthy run in their pose and are left out")
-        suspect, healthy = (
-            [suspect[k] for k, _ in together],
-            [healthy[r] for _, r in together],
-        )
-        return _Session(
-            suspect=tuple(suspect), healthy=tuple(healthy), runs=tuple(runs),
-            remarks=tuple(remarks),
-        )  # fmt: skip
-    return _Session(suspect=tuple(suspect), healthy=(), runs=tuple(runs), remarks=tuple(remarks))
+        suspect = [suspect[k] for k, _ in together]
+        healthy = [healthy[r] for _, r in together]
+    return _Session(
+        suspect=tuple(suspect),
+        healthy=tuple(healthy),
+        runs=tuple(runs),
+        remarks=tuple(remarks),
+    )
 
 
 def _gears(
@@ -269,7 +268,7 @@ class _Finished:
         hobby = self.plan.hobby
         top = scores.order[0]
         told = foretold(heard, rhythm, scores.best[top])
-        second = self._beside(heard, rhythm, scores.best[top]) if alarm.loose else 0.0
+        second = beside(heard, rhythm, scores.best[top]) if alarm.loose else 0.0
         several = second > self.numbers.second
         sure = bool(scores.probability[top] >= self.numbers.sure)  # JSON has no numpy.bool
         settled = alarm.loose and sure and not several and not hobby
@@ -290,25 +289,6 @@ class _Finished:
             settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
             evidence={**alarm.evidence, "gears_left": gears.left, "second": second}, runs=runs,
         )  # fmt: skip
-
-    def _beside(self, heard: Heard, rhythm: Rhythm, best: int) -> float:
-        """Correlation of another place's knocks beside what the best one foretells."""
-        kind, i, d = rhythm.labels[best]
-        own = rhythm.directions[[max(d, 0)]]
-        row = i if kind == BOLTS else len(heard.slides) + i
-        told = [
-            np.sqrt(
-                [
-                    knocks.trains(loads, own, gap, heard.slides, heard.period_s)[row]
-                    for loads, gaps in ((elastic, GAPS_MM), (rigid, RIGID_GAPS_MM))
-                    for gap in gaps
-                ]
-            )
-            for elastic, rigid in zip(heard.elastic, heard.rigid, strict=True)
-        ]
-        beyond = rhythm_of(heard, rhythm.directions[::4], beside=told)
-        other = [label[:2] != (kind, i) for label in beyond.labels]
-        return float(beyond.timing[other].max())
 
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
         """Runs with what the best place foretells, and the healthy day's lines."""
@@ -406,7 +386,8 @@ def _places(
     arm: SuspectArm, rhythm: Rhythm, alarm: Alarm, scores: Scores, *, settled: bool
 ) -> tuple[Place, ...]:
     """Verdict of every place, best first."""
-    shares = decide.tested(arm, rhythm)
+    reversed_ = tested_share(rhythm.reversing, arm.n, len(rhythm.directions))
+    shares = dict(zip(arm.places, reversed_.tolist(), strict=True))
     names = np.array(names_of(arm, rhythm))
     found = []
     for rank, place in enumerate(scores.order):

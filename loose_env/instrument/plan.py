@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from loose_env.instrument.controllers import Controller, adjusted, preset
 from loose_env.instrument.poses import Candidate, choose_poses, is_tested_share, tested_share
 from loose_env.instrument.result import Diagnosis
 from loose_env.instrument.signals import Multisine, multisine
-from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
+from loose_env.io import JsonFile, json_text, read_result_file, write_text
 from loose_env.recording import DESCRIPTION, read_description, write_csv
 from loose_env.recording import FORMAT as RECORDING_FORMAT
 from loose_env.typing import Array
@@ -103,18 +103,7 @@ class PlanSettings:
         """The controller with what was stated of it."""
         return adjusted(
             preset(self.controller).controller,
-            **{
-                name: getattr(self, name)
-                for name in (
-                    "commands",
-                    "rate_hz",
-                    "bandwidth_hz",
-                    "max_speed_rad_s",
-                    "max_acceleration_rad_s2",
-                    "max_jerk_rad_s3",
-                    "max_torque_nm",
-                )
-            },
+            **{each.name: getattr(self, each.name) for each in fields(Controller)},
         )
 
 
@@ -146,6 +135,19 @@ class Lines:
     phases: tuple[tuple[float, ...], ...]
     crest: tuple[float, ...]
 
+    @classmethod
+    def of(cls, signal: Multisine) -> Lines:
+        """The same without arrays, to a millionth."""
+        return cls(
+            period_s=signal.period_s,
+            periods=signal.periods,
+            lead_s=signal.lead_s,
+            excited=tuple(signal.excited.tolist()),
+            silent=tuple(signal.silent.tolist()),
+            phases=tuple(tuple(row) for row in signal.phases.round(6).tolist()),
+            crest=tuple(signal.crest.round(6).tolist()),
+        )
+
     @property
     def signal(self) -> Multisine:
         """The same with arrays."""
@@ -161,8 +163,10 @@ class Lines:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class Plan(JsonFile):
     """The content of ``plan.json``."""
+
+    noun = "plan"
 
     model: str
     """Model file that it was made of."""
@@ -189,15 +193,6 @@ class Plan:
         """Time of shaking of the runs under test [s]."""
         runs = [r for r in self.runs if r.condition == "suspect"]
         return len(runs) * self.signal.signal.seconds
-
-    def to_json(self) -> str:
-        """Text of ``plan.json``."""
-        return json_text(asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str) -> Plan:
-        """Read the text of ``plan.json``."""
-        return restored(cls, whole_of(text, format=FORMAT, noun="plan"), "plan")
 
 
 def plan(
@@ -261,15 +256,7 @@ def plan(
         joints=arm.joints,
         links=arm.links,
         settings=own,
-        signal=Lines(
-            period_s=signal.period_s,
-            periods=signal.periods,
-            lead_s=signal.lead_s,
-            excited=tuple(int(k) for k in signal.excited),
-            silent=tuple(int(k) for k in signal.silent),
-            phases=tuple(tuple(row.round(6).tolist()) for row in signal.phases),
-            crest=tuple(signal.crest.round(6).tolist()),
-        ),
+        signal=Lines.of(signal),
         runs=runs,
         tested=dict(zip(arm.places, share.round(3).tolist(), strict=True)),
         slides=tuple(j for j, slide in zip(arm.joints, arm.slides, strict=True) if slide),
@@ -358,7 +345,6 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
     """
     recording = folder / RECORDING
     kept: list[PlannedRun] = []
-    entries: list[dict[str, object]] = []
     if (recording / DESCRIPTION).exists():
         model = recording / MODEL
         if not model.is_file() or model.read_text("utf-8") != arm.recording_model.xml:
@@ -373,7 +359,6 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
             if (recording / e.file).is_file()
         }
         kept = [r for r in earlier.runs if r.file in measured]
-        taken = {r.file for r in kept}
         if kept and earlier.signal != made.signal:
             raise InvalidData(
                 f"{recording}: its runs were planned with another signal, up to "
@@ -381,16 +366,21 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
                 f"{made.signal.signal.hertz.max():g} Hz; plan with the same controller and "
                 "bandwidth, or give another --out"
             )
-        clash = taken & {r.file for r in made.runs}
+        clash = {r.file for r in kept} & {r.file for r in made.runs}
         if clash:
-            raise InvalidData(f"{recording}: {min(clash)} is measured already; see first")
-    entries = [_entry(run) for run in (*kept, *made.runs)]
-    whole = Plan(**{**made.__dict__, "runs": (*kept, *made.runs)})
+            raise InvalidData(
+                f"{recording}: {min(clash)} is measured already; plan(..., first=K) begins with "
+                "another number"
+            )
+    whole = replace(made, runs=(*kept, *made.runs))
     written = [write_text(recording / MODEL, arm.recording_model.xml)]
-    description = {"format": RECORDING_FORMAT, "model": MODEL, "runs": entries}
+    description = {
+        "format": RECORDING_FORMAT,
+        "model": MODEL,
+        "runs": [_entry(run) for run in whole.runs],
+    }
     written.append(write_text(recording / DESCRIPTION, json_text(description)))
-    name = {"position": "position", "velocity": "velocity", "torque": "torque"}
-    kind = name[made.settings.limits.commands]
+    kind = made.settings.limits.commands
     for run in made.runs:
         if run.condition == "healthy":
             continue
@@ -399,9 +389,7 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
         path = folder / run.file
         write_csv(path, columns)
         written.append(path)
-    written.append(write_text(recording / PLAN, whole.to_json()))
-    written.append(write_text(folder / PLAN, whole.to_json()))
-    return written
+    return [*written, whole.write(recording / PLAN), whole.write(folder / PLAN)]
 
 
 def _entry(run: PlannedRun) -> dict[str, object]:

@@ -40,16 +40,14 @@ class Candidate:
     """Direction in which each throws the tool (H, 3)."""
 
 
-def candidate(
-    arm: SuspectArm, pose: Array, signal: Multisine, controller: Controller, level: float = 1.0
-) -> Candidate:
+def candidate(arm: SuspectArm, pose: Array, signal: Multisine, controller: Controller) -> Candidate:
     """Foresee a pose with the physics that judges the record."""
     model = arm.at(pose)
     room = np.minimum(pose - arm.low, arm.high - pose)
     peak = peaks(
         signal, controller, model, arm.joints, arm.torque_limit, travel=np.maximum(room, 0)
     )
-    moved = signal.accelerations(peak * level, 250)
+    moved = signal.accelerations(peak, 250)
     loads = knocks.loads_of(model, moved, np.zeros(arm.n))
     grid = knocks.sphere(_COARSE)
     return Candidate(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from loose_env.doctor import Finding
 from loose_env.errors import InvalidData
 from loose_env.instrument.arm import BOLTS, place_name
-from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
+from loose_env.io import JsonFile, read_result_file
 
 FORMAT = "loose-diagnosis/2"
 """Format of the file."""
@@ -82,8 +82,18 @@ class RunSeen:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Diagnosis:
-    """The content of ``result.json``."""
+class Diagnosis(JsonFile):
+    """The content of ``result.json``.
+
+    Examples
+    --------
+    >>> Diagnosis.from_json('{"format": "loose-gap/1"}')
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidData: a diagnosis of the format 'loose-diagnosis/2' is needed, ...
+    """
+
+    noun = "diagnosis"
 
     verdict: Verdict
     headline: str
@@ -140,32 +150,6 @@ class Diagnosis:
     def untested(self) -> tuple[str, ...]:
         """Names of the places that the session did not test."""
         return tuple(p.name for p in self.places if p.verdict == "not tested")
-
-    def to_json(self) -> str:
-        """Text of ``result.json``; numbers that are not finite become null."""
-        return json_text({**asdict(self)})
-
-    @classmethod
-    def from_json(cls, text: str) -> Diagnosis:
-        """Read the text of ``result.json``.
-
-        Raises
-        ------
-        InvalidData
-            If it is none of the format ``loose-diagnosis/2``.
-
-        Examples
-        --------
-        >>> Diagnosis.from_json('{"format": "loose-gap/1"}')
-        Traceback (most recent call last):
-        ...
-        loose_env.errors.InvalidData: a diagnosis of the format 'loose-diagnosis/2' is needed, ...
-        """
-        return restored(cls, whole_of(text, format=FORMAT, noun="diagnosis"), "diagnosis")
-
-    def write(self, path: str | Path) -> Path:
-        """Write ``result.json`` beside its place and rename it."""
-        return write_text(Path(path), self.to_json())
 
 
 def read_diagnosis(path: str | Path) -> Diagnosis:

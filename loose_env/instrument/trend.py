@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.decide import Numbers
 from loose_env.instrument.pipeline import DiagnoseSettings, diagnose
 from loose_env.instrument.result import Diagnosis
-from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
+from loose_env.io import JsonFile, read_result_file
 from loose_env.recording import Recording
 
 FORMAT = "loose-trend/2"
@@ -39,8 +39,10 @@ class Visit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trend:
+class Trend(JsonFile):
     """The content of ``trend.json``."""
+
+    noun = "trend"
 
     headline: str
     visits: tuple[Visit, ...]
@@ -56,19 +58,6 @@ class Trend:
         found = self.visits[-1].diagnosis
         assert found is not None
         return found
-
-    def to_json(self) -> str:
-        """Text of ``trend.json``."""
-        return json_text(asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str) -> Trend:
-        """Read the text of ``trend.json``."""
-        return restored(cls, whole_of(text, format=FORMAT, noun="trend"), "trend")
-
-    def write(self, path: str | Path) -> Path:
-        """Write ``trend.json`` beside its place and rename it."""
-        return write_text(Path(path), self.to_json())
 
 
 def read_trend(path: str | Path) -> Trend:

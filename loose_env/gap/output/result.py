@@ -6,12 +6,12 @@ The format of the file is ``loose-gap/1``.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from loose_env.doctor import Finding, graded_findings
-from loose_env.io import json_text, read_result_file, restored, whole_of, write_text
+from loose_env.io import JsonFile, read_result_file
 
 FORMAT = "loose-gap/1"
 UNIT = "RMS over held-out data, in noise standard deviations"
@@ -197,8 +197,18 @@ class Identifiability:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GapResult:
-    """The content of ``result.json``."""
+class GapResult(JsonFile):
+    """The content of ``result.json``.
+
+    Examples
+    --------
+    >>> GapResult.from_json('{"format": "loose-gap/2"}')
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidData: a result of the format 'loose-gap/1' is needed, ...
+    """
+
+    noun = "result"
 
     verdict: Verdict
     """ "named", "no_gap" or "unexplained"."""
@@ -239,32 +249,6 @@ class GapResult:
         """Warnings and findings of the preflight with their severity, the most severe first."""
         pairs = (*(("warning", words) for words in self.warnings), *graded_findings(self.preflight))
         return tuple(sorted(pairs, key=lambda pair: ("critical", "warning", "note").index(pair[0])))
-
-    def to_json(self) -> str:
-        """Format as ``result.json``; numbers that are not finite become null."""
-        return json_text({"format": self.format, **asdict(self)})
-
-    @classmethod
-    def from_json(cls, text: str) -> GapResult:
-        """Parse the text of ``result.json``.
-
-        Raises
-        ------
-        InvalidData
-            If it is none of the format ``loose-gap/1``.
-
-        Examples
-        --------
-        >>> GapResult.from_json('{"format": "loose-gap/2"}')
-        Traceback (most recent call last):
-        ...
-        loose_env.errors.InvalidData: a result of the format 'loose-gap/1' is needed, ...
-        """
-        return restored(cls, whole_of(text, format=FORMAT, noun="result"), "result")
-
-    def write(self, path: str | Path) -> Path:
-        """Write ``result.json`` atomically, by renaming a temporary file."""
-        return write_text(Path(path), self.to_json())
 
 
 def read_result(path: str | Path) -> GapResult:
