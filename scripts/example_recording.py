@@ -219,25 +219,19 @@ def played(
     site = model.site(arm.recording_model.site).id
     rest = round(0.5 / STEP)
     encoders, tool = np.zeros_like(given), np.zeros((len(given), 3))
-    velocity = np.zeros(3)
+    velocity, jacobian = np.zeros(3), np.zeros((3, model.nv))
     for k in range(-rest, len(given)):
         q, v = data.qpos[at], data.qvel[dofs]
         error = given[max(k, 0)] - q
         drive = inertia * (omega**2 * error - 1.4 * omega * v)
         data.qfrc_applied[dofs] = weight + drive - DRY * 10 * inertia * np.tanh(v / 0.01)
         mujoco.mj_step(model, data, nstep=round(STEP / model.opt.timestep))
+        mujoco.mj_jacSite(model, data, jacobian, None, site)
+        before, velocity = velocity, jacobian @ data.qvel
         if k >= 0:
             turn = data.site_xmat[site].reshape(3, 3)
-            jacobian = np.zeros((3, model.nv))
-            mujoco.mj_jacSite(model, data, jacobian, None, site)
-            now = jacobian @ data.qvel
-            before, velocity = velocity, now
             encoders[k] = data.qpos[at]
-            tool[k] = turn.T @ ((now - before) / STEP * (k > 0) - model.opt.gravity)
-        else:
-            jacobian = np.zeros((3, model.nv))
-            mujoco.mj_jacSite(model, data, jacobian, None, site)
-            velocity = jacobian @ data.qvel
+            tool[k] = turn.T @ ((velocity - before) / STEP * (k > 0) - model.opt.gravity)
     return encoders, tool
 
 

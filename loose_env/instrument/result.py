@@ -83,15 +83,7 @@ class RunSeen:
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis(JsonFile):
-    """The content of ``result.json``.
-
-    Examples
-    --------
-    >>> Diagnosis.from_json('{"format": "loose-gap/1"}')
-    Traceback (most recent call last):
-    ...
-    loose_env.errors.InvalidData: a diagnosis of the format 'loose-diagnosis/2' is needed, ...
-    """
+    """The content of ``result.json``."""
 
     noun = "diagnosis"
 
@@ -159,5 +151,12 @@ def read_diagnosis(path: str | Path) -> Diagnosis:
     ------
     InvalidData
         If there is none, or it is none of the format.
+
+    Examples
+    --------
+    >>> Diagnosis.from_json('{"format": "loose-gap/1"}')
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidData: a diagnosis of the format 'loose-diagnosis/2' is needed, ...
     """
     return read_result_file(path, Diagnosis.from_json, noun="diagnosis")

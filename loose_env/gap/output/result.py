@@ -198,15 +198,7 @@ class Identifiability:
 
 @dataclass(frozen=True, kw_only=True)
 class GapResult(JsonFile):
-    """The content of ``result.json``.
-
-    Examples
-    --------
-    >>> GapResult.from_json('{"format": "loose-gap/2"}')
-    Traceback (most recent call last):
-    ...
-    loose_env.errors.InvalidData: a result of the format 'loose-gap/1' is needed, ...
-    """
+    """The content of ``result.json``."""
 
     noun = "result"
 
@@ -261,6 +253,10 @@ def read_result(path: str | Path) -> GapResult:
 
     Examples
     --------
+    >>> GapResult.from_json('{"format": "loose-gap/2"}')
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidData: a result of the format 'loose-gap/1' is needed, ...
     >>> read_result("no/such/folder")
     Traceback (most recent call last):
         ...
