@@ -353,12 +353,15 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
                 "payload; give another --out"
             )
         earlier = read_plan(recording)
-        measured = {
-            e.file
-            for e in read_description(recording / DESCRIPTION).runs
-            if (recording / e.file).is_file()
-        }
-        kept = [r for r in earlier.runs if r.file in measured]
+        known = {Path(run.file).stem: run for run in earlier.runs}
+        for entry in read_description(recording / DESCRIPTION).runs:
+            if (recording / entry.file).is_file():  # its table may be of another format
+                pose, condition = dict(entry.pose or {}), entry.condition
+                other = PlannedRun(
+                    file=entry.file, pose=pose, level=1.0, condition=condition, peak={}
+                )
+                run = known.get(Path(entry.file).stem, other)
+                kept.append(replace(run, file=entry.file))
         if kept and earlier.signal != made.signal:
             raise InvalidData(
                 f"{recording}: its runs were planned with another signal, up to "
@@ -366,10 +369,11 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
                 f"{made.signal.signal.hertz.max():g} Hz; plan with the same controller and "
                 "bandwidth, or give another --out"
             )
-        clash = {r.file for r in kept} & {r.file for r in made.runs}
+        taken = {Path(run.file).stem: run.file for run in kept}
+        clash = [taken[stem] for run in made.runs if (stem := Path(run.file).stem) in taken]
         if clash:
             raise InvalidData(
-                f"{recording}: {min(clash)} is measured already; plan(..., first=K) begins with "
+                f"{recording}: {clash[0]} is measured already; plan(..., first=K) begins with "
                 "another number"
             )
     whole = replace(made, runs=(*kept, *made.runs))

@@ -11,6 +11,7 @@ import pytest
 from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.cli.main import main
 from loose_env.instrument import read_diagnosis, read_plan
+from loose_env.recording import read_recording
 from scripts.example_recording import loose_arm
 
 Capture = pytest.CaptureFixture[str]
@@ -70,6 +71,16 @@ def test_months_are_compared(home: Path, tmp_path: Path) -> None:
     out = tmp_path / "trend"
     assert main(["trend", may, june, "--out", str(out), "--quiet"]) == 0
     assert json.loads((out / "trend.json").read_text())["since"] == "june"
+
+
+def test_a_plan_beside_measured_runs_keeps_them(tmp_path: Path) -> None:
+    recording = loose_arm(tmp_path / "session" / "recording").folder
+    before = {path.name: path.read_bytes() for path in recording.glob("run-*")}
+    assert main(["plan", ARM, "--controller", "ros2_jtc", "--out", str(recording.parent)]) == 0
+    assert [run.name for run in read_recording(recording).runs] == sorted(before)
+    assert {path.name: path.read_bytes() for path in recording.glob("run-*")} == before
+    planned = [run.file for run in read_plan(recording).runs]
+    assert planned[:6] == sorted(before) and planned[6] == "run-07.csv"
 
 
 @pytest.mark.parametrize(
