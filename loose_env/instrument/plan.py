@@ -12,6 +12,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.arm import SuspectArm, read_arm
 from loose_env.instrument.controllers import Controller, adjusted, preset
 from loose_env.instrument.poses import Candidate, choose_poses, is_tested_share, tested_share
+from loose_env.instrument.records import FEWEST_PERIODS
 from loose_env.instrument.result import Diagnosis
 from loose_env.instrument.signals import Multisine, multisine
 from loose_env.io import JsonFile, json_text, read_result_file, write_text
@@ -135,6 +136,26 @@ class Lines:
     phases: tuple[tuple[float, ...], ...]
     crest: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        """Check."""
+        phases = [phase for row in self.phases for phase in row]
+        numbers = (self.period_s, self.lead_s, *self.crest, *phases)
+        lines = (*self.excited, *self.silent)
+        if not (
+            np.isfinite(numbers).all()
+            and min(self.period_s, self.lead_s, *self.crest) > 0
+            and self.periods >= FEWEST_PERIODS
+            and self.excited
+            and min(lines) > 0
+            and len(self.crest) == len(self.phases)
+            and all(len(row) == len(self.excited) for row in self.phases)
+        ):
+            raise InvalidData(
+                "a signal has a positive period and lead, 2 periods or more, positive lines, a "
+                "phase for each line and a crest for each joint; take the plan.json that 'loose "
+                "plan' wrote"
+            )
+
     @classmethod
     def of(cls, signal: Multisine) -> Lines:
         """The same without arrays, to a millionth."""
@@ -182,6 +203,14 @@ class Plan(JsonFile):
     hobby: bool = False
     notes: tuple[str, ...] = ()
     format: str = FORMAT
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if len(self.signal.phases) != len(self.joints):
+            raise InvalidData(
+                f"the signal is for {len(self.signal.phases)} joints, and the plan has "
+                f"{', '.join(self.joints)}; take the plan.json that 'loose plan' wrote"
+            )
 
     @property
     def untested(self) -> tuple[str, ...]:

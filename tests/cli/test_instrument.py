@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,27 @@ def test_a_plan_beside_measured_runs_keeps_them(tmp_path: Path) -> None:
     assert {path.name: path.read_bytes() for path in recording.glob("run-*")} == before
     planned = [run.file for run in read_plan(recording).runs]
     assert planned[:6] == sorted(before) and planned[6] == "run-07.csv"
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("phases", [[0.0] * 3] * 2, "a phase for each line"),
+        ("phases", [], "a crest for each joint"),
+        ("period_s", 0.0, "positive period"),
+        ("excited", [], "positive lines"),
+    ],
+)
+def test_a_plan_whose_signal_is_damaged_ends_in_a_line(
+    key: str, value: object, says: str, home: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    recording = tmp_path / "recording"
+    shutil.copytree(home / "june" / "recording", recording)
+    plan = json.loads((recording / "plan.json").read_text())
+    plan["signal"][key] = value
+    (recording / "plan.json").write_text(json.dumps(plan))
+    assert main(["diagnose", str(recording), "--out", str(tmp_path / "found")]) == 1
+    assert says in last_line(capsys) and not (tmp_path / "found").exists()
 
 
 @pytest.mark.parametrize(
