@@ -20,9 +20,10 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
+from scripts.charts import Panel, chart, curve
 from scripts.thesis.loose_joint import mass_matrix
 from scripts.thesis.page import Section, printed, section
-from scripts.thesis.plots import Panel, chart, curve, rms
+from scripts.thesis.plots import rms
 from scripts.thesis.rigs import GUIDE, LIFT, REACH, cylindrical
 
 if TYPE_CHECKING:

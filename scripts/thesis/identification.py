@@ -15,6 +15,7 @@ from loose_env.kinematics import Chain, geometric_jacobian
 from loose_env.rig import read_encoder
 from loose_env.sensors import Encoder
 from loose_env.typing import Array
+from scripts.charts import Panel, axis, chart, ring
 from scripts.thesis.loose_joint import (
     Jig,
     compatible_links,
@@ -32,7 +33,6 @@ from scripts.thesis.loose_joint import (
     velocity_components,
 )
 from scripts.thesis.page import Rows, Section, section
-from scripts.thesis.plots import Panel, axis, chart, ring
 from scripts.thesis.rigs import LOOSE_GAP
 
 if TYPE_CHECKING:

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from loose_env.envs import INK, MEASURED
 from loose_env.statistics import axial_difference, comparative_index
 from loose_env.typing import Array
+from scripts.charts import Panel, chart, points
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import Panel, chart, points, rms
+from scripts.thesis.plots import rms
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

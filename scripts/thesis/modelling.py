@@ -22,6 +22,7 @@ from loose_env.kinematics import Chain, Frame, geometric_jacobian
 from loose_env.rig import PlantShop
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array, ComplexArray
+from scripts.charts import Panel, chart, curve, points
 from scripts.thesis.loose_joint import (
     Condition,
     backlash_condition,
@@ -36,7 +37,6 @@ from scripts.thesis.loose_joint import (
     simulate_docked,
 )
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import Panel, chart, curve, points
 from scripts.thesis.rigs import LOOSE_GAP
 
 if TYPE_CHECKING:

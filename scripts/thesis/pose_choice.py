@@ -23,9 +23,9 @@ from loose_env.kinematics import (
     wrench_rank,
 )
 from loose_env.typing import Array
+from scripts.charts import DASHED, Curve, Panel, axis, chart, curve, drawing, points
 from scripts.thesis.loose_joint import mass_matrix, placed
 from scripts.thesis.page import Section, printed, section
-from scripts.thesis.plots import DASHED, Curve, Panel, axis, chart, curve, drawing, points
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -26,6 +26,7 @@ from loose_env.statistics import (
     transmission_from,
 )
 from loose_env.typing import Array
+from scripts.charts import Panel, axis, chart, curve
 from scripts.thesis.estimators import (
     kurtosis,
     lowest_correlation_direction,
@@ -34,18 +35,7 @@ from scripts.thesis.estimators import (
     transfer_function,
 )
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import (
-    COLOURS,
-    Panel,
-    axis,
-    by_category,
-    chart,
-    contours,
-    curve,
-    loops,
-    rms,
-    state_look,
-)
+from scripts.thesis.plots import COLOURS, by_category, contours, loops, rms, state_look
 from scripts.thesis.rigs import (
     PROXIMAL,
     SHAKEN_BAND,

@@ -25,8 +25,9 @@ from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.statistics import bandpass
 from loose_env.typing import Array
+from scripts.charts import Panel, chart, curve, drawing
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import Panel, centred, chart, curve, drawing, rms
+from scripts.thesis.plots import centred, rms
 from scripts.thesis.rigs import BENCH, SLIDE, shaken_vera, slide_rig
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from loose_env.envs import INK, MEASURED, MUTED, TRUTH
 from loose_env.report import AGENTS
 from loose_env.statistics import axial_difference
 from loose_env.typing import Array
+from scripts.charts import DASHED, Panel, axis, chart, curve, points, ring
 from scripts.thesis.estimators import correlation_loop, kurtosis, lowest_correlation_direction
 from scripts.thesis.matching import (
     ANGLE,
@@ -44,7 +45,7 @@ from scripts.thesis.planar_motion import (
     tool_velocity,
     transition_table,
 )
-from scripts.thesis.plots import DASHED, Panel, axis, chart, contours, curve, points, ring
+from scripts.thesis.plots import contours
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,9 +19,9 @@ from loose_env.arms import BENDING_MODE_HZ, BLOCK_MASS, LINK2_MASS, LINK_LENGTH,
 from loose_env.envs import INK, MEASURED, TRUTH
 from loose_env.kinematics import carried_bodies
 from loose_env.typing import Array
+from scripts.charts import DASHED, Curve, Panel, chart, curve
 from scripts.thesis.loose_joint import placed
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import DASHED, Curve, Panel, chart, curve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
