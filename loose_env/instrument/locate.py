@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loose_env.instrument import knocks
-from loose_env.instrument.arm import BOLTS, GEARS, PoseModel, SuspectArm, place_name
+from loose_env.instrument.arm import BOLTS, GEARS, ROCKS, PoseModel, SuspectArm, place_name
 from loose_env.instrument.motion import Gears, accelerations, rotor_speeds
 from loose_env.instrument.records import GRID, Record
 from loose_env.instrument.signals import Multisine
@@ -39,10 +39,10 @@ class Heard:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rhythm:
-    """Agreement of every hypothesis with what was heard; H: seats by direction, then teeth."""
+    """Agreement of every hypothesis with what was heard; H: seats by direction, teeth, the base."""
 
     labels: tuple[tuple[str, int, int], ...]
-    """Kind, link or joint, and index of the direction (H,)."""
+    """Kind, link or joint or n for the base, and index of the direction or axis (H,)."""
     directions: Array
     """Directions of seats (D, 3), link frame."""
     timing: Array
@@ -61,6 +61,8 @@ class Rhythm:
     """Share of the variance heard that reversals of friction explain [1]."""
     reversing: Array
     """How far each hypothesis' load reverses, over friction (R, H)."""
+    held: Array
+    """The same as a load, in the pose where it is largest (H,) [N, N·m]."""
 
 
 def hear(
@@ -124,6 +126,7 @@ def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None
     n = len(heard.slides)
     labels = tuple((BOLTS, i, d) for i in range(n) for d in range(len(directions)))
     labels += tuple((GEARS, j, -1) for j in range(n))
+    labels += tuple((BOLTS, n, k) for k in range(ROCKS))
     explained = heard.friction
     if beside is not None:
         explained = tuple(np.vstack([f, b]) for f, b in zip(heard.friction, beside, strict=True))
@@ -146,6 +149,8 @@ def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None
             timing = np.maximum(timing, found)
             gap_mm[better] = gap if loads is heard.elastic else -gap
             moments = np.where(better, parts, moments)
+    reversing = [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
+    resists = [knocks.friction_of(own, len(directions), heard.slides) for own in heard.elastic]
     return Rhythm(
         labels=labels,
         directions=directions,
@@ -155,9 +160,8 @@ def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None
         throws=np.array([knocks.thrown(own, directions) for own in heard.free]),
         chance=chance,
         friction=share,
-        reversing=np.array(
-            [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
-        ),
+        reversing=np.array(reversing),
+        held=(np.array(reversing) * np.array(resists)).max(0),
     )
 
 
@@ -187,8 +191,9 @@ def _told(
 ) -> Array:
     """Amplitude that one hypothesis foretells under loads, at a clearance (GRID,)."""
     kind, i, d = rhythm.labels[hypothesis]
-    row = i if kind == BOLTS else len(heard.slides) + i
-    own = rhythm.directions[[max(d, 0)]]
+    n = len(heard.slides)
+    row = 2 * n + d if i == n else i if kind == BOLTS else n + i
+    own = rhythm.directions[[max(d, 0) * (i < n)]]
     found: Array = np.sqrt(knocks.trains(loads, own, gap_mm, heard.slides, heard.period_s)[row])
     return found
 
@@ -285,6 +290,6 @@ _SPREAD = 0.02
 def names_of(arm: SuspectArm, rhythm: Rhythm) -> list[str]:
     """Place of every hypothesis (H,)."""
     return [
-        place_name(kind, arm.links[i] if kind == BOLTS else arm.joints[i])
+        place_name(kind, (*arm.links, arm.base)[i] if kind == BOLTS else arm.joints[i])
         for kind, i, _ in rhythm.labels
     ]

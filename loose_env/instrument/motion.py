@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -206,6 +207,22 @@ def rotor_speeds(record: Record, period: float) -> Array:
 _SOFTER = (0.15, 0.3, 0.45, 0.6, 0.75, 0.88, 1.0)
 """Springs tried, over the healthy one's [1]."""
 _LOSSIER = (_LOSS, 0.3, 0.8)
+_HEAVIER = (-0.2, -0.1, 0.1, 0.2, 0.4, 0.8, 1.6)
+"""Masses at the tool tried, over the mass that the tool feels like when it is pushed [1]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Softening:
+    """Share of the tool's motion left by the healthy gears, and by others [1]; n joints."""
+
+    none: float
+    """With the healthy gears."""
+    joints: Array
+    """With the one joint softer that is best (n,)."""
+    payload: float
+    """With the payload that is best."""
+    payload_kg: float
+    """That payload, over the healthy day's [kg]."""
 
 
 def softening(
@@ -213,23 +230,35 @@ def softening(
     models: Sequence[PoseModel],
     gears: Gears,
     signal: Multisine,
-) -> tuple[Array, float]:
-    """Tool motion left where one joint may have become softer than on the healthy day.
-
-    Returns the share left for each joint (n,), and where none may.
-    """
-    tried = [(f, loss) for f in _SOFTER for loss in _LOSSIER]
+) -> Softening:
+    """Tool motion left where one joint has become softer, or the tool heavier."""
     n = len(gears.spring)
-    left = np.zeros((n, len(tried)))
+    rotors = np.diag(gears.rotor)
+    felt = [3 / np.trace(m.jacobian @ np.linalg.inv(m.inertia + rotors) @ m.jacobian.T)
+            for m in models]  # fmt: skip
+    loads = np.array(_HEAVIER) * float(np.mean(felt))
+    still = (np.ones(n), np.full(n, _LOSS), 0.0)
+    tried = [still, *((*still[:2], load) for load in loads)]
+    for j, factor, loss in itertools.product(range(n), _SOFTER, _LOSSIER):
+        tried.append((np.where(np.arange(n) == j, factor, 1.0),
+                      np.where(np.arange(n) == j, loss, _LOSS), 0.0))  # fmt: skip
+    left = np.zeros(len(tried))
     for index, (record, model) in enumerate(zip(records, models, strict=True)):
         read = turned(record, gears, index, signal.excited, signal.period_s)
         own, size = record.joints[signal.excited], float(np.mean(np.abs(read) ** 2))
-        for j in range(n):
-            for c, (factor, loss) in enumerate(tried):
-                spring, losses = gears.spring.copy(), np.full(n, _LOSS)
-                spring[j], losses[j] = spring[j] * factor, loss
-                moved = links_of(own, model, spring, gears.rotor, signal.hertz, losses)
-                told = moved @ model.jacobian.T + model.tilt(moved, signal.hertz)
-                e = np.abs(read - told) ** 2 / size
-                left[j, c] += np.mean(e / (1 + e)) / len(records)
-    return left.min(1), float(left[0, tried.index((1.0, _LOSS))])
+        for c, (factors, losses, load) in enumerate(tried):
+            heavier = replace(
+                model, inertia=model.inertia + load * model.jacobian.T @ model.jacobian
+            )
+            spring = gears.spring * factors
+            moved = links_of(own, heavier, spring, gears.rotor, signal.hertz, losses)
+            told = moved @ model.jacobian.T + model.tilt(moved, signal.hertz)
+            e = np.abs(read - told) ** 2 / size
+            left[c] += np.mean(e / (1 + e)) / len(records)
+    heavy = left[1 : 1 + len(loads)]
+    return Softening(
+        none=float(left[0]),
+        joints=left[1 + len(loads) :].reshape(n, -1).min(1),
+        payload=float(heavy.min()),
+        payload_kg=float(loads[heavy.argmin()]),
+    )

@@ -130,7 +130,7 @@ def diagnose(
     say(f"fitting {arm.n} gears from encoders to tool by {len(models)} runs")
     gears, compared = _gears(arm, session, models, signal)
     heard = hear(arm, session.suspect, models, gears, signal, healthy=session.healthy or None)
-    say(f"following the loads of {2 * arm.n} places")
+    say(f"following the loads of {len(arm.places)} places")
     rhythm = rhythm_of(heard, knocks.sphere(knocks.DIRECTIONS))
     steady = decide.repeats(session.suspect)
     alarm = decide.detect(rhythm, limits, change=compared, repeats=steady)
@@ -274,6 +274,12 @@ class _Finished:
         settled = alarm.loose and sure and not several and not hobby
         places = _places(arm, rhythm, alarm, scores, settled=settled)
         remarks = list(self.session.remarks)
+        heavier = alarm.evidence.get("payload_kg", 0.0)
+        if heavier and not alarm.loose:
+            remarks.append(
+                f"the arm moves as if its tool carried {abs(heavier):.2g} kg "
+                f"{'more' if heavier > 0 else 'less'} than on the healthy day"
+            )
         if gears.left > _POOR:
             remarks.append(
                 f"the model leaves {100 * gears.left:.0f} % of the tool's slow motion: check "
@@ -373,6 +379,7 @@ def _untold(arm: SuspectArm) -> tuple[Place, ...]:
                 rhythm=0.0,
                 tested=0.0,
                 why="no run can be used",
+                base=at == arm.base,
             )
         )
     return tuple(found)
@@ -389,13 +396,14 @@ def _places(
     reversed_ = tested_share(rhythm.reversing, arm.n, len(rhythm.directions))
     shares = dict(zip(arm.places, reversed_.tolist(), strict=True))
     names = np.array(names_of(arm, rhythm))
+    slides = dict(zip(arm.joints, arm.slides, strict=True))
     found = []
     for rank, place in enumerate(scores.order):
         kind, at = place.split("@", 1)
         best = scores.best[place]
         chance = scores.probability[place] if alarm.loose else 0.0
         direction = None
-        if kind == BOLTS:
+        if kind == BOLTS and at != arm.base:
             d = rhythm.directions[rhythm.labels[best][2]]
             direction = (round(float(d[0]), 5), round(float(d[1]), 5), round(float(d[2]), 5))
         verdict: PlaceVerdict
@@ -412,7 +420,9 @@ def _places(
             verdict, why = "not tested", "other strikes hide whether it knocks"
         elif is_tested_share(shares[place]):
             verdict = "tight"
-            why = "its load reversed, and " + (
+            turns = at == arm.base or (kind != BOLTS and not slides[at])
+            held = f"{np.median(rhythm.held[names == place]):.2g} {'N·m' if turns else 'N'}"
+            why = f"its load reversed by up to {held}, and " + (
                 "another place fits what was heard better" if alarm.loose else "it was not heard"
             )
         else:
@@ -427,6 +437,7 @@ def _places(
                 tested=round(shares[place], 3),
                 direction=direction,
                 why=why,
+                base=at == arm.base,
             )
         )
     return tuple(found)
