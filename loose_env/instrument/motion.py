@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 
 from loose_env.instrument.arm import PoseModel, SuspectArm
 from loose_env.instrument.records import GRID, Record
@@ -207,8 +206,8 @@ def rotor_speeds(record: Record, period: float) -> Array:
 _SOFTER = (0.15, 0.3, 0.45, 0.6, 0.75, 0.88, 1.0)
 """Springs tried, over the healthy one's [1]."""
 _LOSSIER = (_LOSS, 0.3, 0.8)
-_HEAVIER = (-0.2, -0.1, 0.1, 0.2, 0.4, 0.8, 1.6)
-"""Masses at the tool tried, over the mass that the tool feels like when it is pushed [1]."""
+_HEAVIER = (-0.4, 4.0)
+"""Range of the mass at the tool, over the mass that the tool feels like when it is pushed [1]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -236,29 +235,34 @@ def softening(
     rotors = np.diag(gears.rotor)
     felt = [3 / np.trace(m.jacobian @ np.linalg.inv(m.inertia + rotors) @ m.jacobian.T)
             for m in models]  # fmt: skip
-    loads = np.array(_HEAVIER) * float(np.mean(felt))
-    still = (np.ones(n), np.full(n, _LOSS), 0.0)
-    tried = [still, *((*still[:2], load) for load in loads)]
-    for j, factor, loss in itertools.product(range(n), _SOFTER, _LOSSIER):
-        tried.append((np.where(np.arange(n) == j, factor, 1.0),
-                      np.where(np.arange(n) == j, loss, _LOSS), 0.0))  # fmt: skip
-    left = np.zeros(len(tried))
-    for index, (record, model) in enumerate(zip(records, models, strict=True)):
-        read = turned(record, gears, index, signal.excited, signal.period_s)
-        own, size = record.joints[signal.excited], float(np.mean(np.abs(read) ** 2))
-        for c, (factors, losses, load) in enumerate(tried):
-            heavier = replace(
-                model, inertia=model.inertia + load * model.jacobian.T @ model.jacobian
-            )
-            spring = gears.spring * factors
-            moved = links_of(own, heavier, spring, gears.rotor, signal.hertz, losses)
+    reads = [turned(r, gears, k, signal.excited, signal.period_s) for k, r in enumerate(records)]
+
+    def left(factors: Array, losses: Array, load: float) -> float:
+        """Share left with springs by factors, and a mass at the tool."""
+        shares = []
+        for record, model, read in zip(records, models, reads, strict=True):
+            inertia = model.inertia + load * model.jacobian.T @ model.jacobian
+            moved = links_of(
+                record.joints[signal.excited], replace(model, inertia=inertia),
+                gears.spring * factors, gears.rotor, signal.hertz, losses,
+            )  # fmt: skip
             told = moved @ model.jacobian.T + model.tilt(moved, signal.hertz)
-            e = np.abs(read - told) ** 2 / size
-            left[c] += np.mean(e / (1 + e)) / len(records)
-    heavy = left[1 : 1 + len(loads)]
+            e = np.abs(read - told) ** 2 / float(np.mean(np.abs(read) ** 2))
+            shares.append(np.mean(e / (1 + e)))
+        return float(np.mean(shares))
+
+    ones, loss = np.ones(n), np.full(n, _LOSS)
+    softer = np.zeros((n, len(_SOFTER), len(_LOSSIER)))
+    for j, a, b in np.ndindex(softer.shape):
+        at = np.arange(n) == j
+        softer[j, a, b] = left(np.where(at, _SOFTER[a], 1.0), np.where(at, _LOSSIER[b], _LOSS), 0.0)
+    bounds = np.array(_HEAVIER) * float(np.mean(felt))
+    heavy = minimize_scalar(
+        lambda load: left(ones, loss, load), bounds=bounds, options={"xatol": 0.01 * bounds[1]}
+    )
     return Softening(
-        none=float(left[0]),
-        joints=left[1 + len(loads) :].reshape(n, -1).min(1),
-        payload=float(heavy.min()),
-        payload_kg=float(loads[heavy.argmin()]),
+        none=left(ones, loss, 0.0),
+        joints=softer.min((1, 2)),
+        payload=float(heavy.fun),
+        payload_kg=float(heavy.x),
     )

@@ -18,7 +18,6 @@ from loose_env.instrument.decide import Alarm, Scores
 from loose_env.instrument.locate import (
     Heard,
     Rhythm,
-    beside,
     foretold,
     hear,
     names_of,
@@ -135,9 +134,8 @@ def diagnose(
     steady = decide.repeats(session.suspect)
     alarm = decide.detect(rhythm, limits, change=compared, repeats=steady)
     scores = decide.score(
-        arm, rhythm, session.suspect, gears, np.random.default_rng(0),
-        numbers=limits,
-        change=compared, healthy=session.healthy or None,
+        arm, rhythm, session.suspect, gears,
+        numbers=limits, change=compared, healthy=session.healthy or None,
     )  # fmt: skip
     return done.judged(arm, heard, rhythm, alarm, scores, gears)
 
@@ -268,10 +266,8 @@ class _Finished:
         hobby = self.plan.hobby
         top = scores.order[0]
         told = foretold(heard, rhythm, scores.best[top])
-        second = beside(heard, rhythm, scores.best[top]) if alarm.loose else 0.0
-        several = second > self.numbers.second
         sure = bool(scores.probability[top] >= self.numbers.sure)  # JSON has no numpy.bool
-        settled = alarm.loose and sure and not several and not hobby
+        settled = alarm.loose and sure and not hobby
         places = _places(arm, rhythm, alarm, scores, settled=settled)
         remarks = list(self.session.remarks)
         heavier = alarm.evidence.get("payload_kg", 0.0)
@@ -285,15 +281,15 @@ class _Finished:
                 f"the model leaves {100 * gears.left:.0f} % of the tool's slow motion: check "
                 "link lengths, joint zeros and the accelerometer's place in the model"
             )
-        headline, remedy = _words(places, alarm, settled=settled, several=several, hobby=hobby)
+        headline, remedy = _words(places, alarm, settled=settled, hobby=hobby)
         runs = self._with_told(heard, told, alarm.loose)
         verdict: Verdict = (
             "loose" if alarm.loose else "open" if alarm.louder or alarm.masked else "tight"
         )
         return self._result(
             verdict, headline, remedy, places,
-            settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
-            evidence={**alarm.evidence, "gears_left": gears.left, "second": second}, runs=runs,
+            settled=settled, reasons=alarm.reasons, remarks=tuple(remarks),
+            evidence={**alarm.evidence, "gears_left": gears.left}, runs=runs,
         )  # fmt: skip
 
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
@@ -325,7 +321,6 @@ class _Finished:
         places: tuple[Place, ...],
         *,
         settled: bool = False,
-        several: bool = False,
         reasons: tuple[str, ...] = (),
         remarks: tuple[str, ...] | None = None,
         evidence: Mapping[str, float] | None = None,
@@ -340,7 +335,6 @@ class _Finished:
             remedy=remedy,
             places=places,
             settled=settled,
-            several=several,
             reasons=reasons,
             remarks=self.session.remarks if remarks is None else remarks,
             evidence=evidence or {},
@@ -411,11 +405,7 @@ def _places(
             verdict, why = "loose", alarm.reasons[0]
         elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
             verdict = "suspect"
-            why = (
-                "the session does not tell it from the other suspects"
-                if chance < 1 - _LISTED
-                else "the top band rings in its rhythm"
-            )
+            why = "the session does not tell it from the other suspects"
         elif alarm.masked:
             verdict, why = "not tested", "other strikes hide whether it knocks"
         elif is_tested_share(shares[place]):
@@ -449,9 +439,7 @@ def _untested_words(share: float, kind: str) -> str:
     return "its load never reversed beyond friction: it would stay shut if it were loose"
 
 
-def _words(
-    places: Sequence[Place], alarm: Alarm, *, settled: bool, several: bool, hobby: bool
-) -> tuple[str, str]:
+def _words(places: Sequence[Place], alarm: Alarm, *, settled: bool, hobby: bool) -> tuple[str, str]:
     """Headline and remedy."""
     untested = [p for p in places if p.verdict == "not tested"]
     if alarm.masked:
@@ -479,12 +467,6 @@ def _words(
             "Something knocks, as in every arm of this class.",
             "Compare with the same session of another month: loose trend.",
         )
-    if several:
-        suspects = " and ".join(p.words for p in places[:2])
-        return (
-            f"More than one place knocks; {suspects} fit best.",
-            f"Check {top.words} first, then repeat the session.",
-        )
     if settled:
         return f"{top.words[0].upper()}{top.words[1:]} is loose.", _work(top)
     listed = " or ".join([p.words for p in places if p.verdict == "suspect"][:3])
@@ -496,5 +478,8 @@ def _words(
 
 def _work(place: Place) -> str:
     if place.kind == BOLTS:
-        return f"Torque the bolts at {place.words}, then repeat the session."
-    return f"Measure the play at {place.words}, and repeat the session after the repair."
+        return f"Torque the bolts at {place.words}, then repeat the session: {_AGAIN}."
+    return f"Measure the play at {place.words}, repair it, then repeat the session: {_AGAIN}."
+
+
+_AGAIN = "a second loose place is heard once the louder one is tight"

@@ -98,8 +98,6 @@ class Diagnosis(JsonFile):
     """What to do next, in a sentence."""
     settled: bool
     """True if one place is sure."""
-    several: bool
-    """True if more than one place seems loose."""
     places: tuple[Place, ...]
     """All places, best first."""
     reasons: tuple[str, ...] = ()

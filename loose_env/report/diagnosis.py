@@ -30,7 +30,6 @@ _EVIDENCE = {
     "odd_db": ("Rise of the odd lines left out", " dB", ""),
     "stiff": ("Growth of the tool's motion that the healthy gears leave", "", "stiff"),
     "payload_kg": ("Mass at the tool that would explain it", " kg", ""),
-    "second": ("Correlation of a second place's knocks beside it", "", "second"),
     "friction": ("Correlation of the friction's rhythm with it", "", ""),
     "gears_left": ("Share of the tool's slow motion that the model leaves", "", ""),
 }
@@ -86,7 +85,7 @@ def diagnosis_commands(d: Diagnosis, recording: str = "", result: str = "") -> l
     model = path_word(own / MODEL)
     if d.hobby:
         return [f"loose trend EARLIER {path_word(own)} --out trend"]
-    if d.settled or d.several:
+    if d.settled:
         return [
             f"loose plan {model} --out session-after",
             f"loose diagnose session-after/{RECORDING} --out session-after/diagnosis",

@@ -74,7 +74,6 @@ class Loose:
         return {
             "verdict": found.verdict,
             "settled": found.settled,
-            "several": found.several,
             "places": [
                 {
                     "kind": place.kind,
