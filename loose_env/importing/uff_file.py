@@ -1,4 +1,4 @@
-"""Time histories of a universal file (data set 58), read by ``pyuff`` and listed."""
+"""Time histories of a universal file (data set 58), read by ``pyuff``."""
 
 from __future__ import annotations
 
@@ -12,18 +12,8 @@ from typing import Any
 import numpy as np
 
 from loose_env.errors import InvalidData, MissingExtra
-from loose_env.importing.mapping.mapping import TimeSource
-from loose_env.importing.mapping.units import unit_named
-from loose_env.importing.samples import (
-    Channel,
-    ChannelKey,
-    FileList,
-    Samples,
-    Stream,
-    checked,
-    unreadable,
-)
-from loose_env.recording import nearest
+from loose_env.importing.samples import ChannelKey, Log, Table, unreadable
+from loose_env.importing.units import unit_named
 from loose_env.typing import Array
 
 _MOST_BYTES = 2**30
@@ -64,66 +54,37 @@ class _Set:
         return code == 1 or (code == 0 and self.data.get("abscissa_spec_data_type") == _TIME)
 
 
-def read_uff(
-    path: Path, name: str, keys: Sequence[ChannelKey], time: TimeSource
-) -> dict[ChannelKey, Samples]:
-    """Read time histories of a universal file.
+def open_uff(path: Path, name: str) -> Log:
+    """Open a universal file: a table for each time history.
 
     A file keeps six digits of its step: where that step is a whole number of samples a second
     within those digits, the whole number is taken, since 48000.77 Hz in the place of 48000 Hz
     would shift a minute's end by a millisecond.
     """
-    sets = _headers(path, name)
-    names = [each.name for each in sets]
-    chosen: dict[ChannelKey, _Set] = {}
-    for key in keys:
-        if key.topic:
-            raise InvalidData(f"{name}: a universal file has no topics; leave out topic")
-        found = [s for s in sets if key.channel in (s.name, f"#{s.number}")]
-        if len(found) != 1:
-            if found:
-                numbers = " or ".join(f"#{each.number}" for each in found)
+
+    def tables(_: str, keys: Sequence[ChannelKey] | None) -> list[Table]:
+        sets = _headers(path, name)
+        wanted = None if keys is None else {key.channel for key in keys}
+        found = []
+        for each in sets:
+            alone = sum(other.name == each.name for other in sets) == 1
+            key = each.name if alone else f"#{each.number}"
+            if each.is_history:
+                asked = wanted is None or wanted & {key, f"#{each.number}"}
+                found.append(_table(path, name, each, key) if asked else _bare(name, each, key))
+            elif wanted is not None and wanted & {each.name, f"#{each.number}"}:
                 raise InvalidData(
-                    f"{name}: {key.channel!r} is there {len(found)} times; take {numbers}"
+                    f"{name}: {key!r} is of the kind {each.kind!r}, no time history; export the "
+                    "recorded signal itself"
                 )
-            raise InvalidData(
-                f"{name}: there is no history {key.channel!r}; there are "
-                f"{', '.join(map(repr, names[:30])) or 'none'}{nearest(key.channel, names)}"
-            )
-        if not found[0].is_history:
-            raise InvalidData(
-                f"{name}: {key.channel!r} is of the kind {found[0].kind!r}, no time history; "
-                "export the recorded signal itself"
-            )
-        chosen[key] = found[0]
-    return {key: _samples(path, name, each, key, time) for key, each in chosen.items()}
+        return found
+
+    return Log(name=name, kind="uff", words="universal file", tables=tables)
 
 
-def list_uff(path: Path, name: str) -> FileList:
-    """List the data sets 58 of a universal file."""
-    streams = []
-    sets = _headers(path, name)
-    names = [each.name for each in sets]
-    for each in sets:
-        key = ChannelKey(each.name if names.count(each.name) == 1 else f"#{each.number}")
-        words = f"#{each.number}, {each.data.get('id1', '')}".strip(" ,")
-        if not each.is_history:
-            streams.append(Stream(kind=each.kind, note=f"{key}: no time history"))
-            continue
-        samples = _samples(path, name, each, key, TimeSource())
-        channel = Channel(
-            key=key, first=tuple(samples.values[:3].tolist()), unit=each.unit, words=words
-        )
-        streams.append(
-            Stream(
-                kind=each.kind,
-                samples=len(samples.time),
-                seconds=float(samples.time[-1] - samples.time[0]),
-                channels=(channel,),
-                note="" if each.unit else "the file gives no unit that is known",
-            )
-        )
-    return FileList(name=name, kind="uff", words="universal file", streams=tuple(streams))
+def _bare(name: str, each: _Set, key: str) -> Table:
+    """Name of a history that is not read."""
+    return Table(place=name, columns={key: np.empty(0)}, aliases={f"#{each.number}": key})
 
 
 def _headers(path: Path, name: str) -> list[_Set]:
@@ -155,8 +116,8 @@ def _headers(path: Path, name: str) -> list[_Set]:
     return sets
 
 
-def _samples(path: Path, name: str, each: _Set, key: ChannelKey, time: TimeSource) -> Samples:
-    place = f"{name}: {key.channel!r}"
+def _table(path: Path, name: str, each: _Set, key: str) -> Table:
+    place = f"{name}: {key!r}"
     data = _quietly(lambda: _open(path, name).read_sets(each.number - 1), place)
     values, told = np.asarray(data["data"]), int(data["num_pts"])
     if np.iscomplexobj(values):
@@ -165,17 +126,24 @@ def _samples(path: Path, name: str, each: _Set, key: ChannelKey, time: TimeSourc
         raise InvalidData(
             f"{place}: cut short or damaged: {told} values declared, {len(values)} there"
         )
-    even = int(data["abscissa_spacing"]) == 1
-    if time.rate_hz is not None:
-        at: Array = np.arange(told) / time.rate_hz
-    elif even:
+    if int(data["abscissa_spacing"]) == 1:
         step = float(data["abscissa_inc"])
         if not 1e-9 <= step <= 1e6:
             raise InvalidData(f"{place}: its step is {step:g} s; say the rate by time.rate_hz")
-        at = float(data["abscissa_min"]) + np.arange(told) / _rate(step)
+        at: Array = float(data["abscissa_min"]) + np.arange(told) / _rate(step)
     else:
         at = np.asarray(data["x"], dtype=np.float64)
-    return checked(place, at, values.astype(np.float64), unit=each.unit, row_word="value")
+    return Table(
+        place=name,
+        columns={key: values.astype(np.float64)},
+        times=at,
+        units={key: each.unit} if each.unit else {},
+        words={key: f"#{each.number}, {each.data.get('id1', '')}".strip(" ,")},
+        aliases={f"#{each.number}": key},
+        row_word="value",
+        kind=each.kind,
+        note="" if each.unit else "the file gives no unit that is known",
+    )
 
 
 def _rate(step: float) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import fft, signal
 
 from loose_env.errors import InvalidData
-from loose_env.importing.timing.resampling import bridged, median_step, resampled
+from loose_env.importing.resampling import bridged, median_step, resampled
 from loose_env.typing import Array
 
 _MOST_POINTS = 2**24

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import mujoco
@@ -40,12 +41,20 @@ def _table() -> dict[str, Unit]:
             "min": 60.0,
             "h": 3600.0,
         },
-        "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "in/s": 0.0254},
+        "speed": {
+            "m/s": 1.0,
+            "m/min": 1 / 60,
+            "mm/min": 1e-3 / 60,
+            "cm/s": 1e-2,
+            "mm/s": 1e-3,
+            "in/s": 0.0254,
+        },
         "angular speed": {
             "rad/s": 1.0,
             "mrad/s": 1e-3,
             "deg/s": math.pi / 180,
             "°/s": math.pi / 180,
+            "dps": math.pi / 180,
             "rpm": 2 * math.pi / 60,
             "rev/s": 2 * math.pi,
         },
@@ -82,9 +91,16 @@ def _table() -> dict[str, Unit]:
 UNITS = _table()
 """Name -> unit. Also read are ``m/s2`` and ``m/s²``, and ``Nm``, ``N·m`` and ``N.m``."""
 
-_SAME = {"Nm": "N*m", "mNm": "mN*m", "kNm": "kN*m", "Ncm": "N*cm", "Nmm": "N*mm", "μm": "um",
-         "μs": "us", "°C": "°C", "degree": "deg", "degrees": "deg", "sec": "s", "g's": "g",
-         "gn": "g", "radians": "rad", "volt": "V"}  # fmt: skip
+_SAME = {
+    given: name
+    for name, all_given in {
+        "N*m": "Nm", "mN*m": "mNm", "kN*m": "kNm", "N*cm": "Ncm", "N*mm": "Nmm", "um": "μm",
+        "us": "μs", "deg": "degree degrees", "s": "sec", "g": "g's gn", "rad": "radians",
+        "V": "volt", "deg/s": "degps degs", "rad/s": "rads radps", "rev": "turn turns",
+        "rpm": "RPM 1/min min-1 U/min r/min", "m/s^2": "mps2", "%": "percent pct",
+    }.items()
+    for given in all_given.split()
+}  # fmt: skip
 _QUANTITIES = {
     "mjSENS_ACCELEROMETER": "acceleration",
     "mjSENS_FRAMELINACC": "acceleration",
@@ -130,6 +146,20 @@ def unit_named(name: str, place: str) -> Unit:
     return found
 
 
+def quantity_of(unit: str) -> str:
+    """Quantity of a unit; "" for none, or for one that is not known.
+
+    Examples
+    --------
+    >>> quantity_of("mm"), quantity_of("g"), quantity_of("counts")
+    ('length', 'acceleration', '')
+    """
+    try:
+        return unit_named(unit, "").quantity if unit else ""
+    except InvalidData:
+        return ""
+
+
 def known_units() -> str:
     """List of all units by quantity."""
     quantities = dict.fromkeys(unit.quantity for unit in UNITS.values())
@@ -166,3 +196,25 @@ def _plain(name: str) -> str:
                          ("N.m", "N*m"), ("N-m", "N*m")):  # fmt: skip
         plain = plain.replace(given, taken)
     return _SAME.get(plain, plain)
+
+
+_MARKED = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
+_TAILED = re.compile(r"_([a-zA-Z/0-9^]+)$")
+
+
+def unit_in(name: str) -> str:
+    """Unit that the name of a column ends with, such as "[deg]" or "_ms"; "" for none.
+
+    Examples
+    --------
+    >>> unit_in("gyro_x_dps"), unit_in("Winkel [deg]"), unit_in("data_g")
+    ('dps', 'deg', '')
+    """
+    for pattern in (_MARKED, _TAILED):
+        found = pattern.search(name)
+        if found is None or _plain(found.group(1)) not in UNITS:
+            continue
+        # One letter after an underscore is more often an axis or a number than a unit.
+        if pattern is _MARKED or len(found.group(1)) > 1:
+            return found.group(1)
+    return ""

@@ -1,4 +1,4 @@
-"""Unit of a position by its range within joint limits, of a velocity by the derivative."""
+"""Units of channels: stated, else by limits, by a velocity beside, or by the model's torque."""
 
 from __future__ import annotations
 
@@ -8,21 +8,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loose_env.importing.guessing.joint_targets import JointTarget
-from loose_env.importing.guessing.quantities import quantity_of
-from loose_env.importing.mapping.units import unit_named
+from loose_env.importing.names import Role
+from loose_env.importing.targets import JointTarget
+from loose_env.importing.units import quantity_of, unit_named
 from loose_env.typing import Array
 
 _MARGIN = 0.05
 """Part of a joint's range by which a sensor may exceed the limits [1]."""
-_TURNS = 1.1 * 2 * math.pi
-"""Largest position taken of a joint without limits [rad]: a turn each way, and a margin."""
+_TURNS = 20.0
+"""Largest position of a joint without limits that is taken for radians where nothing else tells:
+three turns each way. A channel that is consistent with a velocity is radians beyond it, too."""
 _NORMALISED = 102.0
 """Largest value taken as normalised to 100 [1]: a calibrated end, and a margin."""
 _NEAR = 1.5
 """Factor within which a ratio of rates counts as that of a unit [1]."""
-_RATES = {"rad/s": 1.0, "deg/s": 180 / math.pi, "rpm": 30 / math.pi}
-_SPEEDS = {"m/s": 1.0, "mm/s": 1e3}
+_RATES = {"rad/s": 1.0, "deg/s": 180 / math.pi, "rpm": 30 / math.pi, "rev/s": 0.5 / math.pi}
+_SPEEDS = {"m/s": 1.0, "mm/s": 1e3, "cm/s": 1e2, "mm/min": 6e4}
+_ALLOWED: dict[Role, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "position": (("angle", "number"), ("length", "number")),
+    "velocity": (("angular speed",), ("speed",)),
+    "torque": (("torque",), ("force",)),
+    "current": (("current",), ("current",)),
+    "command": (
+        ("angle", "angular speed", "torque", "number", "voltage", "current"),
+        ("length", "speed", "force", "number", "voltage", "current"),
+    ),
+}
+"""Role -> quantities of a channel of a hinge and of a slide."""
+_RATE_OF = {"angle": "angular speed", "length": "speed"}
 
 
 @dataclass(frozen=True)
@@ -35,6 +48,29 @@ class Scaling:
     """[rad or m]"""
     reason: str = ""
 
+    def si(self, runs: Sequence[Array], sign: int = 1) -> list[Array]:
+        """Values of runs in SI units."""
+        factor = sign * self.scale * (unit_named(self.unit, "").factor if self.unit else 1.0)
+        return [v * factor + self.offset for v in runs]
+
+
+def admits(unit: str, role: Role, *, slide: bool) -> bool:
+    """Return whether a channel with a stated unit may have a role at a joint.
+
+    Examples
+    --------
+    >>> admits("mm", "position", slide=True), admits("mm", "position", slide=False)
+    (True, False)
+    """
+    quantity = quantity_of(unit)
+    return not quantity or role not in _ALLOWED or quantity in _ALLOWED[role][slide]
+
+
+def is_rate(unit: str, of: str) -> bool:
+    """Return whether a channel may be the derivative of another, by their stated units."""
+    own, other = quantity_of(unit), quantity_of(of)
+    return not own or not other or _RATE_OF.get(other) == own
+
 
 def position_scaling(
     joint: JointTarget, values: Array, unit: str = "", why: str = "as given"
@@ -45,13 +81,16 @@ def position_scaling(
     seen = f"values {low:.4g} to {high:.4g}"
     ends = "" if joint.limits is None else f" {joint.limits[0]:.4g} to {joint.limits[1]:.4g}"
     about = f"limits{ends} {units[0]}" if ends else "no limits in the model"
-    fitting = [each for each in units if _fits(joint, low, high, each)]
     stated = quantity_of(unit)
     if stated not in ("", "number", quantity_of(units[0])):
         return None
+    if stated == "number" and unit == "%":
+        found = normalised_scaling(joint, values)
+        return None if found is None else _because(found, seen, about)
+    fitting = [each for each in units if fits(joint, low, high, each)]
     other = stated == quantity_of(units[0]) and unit not in units  # such as cm or mrad
-    if other or (unit in units and (unit in fitting or not fitting)):
-        note = "" if _fits(joint, low, high, unit) else ", which they exceed"
+    if other or (unit in units and (unit in fitting or not fitting or why == "as stated")):
+        note = "" if fits(joint, low, high, unit) else ", which they exceed"
         return Scaling(unit, reason=f"{unit} {why}; {seen}, {about}{note}")
     if fitting:
         also = (
@@ -62,7 +101,15 @@ def position_scaling(
         if fitting[0] == "deg" and max(abs(low), abs(high)) <= 100:
             also = "; values normalised to -100..100 would look alike"
         return Scaling(fitting[0], reason=f"{seen}, {about}: {fitting[0]}{also}")
-    return _otherwise(joint, values, seen, about)
+    found = normalised_scaling(joint, values)
+    if found is not None:
+        return _because(found, seen, about)
+    whole = bool(np.all(values == np.round(values)))
+    if whole and not joint.slide and low >= 0 and high < 4096:
+        turn = 2 * math.pi / 4096
+        words = "ticks of 4096 a turn, 2048 at zero"
+        return Scaling("rad", turn, -math.pi, f"{seen}, {about}: {words}")
+    return None
 
 
 def group_unit(joints: Sequence[JointTarget], values: Sequence[Array]) -> str:
@@ -73,7 +120,7 @@ def group_unit(joints: Sequence[JointTarget], values: Sequence[Array]) -> str:
     """
     hinges = [(j, v) for j, v in zip(joints, values, strict=True) if not j.slide]
     counts = {
-        unit: sum(_fits(j, float(np.min(v)), float(np.max(v)), unit) for j, v in hinges)
+        unit: sum(fits(j, float(np.min(v)), float(np.max(v)), unit) for j, v in hinges)
         for unit in ("rad", "deg")
     }
     best = max(counts, key=lambda each: counts[each])
@@ -109,7 +156,8 @@ def rate_unit(ratio: float, slide: bool) -> str:
     return best if away[best] < math.log(_NEAR) else ""
 
 
-def _fits(joint: JointTarget, low: float, high: float, unit: str) -> bool:
+def fits(joint: JointTarget, low: float, high: float, unit: str) -> bool:
+    """Return whether values in a unit lie within a joint's limits, and a margin."""
     factor = unit_named(unit, "").factor
     if joint.limits is None:
         return max(abs(low), abs(high)) * factor <= (1.0 if joint.slide else _TURNS)
@@ -117,15 +165,6 @@ def _fits(joint: JointTarget, low: float, high: float, unit: str) -> bool:
     return joint.limits[0] - margin <= low * factor and high * factor <= joint.limits[1] + margin
 
 
-def _otherwise(joint: JointTarget, values: Array, seen: str, about: str) -> Scaling | None:
-    """Values normalised to the joint's range, or ticks of an encoder."""
-    low, high = float(np.min(values)), float(np.max(values))
-    found = normalised_scaling(joint, values)
-    if found is not None:
-        return Scaling(found.unit, found.scale, found.offset, f"{seen}, {about}: {found.reason}")
-    whole = bool(np.all(values == np.round(values)))
-    if whole and not joint.slide and low >= 0 and high < 4096:
-        turn = 2 * math.pi / 4096
-        words = "ticks of 4096 a turn, 2048 at zero"
-        return Scaling("rad", turn, -math.pi, f"{seen}, {about}: {words}")
-    return None
+def _because(scaling: Scaling, seen: str, about: str) -> Scaling:
+    reason = f"{seen}, {about}: {scaling.reason}"
+    return Scaling(scaling.unit, scaling.scale, scaling.offset, reason)

@@ -9,12 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from loose_env.importing.mapping.checked_fields import among, within
-from loose_env.importing.samples import ChannelKey
+from loose_env.importing.checked_fields import among, within
+from loose_env.importing.samples import ChannelKey, FileKind
+from loose_env.importing.units import unit_named
 from loose_env.recording import Condition
 
-FileKind = Literal["csv", "mcap", "uff", "rosbag2", "lerobot", "hdf5", "sysid"]
-"""Kinds of files and folders that are read."""
 Sign = Literal[1, -1]
 Method = Literal["band", "hold"]
 """Resampling to the run's times: band-limited, or zero-order hold."""
@@ -28,6 +27,8 @@ class TimeSource:
     """CSV, HDF5, LeRobot: column of the time; "timestamp" by default in a LeRobot dataset."""
     unit: str = "s"
     """Unit of a time given as a number."""
+    fine: str = ""
+    """Column of the nanoseconds within each second of ``column``, where there are two."""
     date_format: str = ""
     """CSV: "iso", or a format of Python's ``strptime``, where the column holds dates; recognised
     from the column by default."""
@@ -124,8 +125,19 @@ class ColumnEntry:
     """"hold" for ``ctrl.`` columns and "band" for the others by default."""
     delay_s: float = field(default=0.0, metadata=within(-1e4, 1e4))
     """Latency of the channel [s]."""
+    period: float | None = field(default=None, metadata=within(1e-9, 1e18))
+    """Period at which the values wrap around, such as 360 or 65536 [channel's own unit]; whole
+    periods are added until neighbours are less than half of one apart, from the one about 0."""
+    sign_bit: int | None = field(default=None, metadata=within(1, 62))
+    """Bit that holds the sign of a word whose other bits are its magnitude."""
     gap_s: float | None = field(default=None, metadata=within(1e-9, 1e9))
     """Longest pause between samples that is bridged [s]."""
+
+    @property
+    def factor(self) -> float:
+        """Factor from the channel's values to SI units, as far as the mapping states it."""
+        unit = unit_named(self.unit, self.place).factor if self.unit else 1.0
+        return self.sign * self.scale * unit
 
     @property
     def way(self) -> Method:
@@ -168,3 +180,5 @@ class ImportMapping:
     """MJCF file, from the mapping's folder; may be empty."""
     sources: Mapping[str, SourceEntry]
     runs: tuple[RunPlan, ...]
+    unused: tuple[str, ...] = ()
+    """Files that may be given, and are not read."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from loose_env.errors import InvalidData
-from loose_env.importing.timing.resampling import median_step
+from loose_env.importing.resampling import median_step
 from loose_env.typing import Array
 
 _OFF = 3.0

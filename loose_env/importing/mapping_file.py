@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from loose_env.errors import InvalidData
-from loose_env.importing.mapping.checked_fields import Fields, got, number, text
-from loose_env.importing.mapping.mapping import (
+from loose_env.importing.checked_fields import Fields, got, number, text
+from loose_env.importing.dates import date_ns
+from loose_env.importing.mapping import (
     Align,
     ColumnEntry,
     CsvLayout,
@@ -19,9 +20,8 @@ from loose_env.importing.mapping.mapping import (
     SourceEntry,
     TimeSource,
 )
-from loose_env.importing.mapping.units import unit_named
 from loose_env.importing.samples import ChannelKey
-from loose_env.importing.timing.dates import date_ns
+from loose_env.importing.units import unit_named
 from loose_env.recording import nearest, read_text
 
 MAPPING_FORMAT = "loose-mapping/1"
@@ -79,7 +79,7 @@ def read_mapping(file: str | Path) -> ImportMapping:
 
 def mapping_of(whole: Any, name: str) -> ImportMapping:
     """Check a mapping that was read from a file; errors as `read_mapping`."""
-    top = Fields(name, whole, also=("format", "model", "sources", "columns", "runs"))
+    top = Fields(name, whole, also=("format", "model", "sources", "columns", "runs", "unused"))
     if top.text("format") != MAPPING_FORMAT:
         raise InvalidData(
             f"{name}: format is {top.given['format']!r:.60}; this version reads {MAPPING_FORMAT!r}"
@@ -103,7 +103,11 @@ def mapping_of(whole: Any, name: str) -> ImportMapping:
             f"{name}: runs is a list of 1 to {_MOST_RUNS} tables, [[runs]] in TOML, {got(runs)}"
         )
     plans = tuple(_run(name, i, run, shared, sources) for i, run in enumerate(runs))
-    return ImportMapping(name=name, model=top.text("model", ""), sources=sources, runs=plans)
+    unused = whole.get("unused", [])
+    if not isinstance(unused, list) or not all(isinstance(each, str) for each in unused):
+        raise InvalidData(f"{name}: unused is a list of files, {got(unused)}")
+    model = top.text("model", "")
+    return ImportMapping(name=name, model=model, sources=sources, runs=plans, unused=tuple(unused))
 
 
 def source_of(place: str, name: str, given: Any) -> SourceEntry:
@@ -276,3 +280,8 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
             raise ValueError(f"the key {key[:60]!r} stands twice in one object")
         found[key] = value
     return found
+
+
+def quoted(words: str) -> str:
+    """Quote text for TOML, whose strings are JSON's but for one control character."""
+    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
