@@ -39,8 +39,7 @@ from loose_env.typing import Array, IndexArray
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
-_STATES = ("qpos", "qvel", "act")
-"""State of a simulation: positions, speeds and activations."""
+_STATES = ("qpos", "qvel", "act")  # state of a simulation: positions, speeds and activations
 _WRITTEN = ("qpos", "qvel", "ctrl", "qfrc_applied")
 """What effects and the middle of a step are read from or written to."""
 _LOADS = ("qfrc_actuator", "qfrc_bias")
@@ -223,10 +222,8 @@ def _expand(batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
 
 
 _Own = NDArray[np.bool_] | slice
-_Rows = Sequence[tuple[Hypothesis, _Own]]
-"""Hypotheses, and which simulations have them."""
-_Groups = Sequence[tuple[_Driven, _Own]]
-"""Driven effects, and which simulations have them."""
+_Rows = Sequence[tuple[Hypothesis, _Own]]  # hypotheses, and which simulations have them
+_Groups = Sequence[tuple[_Driven, _Own]]  # driven effects, and which simulations have them
 
 
 def _rows(each: Sequence[Hypothesis]) -> _Rows:

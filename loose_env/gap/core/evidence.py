@@ -22,19 +22,15 @@ BANDS = 7
 """Bands of a channel, the first around zero, the others of equal ratio."""
 STRETCHES = 8
 """Stretches of a recording, about: enough to see whether a residual repeats."""
-_MOST_STRETCHES = 16
-"""Stretches whose cells are apart; of more runs, several share theirs."""
-_SHORTEST_S = 4.0
-"""Shortest stretch [s]."""
+_MOST_STRETCHES = 16  # stretches whose cells are apart; of more runs, several share theirs
+_SHORTEST_S = 4.0  # shortest stretch [s]
 KNOCK = 16.0
 """Mean square residual over its local median beyond which a stretch is a knock, not motion."""
 _NOISE = 1.1
 """Noise that is believed over its estimate, which takes it for white: filters and rounding colour
 it by some per cent."""
-_REST = 0.01
-"""Speed over the typical one below which a joint is at rest, or four times its noise."""
-_LEAST_SHARE = 0.01
-"""Mean square of a window below which a stretch has no cells."""
+_REST = 0.01  # speed over the typical one below which a joint is at rest, or four times its noise
+_LEAST_SHARE = 0.01  # mean square of a window below which a stretch has no cells
 _FELT = 0.05
 """Squared noise standard deviations of a standard deviation of tolerance below which it is not
 felt."""

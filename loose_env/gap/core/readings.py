@@ -18,10 +18,8 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.sensors import column_of, delayed
 from loose_env.typing import Array
 
-_NUDGE = 1e-4
-"""Displacement of numerical derivatives [rad, m]."""
-_POSES = 12
-"""States at which the sensitivity of readings to the motion is looked up."""
+_NUDGE = 1e-4  # displacement of numerical derivatives [rad, m]
+_POSES = 12  # states at which the sensitivity of readings to the motion is looked up
 _KINEMATIC = ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0", "site_pos", "site_quat")
 
 

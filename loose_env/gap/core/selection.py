@@ -33,28 +33,20 @@ LEAST_VALUES = 1.5
 """Values of a cell's discrepancy, at least: its amplitude, and a half for its shape, and:"""
 SHARE_VALUES = 0.02
 """share of a cell's values that they are at most when nothing repeats."""
-_ROUNDS = 8
-"""Reweighted rounds of one fit."""
-_LEAST_GAIN = 0.5
-"""Fall of minus twice the log evidence for which a step is taken."""
-_SCREENED = 14
-"""Candidates that are fitted in one step."""
-_FITTED = 3
-"""Sets that are fitted for each weighting: the best at fixed weights."""
-_MOST = 40
-"""Steps of a search."""
+_ROUNDS = 8  # reweighted rounds of one fit
+_LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is taken
+_SCREENED = 14  # candidates that are fitted in one step
+_FITTED = 3  # sets that are fitted for each weighting: the best at fixed weights
+_MOST = 40  # steps of a search
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
-_SETTLED, _SECANTS = 2, 4
-"""Sets of a step that are relinearised, and how often."""
+_SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _MISSED = (0.0, *(2.0**-k for k in range(7, -1, -1)))
 """Squared shares of the tolerance of laws that are tried."""
-_SIZES = 10.0
-"""Widths of the prior of a size that values are given."""
-_STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
-"""Relative steps in which shapes are refined."""
+_SIZES = 10.0  # widths of the prior of a size that values are given
+_STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)  # relative steps in which shapes are refined
 
 Set = tuple[Term, ...]
 

@@ -19,8 +19,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-_AT_BOUND = 1.02
-"""Ratio of an interval's end to a parameter's bound at which it reaches it."""
+_AT_BOUND = 1.02  # ratio of an interval's end to a parameter's bound at which it reaches it
 
 Mountings = tuple[tuple[str, ...], ...]
 """Names of the runs of each way in which something is mounted."""
