@@ -304,14 +304,6 @@ class Effect:
         """
         return self.command(time, controls, values)
 
-    def sensor_delay(self, values: Array) -> tuple[str, float] | None:
-        """Return a delayed sensor with its delay [s]; None for one that `read` can shift.
-
-        A reading that jumps with commands, such as an acceleration, cannot be interpolated between
-        its samples: it is computed from the motion at the earlier time.
-        """
-        return None
-
     def torque(self, position: Array, speed: Array, values: Array) -> Array:
         """Compute joint torques beyond those of the model, in the joints' direction.
 
