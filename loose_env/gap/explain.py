@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import softmax
 
 from loose_env.doctor import Finding as Preflight
-from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms
+from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms, places_of
 from loose_env.gap.core.exact import LARGE
 from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
@@ -29,7 +29,7 @@ from loose_env.gap.core.residual import (
     responses,
     simulated,
 )
-from loose_env.gap.core.selection import Selection, SetFit, neighbours
+from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.model.effects.inertia import payload_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import naming_notes
@@ -319,6 +319,7 @@ def named_effect(found: Finding) -> NamedEffect:
         probability=found.probability,
         z=found.z,
         held_out_gain={"run": found.by_run, "stretch": found.by_stretch},
+        doubt=found.doubt,
     )
 
 
@@ -328,9 +329,9 @@ def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
     machine = evidence.balance.machine
     known = [f.term.name for f in decision.findings] + [(k, w) for _, k, w in decision.rivals]
     found = []
-    for number, own in enumerate(decision.joints):
-        near = neighbours(machine, own.joint.removeprefix("sensor.").split(".")[0])
-        effects = [n for n in known if n[0] in own.effects and n[1] in near]
+    for number, (own, channel) in enumerate(zip(decision.joints, evidence.channels, strict=True)):
+        places = places_of(evidence.balance, channel.joint)
+        effects = [n for n in known if n[0] in own.effects and n[1] in places]
         before, after = gap.by_channel[own.joint]
         found.append(
             ChannelVerdict(

@@ -12,7 +12,7 @@ them; friction and stops follow the same constraint law as in `loose_env.faults.
 Centripetal terms are left out: they are of second order in the motion.
 
 The rig draws the same torques, noise and starting places as `SimulatedRig` and reads its records
-with the same sensors. One compiled loop takes eight arms at once from torque to low-passed
+with the same sensors. One compiled loop takes many arms at once from torque to low-passed
 readings; linearisation and sensors work on whole batches, and every sum is taken in an order that
 the batch does not change.
 """
@@ -47,7 +47,7 @@ from loose_env.rig.simulated import (
     read_records,
 )
 from loose_env.sensors import SensorSuite
-from loose_env.typing import Array, IndexArray
+from loose_env.typing import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -335,6 +335,7 @@ def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
 
 
 _TOGETHER = 64  # arms whose signals are worked on at once: more than fit the cache are slower
+_LEAST = 16  # arms in one run of the loop; it takes several in one instruction
 
 
 class ReducedRig(SlotRig):
@@ -394,8 +395,12 @@ class ReducedRig(SlotRig):
         super().__init__(arm, slots, sensors, timestep, threads)
         # numba's stubs know no signature.
         self._integrate: Callable[..., None] = small_motion_loop.integrate
-        self._lanes = small_motion_loop.LANES
         self._threads = threads or os.cpu_count() or 1
+        rate, bandwidth = self.sensors.rate, self.sensors.accelerometer.bandwidth
+        self._steps = (
+            *(self.timestep, round(arm.settling * rate) * self.factor, self.factor),
+            decimation_filter(self.factor, bandwidth, rate),
+        )
         self._layouts: dict[PlantIndices, MotionLayout] = {}
         self._healthy = healthy = self.shop.build(Healthy(), MismatchDraw.none(arm))
         self.plants = [healthy] * slots
@@ -476,69 +481,41 @@ class ReducedRig(SlotRig):
         jobs: Sequence[Job],
         count: int,
     ) -> tuple[Motion, Noise]:
-        """Integrate the arms, so many at once as there are lanes; draw the noise meanwhile."""
-        motion = Motion(
-            smooth=np.empty((len(jobs), motions.still.shape[1], count)),
-            position=np.empty((len(jobs), self.arm.n, count + 2)),
-        )
+        """Integrate the arms, some on each thread; draw the noise meanwhile."""
+        arms, period = len(jobs), delivered.shape[1]
+        driven, at = np.unique(control.drives, return_inverse=True)
+        torque = np.zeros((len(driven), period, arms))
+        torque[at, :, control.records] = delivered
+        # The loop takes the arms along the last axis.
+        parts = [np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in motions.parts]
+        smooth = np.empty((motions.still.shape[1], count, arms))
+        position = np.empty((self.arm.n, count + 2, arms))
 
-        def some(first: int) -> None:
-            last = min(first + self._lanes, len(jobs))
-            own = (control.records >= first) & (control.records < last)
-            self._integrate_some(
-                first,
-                last,
-                motions,
-                motion,
-                delivered[own],
-                control.records[own] - first,
-                control.drives[own],
-            )
+        def some(first: int, last: int) -> None:
+            own = [np.ascontiguousarray(part[..., first:last]) for part in (*parts, torque)]
+            seen = np.empty((*smooth.shape[:-1], last - first))
+            turned = np.empty((*position.shape[:-1], last - first))
+            self._integrate(*own, driven, *self._steps, seen, turned)
+            smooth[..., first:last], position[..., first:last] = seen, turned
 
-        starts = range(0, len(jobs), self._lanes)
+        share = max(_LEAST, -(-arms // self._threads))
+        spans = [(first, min(first + share, arms)) for first in range(0, arms, share)]
         with ExitStack() as stack:
             waiting = []
             if self._threads > 1:  # compiled loops and draws run beside each other
                 pool = stack.enter_context(ThreadPoolExecutor(self._threads))
-                waiting = [pool.submit(some, first) for first in starts]
+                waiting = [pool.submit(some, *span) for span in spans]
             noise = draw_noise(jobs, self._axes, joints=self.arm.n, count=count)
             for done in waiting:
                 done.result()
         if not waiting:
-            for first in starts:
-                some(first)
-        return motion, noise
-
-    def _integrate_some(
-        self,
-        first: int,
-        last: int,
-        motions: SmallMotion,
-        motion: Motion,
-        delivered: Array,
-        lanes: IndexArray,
-        drives: IndexArray,
-    ) -> None:
-        """Integrate the arms of one run of the loop; unused lanes repeat the last arm."""
-        chosen = np.minimum(np.arange(first, first + self._lanes), last - 1)
-        driven, at = np.unique(drives, return_inverse=True)
-        torque = np.zeros((len(driven), self._lanes, delivered.shape[1]))
-        torque[at, lanes] = delivered
-        seen = np.empty((motion.smooth.shape[1], motion.smooth.shape[2], self._lanes))
-        turned = np.empty((motion.position.shape[1], motion.position.shape[2], self._lanes))
-        self._integrate(
-            *(np.ascontiguousarray(np.moveaxis(part[chosen], 0, -1)) for part in motions.parts),
-            np.ascontiguousarray(torque.transpose(0, 2, 1)),
-            driven,
-            self.timestep,
-            round(self.arm.settling * self.sensors.rate) * self.factor,
-            self.factor,
-            decimation_filter(self.factor, self.sensors.accelerometer.bandwidth, self.sensors.rate),
-            seen,
-            turned,
-        )
-        motion.smooth[first:last] = seen.transpose(2, 0, 1)[: last - first]
-        motion.position[first:last] = turned.transpose(2, 0, 1)[: last - first]
+            for span in spans:
+                some(*span)
+        # Contiguous for each record, so that sums over it do not depend on the others.
+        return Motion(
+            smooth=np.ascontiguousarray(smooth.transpose(2, 0, 1)),
+            position=np.ascontiguousarray(position.transpose(2, 0, 1)),
+        ), noise
 
     def _layout(self, plant: Plant) -> MotionLayout:
         found = self._layouts.get(plant.indices)

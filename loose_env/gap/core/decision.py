@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.core.balance import USUAL
+from loose_env.gap.core.balance import USUAL, Balance
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import append, stretches_of
 from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
@@ -63,8 +63,13 @@ class Finding:
     """Rise of twice the log likelihood of held-out runs."""
     by_stretch: float
     """The same of held-out stretches of all runs."""
-    named: bool
-    """Whether it is named."""
+    doubt: str
+    """Reason why it is not named, "" if it is."""
+
+    @property
+    def named(self) -> bool:
+        """Whether it is named."""
+        return not self.doubt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,17 +131,13 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
         by_run, by_stretch = (float(g[number]) for g in gains)
         alike = _confusable(selection, term, chances)
         chance = float(sum(w for names, w in zip(near, weights, strict=True) if names & alike))
-        held = max(by_run, by_stretch) >= HELD_OUT and min(by_run, by_stretch) > CONTRADICTED
+        held = max(by_run, by_stretch) if min(by_run, by_stretch) > CONTRADICTED else -np.inf
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
                 probability=chance, confusable=tuple(sorted(alike - {term.name})),
                 z=z, by_run=by_run, by_stretch=by_stretch,
-                # what leaves most of its channel as it was is beside something that nothing is
-                named=chance >= NAMED
-                and z > _Z
-                and held
-                and not open_[_main(selection, fit, term)],
+                doubt=_doubt(chance, z > _Z, held, bool(open_[_main(selection, fit, term)])),
             )
         )  # fmt: skip
     members = {term.name for term in fit.terms}
@@ -147,6 +148,20 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
     rivals = [r for r in rivals if r[0] > _RIVAL]
     joints = tuple(_verdicts(selection, findings, rivals, before, after))
     return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=tuple(rivals))
+
+
+def _doubt(chance: float, sure: bool, gain: float, left: bool) -> str:
+    """Reason why an effect of some probability and held-out gain is not named; "" if it is.
+
+    What leaves most of its channel as it was is beside something that nothing explains.
+    """
+    reasons = {
+        "improbable": chance < NAMED,
+        "its interval includes no effect": not sure,
+        "held-out data do not confirm it": gain < HELD_OUT,
+        "most of what it acts on stays unexplained": left,
+    }
+    return "; ".join(words for words, applies in reasons.items() if applies)
 
 
 def _simulated_ends(fit: ExactFit, number: int) -> list[Array]:
@@ -203,10 +218,7 @@ def decide_simulated(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
                 probability=chance, confusable=(), z=np.inf if sure else 0.0, by_run=gain,
                 by_stretch=gain,
-                named=chance >= NAMED
-                and sure
-                and gain >= HELD_OUT
-                and not shown.get(term.name, False),
+                doubt=_doubt(chance, sure, gain, bool(shown.get(term.name))),
             )
         )  # fmt: skip
     members = {term.name for term in best.terms}
@@ -457,13 +469,10 @@ def _verdicts(
     after: Array,
 ) -> Iterable[JointVerdict]:
     """One verdict for each joint that the evidence has a channel of."""
-    machine = selection.evidence.balance.machine
     unexplained = _unexplained(before, after)
     for k, channel in enumerate(selection.evidence.channels):
         joint = selection.evidence.balance.channels[channel.joint]
-        places = {joint.removeprefix("sensor.").split(".")[0]}
-        if channel.joint < len(machine.joints):
-            places |= at_joint(machine, joint) | {"all", "tool", "base"}
+        places = places_of(selection.evidence.balance, channel.joint)
         named = [f.term.effect.kind for f in findings if f.named and f.term.effect.where in places]
         open_ = [kind for _, kind, where in rivals if where in places]
         open_ += [
@@ -481,6 +490,15 @@ def _verdicts(
             joint=joint, verdict=verdict, effects=tuple(named or open_),
             before=float(before[k]), after=float(after[k]),
         )  # fmt: skip
+
+
+def places_of(balance: Balance, channel: int) -> set[str]:
+    """Locations of the effects that a channel shows: a reading's own, or all at a joint."""
+    name, joints = balance.channels[channel], balance.machine.joints
+    if channel >= len(joints):
+        return {name.removeprefix("sensor.").split(".")[0]}
+    encoders = {sensor for sensor, joint in balance.encoders.items() if joint == channel}
+    return at_joint(balance.machine, name) | encoders | {"all", "tool", "base"}
 
 
 def held_out_rms(selection: Selection, fit: SetFit) -> Array:

@@ -134,6 +134,7 @@ def _effects(selection: Selection) -> tuple[VisibleEffect, ...]:
             VisibleEffect(
                 kind=name[0], where=name[1], smallest=_sizes(shown),
                 units={p.name: p.unit for p in shown.term.effect.parameters},
+                below="high" in dict(shown.term.effect.limit).values(),
                 visible=visible, confusable_with=rival,
             )
         )  # fmt: skip
@@ -169,11 +170,12 @@ def _rival(
 
 
 def _sizes(shown: _Shown) -> dict[str, float]:
-    """Smallest visible value of each parameter, the others as without the effect."""
+    """Smallest visible change of each parameter, the others as without the effect."""
     effect, term = shown.term.effect, shown.term
     names = [p.name for p in effect.parameters]
     if term.law:
-        return dict(zip(names, term.axes[0], strict=True))
+        null = np.array(effect.null_values or 0.0)
+        return dict(zip(names, np.abs(np.array(term.axes[0]) - null).tolist(), strict=True))
     nothing = term.values(np.zeros(len(term.axes)))
     found: dict[str, float] = {}
     for k, size in enumerate(shown.smallest(shown.precision)):
@@ -184,5 +186,6 @@ def _sizes(shown: _Shown) -> dict[str, float]:
         if effect.proportional is not None:
             changed = [effect.proportional]
         if changed:
-            found.setdefault(names[changed[0]], float(values[changed[0]]))
+            first = changed[0]
+            found.setdefault(names[first], float(abs(values[first] - nothing[first])))
     return found

@@ -56,6 +56,8 @@ class NamedEffect(EffectLocation):
     """Largest coefficient over its standard deviation."""
     held_out_gain: Mapping[str, float] = field(default_factory=dict)
     """Rise of twice the log likelihood of held-out data with it: by "run" and by "stretch"."""
+    doubt: str = ""
+    """Reason why it is not named; "" of one that is."""
 
     def values_in_words(self, names: Iterable[str] | None = None) -> str:
         """Format some of its parameters, by default all, with their units."""
@@ -182,6 +184,8 @@ class VisibleEffect(EffectLocation):
     """Unit of each parameter."""
     visible: bool
     """Whether that is below the size that is usual."""
+    below: bool = False
+    """Whether the effect shows below that value, not above: a spring, a limit."""
     confusable_with: EffectLocation | None = None
     """Effect beside which it would not be visible at its usual size."""
 
