@@ -30,11 +30,11 @@ from loose_env.gap.core.residual import (
     simulated,
 )
 from loose_env.gap.core.selection import Selection, SetFit
+from loose_env.gap.core.tolerances import GapSettings
 from loose_env.gap.model.effects.inertia import payload_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import naming_notes
 from loose_env.gap.next_motion import NEXT_MOTION, NextMotion, write_next_motion
-from loose_env.gap.output.advice import how_to_see, how_to_separate
 from loose_env.gap.output.corrected_model import correction_code, model_notes, write_model
 from loose_env.gap.output.result import (
     ChannelVerdict,
@@ -46,9 +46,10 @@ from loose_env.gap.output.result import (
     RankedSet,
     TolerancePull,
     Verdict,
+    how_to_see,
+    how_to_separate,
 )
 from loose_env.gap.runs import measured_runs
-from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording, Run
 from loose_env.typing import Array
 
