@@ -110,18 +110,12 @@ class Shape:
 class MotionEvidence:
     """Whitened columns along one motion: nominal parameters first, then all shapes."""
 
-    rows: NDArray[np.float32]
-    """Columns in noise standard deviations (R, V)."""
-    nominal: Array
-    """Residuals of the nominal model by commands and by torques (2, T, J) [N·m, N]."""
-    window: Array
-    """Taper and weight of the samples by form (2, T, J)."""
-    scale: Array
-    """One over the noise by form (2, F, J)."""
-    seconds: float
-    """Machine time [s]."""
-    wear: float
-    """Integral of the squared torque shares [s]."""
+    rows: NDArray[np.float32]  # Columns in noise standard deviations (R, V)
+    nominal: Array  # Residuals of the nominal model by commands and by torques (2, T, J) [N·m, N]
+    window: Array  # Taper and weight of the samples by form (2, T, J)
+    scale: Array  # One over the noise by form (2, F, J)
+    seconds: float  # Machine time [s]
+    wear: float  # Integral of the squared torque shares [s]
 
     @cached_property
     def _basis(self) -> NDArray[np.float32]:
@@ -233,13 +227,7 @@ class MotionBank:
         return np.array([found.wear for found in self.evidence])
 
     def index_of(self, motion: Motion) -> int:
-        """Index of a motion in the library.
-
-        Raises
-        ------
-        InvalidData
-            If it is not in it.
-        """
+        """Index of a motion in the library; InvalidData if it is not in it."""
         if motion not in self.library:
             raise InvalidData(f"{motion.description} is not in the library of this bank")
         return self.library.index(motion)
@@ -394,17 +382,7 @@ def _axes_of(
 
 
 class Along:
-    """Columns and residuals along a motion that was read, by commands and by torques.
-
-    Parameters
-    ----------
-    arm : ServoArm
-        The arm.
-    motion : Motion
-        Its motion.
-    readings : ndarray (n, 2 J)
-        Positions and torques.
-    """
+    """Columns and residuals along a motion whose readings (n, 2 J) are positions and torques."""
 
     def __init__(self, arm: ServoArm, motion: Motion, readings: Array) -> None:
         self.arm, self.commands = arm, motion.commands(arm)

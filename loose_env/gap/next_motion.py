@@ -188,8 +188,7 @@ class _Gains:
 
     pairs: tuple[PairGain, ...] = ()
     narrowed: tuple[Narrowing, ...] = ()
-    nats: float = 0.0
-    """Fall of half the log determinant of the covariance of the named effects."""
+    nats: float = 0.0  # Fall of half the log determinant of the covariance of the named effects
 
     @property
     def value(self) -> float:
@@ -211,8 +210,7 @@ class Side:
     """One member of a pair: the effect as it was fitted, and the shapes in which it is fitted."""
 
     term: Term
-    coefficients: Array
-    """Of its columns."""
+    coefficients: Array  # Of its columns
     shapes: tuple[Term, ...]
 
     @property
@@ -225,14 +223,10 @@ class Side:
 class OpenPair:
     """Two sets of effects that the runs do not tell apart, which differ in one member."""
 
-    effect: Side | None
-    """The effect of the answer; None for one that may be beside it."""
-    rival: Side
-    """What may be there."""
-    others: Set
-    """Effects that both sets have."""
-    nats: float
-    """Log evidence of the first over the second so far."""
+    effect: Side | None  # The effect of the answer; None for one that may be beside it
+    rival: Side  # What may be there
+    others: Set  # Effects that both sets have
+    nats: float  # Log evidence of the first over the second so far
 
 
 def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
@@ -397,8 +391,7 @@ class _Asked:
     """Effects in question in the evidence of recorded and planned runs."""
 
     evidence: Evidence
-    columns: Mapping[int, tuple[int, ...]]
-    """Columns of each term that shows, by its identity."""
+    columns: Mapping[int, tuple[int, ...]]  # Columns of each term that shows, by its identity
 
     def of(self, terms: Sequence[Term]) -> IndexArray:
         """Columns of some effects."""

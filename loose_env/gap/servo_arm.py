@@ -40,24 +40,15 @@ stiffest spring takes as much again, and effects add to the joint's."""
 class PlannedMotion:
     """A motion as it is given to a machine and as its model answers."""
 
-    desired: Array
-    """Desired joint positions [rad, m] (T, joints)."""
-    interval: float
-    """Interval of the samples [s]."""
-    controls: Array
-    """Commands of the actuators, in their own units (T, actuators)."""
-    position: Array
-    """Joint positions of the model [rad, m] (T, joints)."""
-    speed: Array
-    """Joint speeds of the model [rad/s, m/s] (T, joints)."""
-    torque: Array
-    """Torque of the drives on the joints [N·m, N] (T, joints)."""
-    readings: Array
-    """Readings of all sensors of the model (T, sensordata)."""
-    contacts: tuple[tuple[str, str], ...]
-    """Pairs of bodies that touch and do not at the beginning."""
-    saturated: tuple[str, ...]
-    """Actuators that reach the range of their force."""
+    desired: Array  # Desired joint positions [rad, m] (T, joints)
+    interval: float  # Interval of the samples [s]
+    controls: Array  # Commands of the actuators, in their own units (T, actuators)
+    position: Array  # Joint positions of the model [rad, m] (T, joints)
+    speed: Array  # Joint speeds of the model [rad/s, m/s] (T, joints)
+    torque: Array  # Torque of the drives on the joints [N·m, N] (T, joints)
+    readings: Array  # Readings of all sensors of the model (T, sensordata)
+    contacts: tuple[tuple[str, str], ...]  # Pairs of bodies that touch and do not at the beginning
+    saturated: tuple[str, ...]  # Actuators that reach the range of their force
 
     @property
     def time(self) -> Array:
@@ -69,24 +60,15 @@ class PlannedMotion:
 class MotionLimits:
     """Limits of the joints, with where they come from."""
 
-    joints: tuple[str, ...]
-    """Names of the joints."""
-    turning: NDArray[np.bool_]
-    """Whether each of them is a hinge (joints,)."""
-    rate: float
-    """Sample rate [1/s]."""
-    home: Array
-    """Pose in which motions begin and end [rad, m] (joints,)."""
-    low: Array
-    """Lowest positions [rad, m] (joints,)."""
-    high: Array
-    """Highest positions [rad, m] (joints,)."""
-    speed: Array
-    """Largest speeds [rad/s, m/s] (joints,)."""
-    torque: Array
-    """Largest torques of the drives [N·m, N] (joints,), infinite where none is known."""
-    sources: tuple[str, str, str]
-    """Where those of position, speed and torque come from."""
+    joints: tuple[str, ...]  # Names of the joints
+    turning: NDArray[np.bool_]  # Whether each of them is a hinge (joints,)
+    rate: float  # Sample rate [1/s]
+    home: Array  # Pose in which motions begin and end [rad, m] (joints,)
+    low: Array  # Lowest positions [rad, m] (joints,)
+    high: Array  # Highest positions [rad, m] (joints,)
+    speed: Array  # Largest speeds [rad/s, m/s] (joints,)
+    torque: Array  # Largest torques of the drives [N·m, N] (joints,), infinite where none is known
+    sources: tuple[str, str, str]  # Where those of position, speed and torque come from
 
     @property
     def unit(self) -> Array:

@@ -286,14 +286,10 @@ def _states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[
 class _Slot:
     """One simulation: a run under a hypothesis."""
 
-    hypothesis: Hypothesis
-    """What is simulated."""
-    trial: Trial
-    """The run."""
-    model: mujoco.MjModel
-    """Model of the hypothesis."""
-    parts: int
-    """Number of substeps of each step of the run."""
+    hypothesis: Hypothesis  # What is simulated
+    trial: Trial  # The run
+    model: mujoco.MjModel  # Model of the hypothesis
+    parts: int  # Number of substeps of each step of the run
 
 
 class Simulator:

@@ -1,17 +1,15 @@
-"""Import of measured data: ROS 2 bags, tables, LeRobot and robomimic datasets and others.
+"""Import of measured data: ROS bags, tables, files of arrays, LeRobot datasets and others.
 
-Data flow: samples -> timing -> mapping -> join_runs -> readers -> describe -> guessing ->
-pipeline.
+Data flow: samples -> clocks -> readers (text_tables, array_files, lerobot, messages, uff_file) ->
+reading -> describe, evidence -> roles -> proposal; join_runs -> pipeline.
 """
 
-from loose_env.importing.describe import describe_sources, list_sources
-from loose_env.importing.guessing.proposal import Proposal, propose
-from loose_env.importing.guessing.proposal_text import proposal_text
-from loose_env.importing.mapping.mapping import ImportMapping
-from loose_env.importing.mapping.mapping_file import read_mapping
+from loose_env.importing.describe import FileList, describe_sources, list_sources
+from loose_env.importing.mapping import ImportMapping
+from loose_env.importing.mapping_file import read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
-from loose_env.importing.samples import FileList
-from loose_env.importing.timing.resampling import median_step
+from loose_env.importing.proposal import Proposal, proposal_text, propose
+from loose_env.importing.resampling import median_step
 
 __all__ = [
     "FileList",

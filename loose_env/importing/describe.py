@@ -4,22 +4,78 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
-from loose_env.importing.mapping.mapping_file import MAPPING_FORMAT
-from loose_env.importing.mapping.units import column_quantity
-from loose_env.importing.readers.csv_list import quoted
-from loose_env.importing.readers.sources import given_files, list_file
-from loose_env.importing.samples import Channel, FileList, Stream
+from loose_env.errors import InvalidData
+from loose_env.importing.clocks import chosen_time, named_times, samples_of, time_line
+from loose_env.importing.mapping import TimeSource
+from loose_env.importing.mapping_file import MAPPING_FORMAT, quoted
+from loose_env.importing.reading import given_files, open_log
+from loose_env.importing.samples import ChannelKey, FileKind, Log, Table
+from loose_env.importing.units import column_quantity
 from loose_env.recording import ModelColumns, joint_sensors
 
 _WIDE = 300
 _UNKNOWN = "sensor.?"
 _OF_JOINT = re.compile(r"(position|velocity|effort)\[(.+)\]")
 _DOWN = re.compile(r"\d+-R?[XYZ]")
+_MOST_LISTED = 500
+"""Channels listed of one topic."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """One channel."""
+
+    key: ChannelKey
+    """Its identifier in a mapping."""
+    first: tuple[float, ...] = ()
+    """First values, as the file holds them."""
+    unit: str = ""
+    """Unit that the file itself gives."""
+    words: str = ""
+    """Further description in the file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stream:
+    """Channels that share their times."""
+
+    topic: str = ""
+    kind: str = ""
+    """Type and encoding."""
+    samples: int = 0
+    start_ns: int | None = None
+    """First sample [ns since 1970], where the file knows the date."""
+    seconds: float | None = None
+    """From the first to the last sample [s], where that is known."""
+    channels: tuple[Channel, ...] = ()
+    note: str = ""
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Mean rate [Hz]."""
+        return (self.samples - 1) / self.seconds if self.seconds and self.samples > 1 else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileList:
+    """One file."""
+
+    name: str
+    kind: FileKind
+    words: str
+    """The kind in words."""
+    streams: tuple[Stream, ...]
+    options: tuple[str, ...] = ()
+    """Lines of a mapping that say how to read it."""
+    episodes: tuple[str, ...] = ()
+    """Names of its episodes, each of which becomes a run; empty where it has none."""
 
 
 def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None) -> str:
@@ -103,11 +159,60 @@ def list_sources(sources: Sequence[str]) -> dict[str, FileList]:
     """
     lists: dict[str, FileList] = {}
     for given, path in given_files(sources).items():
-        name, count = _name(given), 2
-        while name in lists:  # run-01.mcap and run-01.csv
-            name, count = f"{_name(given)}-{count}", count + 1
-        lists[name] = list_file(path)
+        lists[source_name(given, lists)] = _listed(open_log(path))
     return lists
+
+
+def _listed(log: Log) -> FileList:
+    streams, options = [], list(log.options)
+    for table in log.first():
+        offered = named_times(table)
+        time, words = offered[0] if offered else TimeSource(), ""
+        try:
+            if offered:
+                time, words = chosen_time(table)
+        except InvalidData as error:
+            words = str(error)
+        if log.kind in ("csv", "arrays", "hdf5") and not any("time =" in line for line in options):
+            none = (
+                "# no column of time was found; name it, or give the recorder's rate: "
+                "time = { rate_hz = ... } [Hz]"
+            )
+            options.append(time_line(time, _comment(words)) if offered else none)
+        streams.append(_stream(table, time))
+    return FileList(
+        name=log.name, kind=log.kind, words=log.words, streams=tuple(streams),
+        options=tuple(options), episodes=log.episodes,
+    )  # fmt: skip
+
+
+def _stream(table: Table, time: TimeSource) -> Stream:
+    start, seconds = None, None
+    names = [*table.columns, *table.texts][:_MOST_LISTED]
+    for name in [n for n in table.columns if n != time.column][:1]:
+        try:
+            own = samples_of(table, name, time)
+        except InvalidData:
+            continue
+        seconds = float(own.time[-1] - own.time[0])
+        start = own.origin_ns if own.origin_ns > 10**17 else None
+    return Stream(
+        topic=table.topic,
+        kind=table.kind,
+        samples=len(table) if table.columns else 0,
+        start_ns=start,
+        seconds=seconds,
+        channels=tuple(
+            Channel(
+                key=ChannelKey(name, table.topic),
+                first=tuple(np.asarray(table.columns.get(name, ())[:3], dtype=float).tolist()),
+                unit=table.units.get(name, ""),
+                words=table.words.get(name, ""),
+            )
+            for name in names
+        ),
+        note=table.note,
+    )
 
 
 def _stream_lines(
@@ -164,13 +269,15 @@ def _comment(words: str) -> str:
     return "".join(c if c.isprintable() else " " for c in words)
 
 
-def _name(given: str) -> str:
+def source_name(given: str, taken: Container[str]) -> str:
     """Name of a source from that of its file."""
     stem = Path(given).stem
-    plain = "".join(c if (c.isascii() and c.isalnum()) or c in "-_" else "-" for c in stem).strip(
-        "-_"
-    )
-    return plain or "source"
+    plain = "".join(c if (c.isascii() and c.isalnum()) or c in "-_" else "-" for c in stem)
+    name = first = plain.strip("-_") or "source"
+    count = 2
+    while name in taken:  # run-01.mcap and run-01.csv
+        name, count = f"{first}-{count}", count + 1
+    return name
 
 
 def _date(ns: int) -> str:

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidData
-from loose_env.importing.mapping.mapping import ColumnEntry, ImportMapping, RunPlan
-from loose_env.importing.mapping.units import UNITS, column_quantity, unit_named
+from loose_env.importing.clock_alignment import shift_between
+from loose_env.importing.mapping import ColumnEntry, ImportMapping, RunPlan
+from loose_env.importing.resampling import bridged, held, median_step, resampled, rows_of
 from loose_env.importing.samples import ChannelKey, Samples
-from loose_env.importing.timing.clock_alignment import shift_between
-from loose_env.importing.timing.resampling import bridged, held, median_step, resampled, rows_of
+from loose_env.importing.units import UNITS, column_quantity, unit_named
 from loose_env.recording import (
     FEWEST_SAMPLES,
     MOST_MISSING,
@@ -101,6 +101,7 @@ def joined_run(
             )
         table[column.entry.column] = values
         note = f", {missing} missing" if missing else ""
+        note += f", unwrapped at {column.entry.period:g}" if column.entry.period else ""
         lines.append(f"  {column.entry.column}: {how}{note}")
     ModelColumns.of(model).check_header(plan.place, ["time", *table])
     groups = ModelColumns.of(model).grouped(table)
@@ -131,7 +132,8 @@ class _Column:
         model: mujoco.MjModel,
     ) -> None:
         self.entry, self.samples = entry, samples
-        self.values = samples.values * _factor(entry, samples, model) + entry.offset
+        values = decoded(samples.values, entry.period, entry.sign_bit)
+        self.values = values * _factor(entry, samples, model) + entry.offset
         if not np.isfinite(self.values).all():
             raise InvalidData(f"{entry.place}: scaled, its values are too large for a number")
         self.shift = shifts.get(entry.source, 0.0) - entry.delay_s
@@ -152,6 +154,25 @@ class _Column:
         if self.entry.way == "hold":
             return held(self.time, self.values, rows, self.longest), "last value held"
         return resampled(self.time, self.values, rows, self.longest)
+
+
+def decoded(values: Array, period: float | None, sign_bit: int | None) -> Array:
+    """Values without their wrap-around and without a bit for their sign.
+
+    Examples
+    --------
+    >>> decoded(np.array([358.0, 359.0, 0.0, 1.0]), 360, None).tolist()
+    [-2.0, -1.0, 0.0, 1.0]
+    >>> decoded(np.array([32769.0, 2.0]), None, 15).tolist()
+    [-1.0, 2.0]
+    """
+    if sign_bit is not None:
+        high = float(2**sign_bit)
+        values = np.where(values >= high, high - values, values)
+    if period is not None and len(values):
+        values = np.unwrap(values, period=period)
+        values = values - period * np.round(values[0] / period)
+    return values
 
 
 def _factor(entry: ColumnEntry, samples: Samples, model: mujoco.MjModel) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
@@ -11,16 +11,17 @@ import mujoco
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing.join_runs import Joined, joined_run, shifts_of
-from loose_env.importing.mapping.mapping import ImportMapping, RunPlan
-from loose_env.importing.mapping.mapping_file import read_mapping
-from loose_env.importing.readers.sources import (
+from loose_env.importing.mapping import ImportMapping, RunPlan
+from loose_env.importing.mapping_file import read_mapping
+from loose_env.importing.reading import (
     check_units,
     files_of_runs,
     given_files,
+    open_log,
     read_source,
     run_episodes,
 )
-from loose_env.importing.samples import ChannelKey, Samples
+from loose_env.importing.samples import ChannelKey, Log, Samples
 from loose_env.recording import (
     FileFormat,
     ModelColumns,
@@ -112,14 +113,29 @@ def import_recording(
     _check_names(plan, compiled)
     files = files_of_runs(plan, given)
     check_units(plan, files)
-    plan, files = _by_episode(plan, files)
+    logs = {
+        (name, path): open_log(path, plan.sources[name])
+        for name, path in dict.fromkeys(pair for own in files for pair in own.items())
+    }
+    plan, files = _by_episode(plan, files, logs)
     if session is not None:
         names = [(run.file, run.condition) for run in plan.runs]
         check_measured(out, names, overwrite=settings.overwrite)
-    pools = _read(plan, files, say)
     joined: list[Joined] = []
+    pools: dict[tuple[str, Path, str], dict[ChannelKey, Samples]] = {}
+    wanted = _wanted(plan, files)
     for run, own in zip(plan.runs, files, strict=True):
-        pool = pools[""] | pools.get(run.episode, {})
+        pool: dict[tuple[str, Path, ChannelKey], Samples] = {}
+        for name, path in own.items():
+            log = logs[name, path]
+            place = (name, path, run.episode if log.episodes else "")
+            if place not in pools:
+                keys = wanted[name, path]
+                pools[place] = read_source(log, plan.sources[name], keys, place[2])
+                said = dict.fromkeys(d for each in pools[place].values() for d in each.done)
+                for line in (f"{path.name}: {len(keys)} channels read", *said):
+                    say(line)
+            pool |= {(name, path, key): each for key, each in pools[place].items()}
         shifts = shifts_of(plan, own, pool, say)
         joined.append(joined_run(run, own, pool, shifts, compiled))
         for line in joined[-1].lines:
@@ -166,44 +182,35 @@ def _check_names(plan: ImportMapping, model: mujoco.MjModel) -> None:
 
 
 def _by_episode(
-    plan: ImportMapping, files: list[dict[str, Path]]
+    plan: ImportMapping,
+    files: list[dict[str, Path]],
+    logs: Mapping[tuple[str, Path], Log],
 ) -> tuple[ImportMapping, list[dict[str, Path]]]:
     """Make a run of each episode where the sources of a run have episodes."""
     runs: list[RunPlan] = []
     own: list[dict[str, Path]] = []
     for run, paths in zip(plan.runs, files, strict=True):
-        episodes = run_episodes(run, paths, plan)
+        episodes = run_episodes(run, {name: logs[name, path] for name, path in paths.items()})
         runs += [replace(run, file=f"{run.file}-{each}", episode=each) for each in episodes]
         runs += [] if episodes else [run]
         own += [paths] * max(1, len(episodes))
     return replace(plan, runs=tuple(runs)), own
 
 
-def _read(
-    plan: ImportMapping, files: list[dict[str, Path]], say: Callable[[str], None]
-) -> dict[str, dict[tuple[str, Path, ChannelKey], Samples]]:
-    """Read every file once for each source that it is, with all channels that runs take of it.
-
-    Samples are returned by episode, "" where a source has none.
-    """
+def _wanted(
+    plan: ImportMapping, files: list[dict[str, Path]]
+) -> dict[tuple[str, Path], list[ChannelKey]]:
+    """Channels that runs take of every file."""
     wanted: dict[tuple[str, Path], dict[ChannelKey, None]] = {}
-    episodes: dict[tuple[str, Path], dict[str, None]] = {}
     for run, own in zip(plan.runs, files, strict=True):
         for column in run.columns:
             wanted.setdefault((column.source, own[column.source]), {})[column.key] = None
         for name, path in own.items():
-            episodes.setdefault((name, path), {})[run.episode] = None
             align = plan.sources[name].align
             if align is not None:
                 wanted.setdefault((name, path), {})[align.own] = None
                 wanted.setdefault((align.to, own[align.to]), {})[align.other] = None
-    pools: dict[str, dict[tuple[str, Path, ChannelKey], Samples]] = {"": {}}
-    for (name, path), keys in wanted.items():
-        found = read_source(path, plan.sources[name], list(keys), list(episodes[name, path]))
-        for (episode, key), samples in found.items():
-            pools.setdefault(episode, {})[name, path, key] = samples
-        say(f"{path.name}: {len(keys)} channels read")
-    return pools
+    return {place: list(keys) for place, keys in wanted.items()}
 
 
 def _silent(_: str) -> None:

@@ -1,19 +1,25 @@
-"""Data that readers return: samples of a channel, and a file's list of streams and channels.
+"""Data that readers return: tables of named columns with their times, and samples of a channel.
 
-What a file holds, as ``loose import --describe`` shows it.
+Every reader gives a `Log` of `Table`s as the file holds them; which column is the time, and
+whether it can be one, is decided in `clocks`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.recording import nearest
 from loose_env.typing import Array
+
+FileKind = Literal["csv", "mcap", "uff", "rosbag2", "lerobot", "hdf5", "sysid", "arrays"]
+"""Kinds of files and folders that are read."""
 
 
 @dataclass(frozen=True, order=True)
@@ -44,6 +50,8 @@ class Samples:
     """Values as the file holds them, shape (T,)."""
     unit: str = ""
     """Unit that the file itself gives, where it does."""
+    done: tuple[str, ...] = ()
+    """What was done to the times, with counts."""
 
     @property
     def step(self) -> float:
@@ -53,6 +61,115 @@ class Samples:
     def since(self, origin_ns: int) -> Array:
         """Times [s] after another origin, shape (T,)."""
         return self.time + (self.origin_ns - origin_ns) * 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Table:
+    """Columns that share their rows, as a file holds them."""
+
+    place: str
+    """File and topic, as errors say it."""
+    columns: Mapping[str, NDArray[Any]]
+    """Numbers by channel, each of shape (T,); NaN where a sample is missing."""
+    topic: str = ""
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Columns that are no numbers, such as dates."""
+    stamps: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    """Times that the container keeps of each row [ns since 1970]: header, log, publish."""
+    times: Array | None = None
+    """Times that belong to the columns by the format [s], where it has them."""
+    rate_hz: float | None = None
+    """Rate that the file states, where rows have no times [Hz]."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    words: Mapping[str, str] = field(default_factory=dict)
+    """Further description of channels."""
+    aliases: Mapping[str, str] = field(default_factory=dict)
+    """Other names by which a mapping may call channels."""
+    hidden: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    """Columns that are not listed, as they are others in another order."""
+    doubles: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    """Names that several channels have, and their numbers."""
+    rows: NDArray[np.int64] | None = None
+    """Numbers of the rows, as errors count them; from 1 by default."""
+    row_word: str = "row"
+    column_word: str = "channel"
+    kind: str = ""
+    """Type and encoding."""
+    note: str = ""
+    done: tuple[str, ...] = ()
+    """What the reader mended, with counts."""
+
+    def __len__(self) -> int:
+        held = [*self.columns.values(), *self.texts.values(), *self.stamps.values()]
+        return len(held[0]) if held else 0
+
+    def row(self, i: int) -> str:
+        """Place of a row, as errors say it."""
+        return f"{self.place}: {self.row_word} {i + 1 if self.rows is None else self.rows[i]}"
+
+    def named(self, channel: str) -> str | None:
+        """Own name of a channel; None where the table lacks it."""
+        own = self.aliases.get(channel, channel)
+        there = own in self.columns or own in self.texts or own in self.hidden
+        return own if there else None
+
+    def numbers(self, own: str) -> NDArray[Any]:
+        """Values of a channel by its own name."""
+        return self.columns[own] if own in self.columns else self.hidden[own]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Log:
+    """One file or folder: how it is read, and its tables."""
+
+    name: str
+    kind: FileKind
+    words: str
+    """The kind in words."""
+    tables: Callable[[str, Sequence[ChannelKey] | None], list[Table]]
+    """Tables of an episode, "" where there are none, with all channels or those asked for."""
+    options: tuple[str, ...] = ()
+    """Lines of a mapping that say how to read it."""
+    episodes: tuple[str, ...] = ()
+    """Names of its episodes, each of which becomes a run; empty where it has none."""
+
+    def first(self) -> list[Table]:
+        """Tables of the file, or of its first episode."""
+        return self.tables(self.episodes[0] if self.episodes else "", None)
+
+
+def found_in(tables: Iterable[Table], key: ChannelKey, name: str) -> tuple[Table, str]:
+    """Table and own name of a channel that a mapping asks for."""
+    topics: dict[str, None] = {}
+    known: list[str] = []
+    for table in tables:
+        topics[table.topic] = None
+        if table.topic != key.topic:
+            continue
+        own = table.named(key.channel)
+        if own is not None:
+            return table, own
+        known += [*table.columns, *table.texts]
+        if key.channel in table.doubles:
+            numbers = table.doubles[key.channel]
+            raise InvalidData(
+                f"{name}: {key.channel!r} is there {len(numbers)} times; take one by its number, "
+                f"{' or '.join(numbers)}"
+            )
+    if key.topic not in topics:
+        if "" in topics:
+            raise InvalidData(f"{name}: it has no topics; leave out topic = {key.topic!r:.60}")
+        what = f"it has no {key.topic[:60]!r}" if key.topic else "its channels lie in topics"
+        raise InvalidData(
+            f"{name}: channel {key.channel[:60]!r}: {what}; say which by topic, one of "
+            f"{', '.join(map(repr, topics))[:600]}{nearest(key.topic, [*topics])}"
+        )
+    place = f"{name}: topic {key.topic!r}" if key.topic else name
+    raise InvalidData(
+        f"{place}: there is no {'channel' if key.topic else 'column'} {key.channel[:60]!r}; "
+        f"there are {', '.join(map(repr, known[:30]))[:600] or 'none'}"
+        f"{nearest(key.channel, known)}"
+    )
 
 
 def unreadable(name: str, error: OSError) -> InvalidData:
@@ -80,93 +197,3 @@ def file_within(folder: Path, given: str, place: str) -> Path:
     if not found.is_file():
         raise InvalidData(f"{place}: there is no file {given!r:.200} in {folder.name}")
     return found
-
-
-def checked(
-    place: str,
-    time: Array,
-    values: Array,
-    *,
-    origin_ns: int = 0,
-    unit: str = "",
-    rows: Sequence[int] | NDArray[np.int64] | None = None,
-    row_word: str = "row",
-) -> Samples:
-    """Samples of a channel, refused where time runs backwards or a value is infinite."""
-
-    def row(i: int) -> str:
-        return f"{place}: {row_word} {i + 1 if rows is None else rows[i]}"
-
-    bad = np.flatnonzero(~np.isfinite(time))
-    if bad.size:
-        raise InvalidData(f"{row(int(bad[0]))}: the time is missing or not finite")
-    still = np.flatnonzero(np.diff(time) <= 0)
-    if still.size:
-        i = int(still[0]) + 1
-        same = time[i] == time[i - 1]
-        raise InvalidData(
-            f"{row(i)}: time {'stands still' if same else 'runs backwards'}: {time[i]:.9g} s "
-            f"follows {time[i - 1]:.9g} s; choose another time for this source (a finer stamp, "
-            "or rate_hz where the samples are evenly spaced)"
-        )
-    infinite = np.flatnonzero(np.isinf(values))
-    if infinite.size:
-        raise InvalidData(f"{row(int(infinite[0]))}: the value is infinite")
-    there = ~np.isnan(values)
-    if np.count_nonzero(there) < 2:
-        raise InvalidData(f"{place}: it has {np.count_nonzero(there)} samples; at least 2 needed")
-    return Samples(
-        place=place, origin_ns=origin_ns, time=time[there], values=values[there], unit=unit
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Channel:
-    """One channel."""
-
-    key: ChannelKey
-    """Its identifier in a mapping."""
-    first: tuple[float, ...] = ()
-    """First values, as the file holds them."""
-    unit: str = ""
-    """Unit that the file itself gives."""
-    words: str = ""
-    """Further description in the file."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stream:
-    """Channels that share their times."""
-
-    topic: str = ""
-    """Topic of an MCAP file."""
-    kind: str = ""
-    """Type and encoding."""
-    samples: int = 0
-    start_ns: int | None = None
-    """First sample [ns since 1970], where the file knows the date."""
-    seconds: float | None = None
-    """From the first to the last sample [s], where that is known."""
-    channels: tuple[Channel, ...] = ()
-    note: str = ""
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Mean rate [Hz]."""
-        return (self.samples - 1) / self.seconds if self.seconds and self.samples > 1 else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class FileList:
-    """One file."""
-
-    name: str
-    kind: str
-    """Kind, as `FileKind`."""
-    words: str
-    """The kind in words."""
-    streams: tuple[Stream, ...]
-    options: tuple[str, ...] = field(default=())
-    """Lines of a mapping that say how to read it."""
-    episodes: tuple[str, ...] = ()
-    """Names of its episodes, each of which becomes a run; empty where it has none."""

@@ -18,7 +18,6 @@ from loose_env.instrument.decide import Alarm, Scores
 from loose_env.instrument.locate import (
     Heard,
     Rhythm,
-    beside,
     foretold,
     hear,
     names_of,
@@ -130,14 +129,13 @@ def diagnose(
     say(f"fitting {arm.n} gears from encoders to tool by {len(models)} runs")
     gears, compared = _gears(arm, session, models, signal)
     heard = hear(arm, session.suspect, models, gears, signal, healthy=session.healthy or None)
-    say(f"following the loads of {2 * arm.n} places")
+    say(f"following the loads of {len(arm.places)} places")
     rhythm = rhythm_of(heard, knocks.sphere(knocks.DIRECTIONS))
     steady = decide.repeats(session.suspect)
     alarm = decide.detect(rhythm, limits, change=compared, repeats=steady)
     scores = decide.score(
-        arm, rhythm, session.suspect, gears, np.random.default_rng(0),
-        numbers=limits,
-        change=compared, healthy=session.healthy or None,
+        arm, rhythm, session.suspect, gears,
+        numbers=limits, change=compared, healthy=session.healthy or None,
     )  # fmt: skip
     return done.judged(arm, heard, rhythm, alarm, scores, gears)
 
@@ -268,26 +266,30 @@ class _Finished:
         hobby = self.plan.hobby
         top = scores.order[0]
         told = foretold(heard, rhythm, scores.best[top])
-        second = beside(heard, rhythm, scores.best[top]) if alarm.loose else 0.0
-        several = second > self.numbers.second
         sure = bool(scores.probability[top] >= self.numbers.sure)  # JSON has no numpy.bool
-        settled = alarm.loose and sure and not several and not hobby
+        settled = alarm.loose and sure and not hobby
         places = _places(arm, rhythm, alarm, scores, settled=settled)
         remarks = list(self.session.remarks)
+        heavier = alarm.evidence.get("payload_kg", 0.0)
+        if heavier and not alarm.loose:
+            remarks.append(
+                f"the arm moves as if its tool carried {abs(heavier):.2g} kg "
+                f"{'more' if heavier > 0 else 'less'} than on the healthy day"
+            )
         if gears.left > _POOR:
             remarks.append(
                 f"the model leaves {100 * gears.left:.0f} % of the tool's slow motion: check "
                 "link lengths, joint zeros and the accelerometer's place in the model"
             )
-        headline, remedy = _words(places, alarm, settled=settled, several=several, hobby=hobby)
+        headline, remedy = _words(places, alarm, settled=settled, hobby=hobby)
         runs = self._with_told(heard, told, alarm.loose)
         verdict: Verdict = (
             "loose" if alarm.loose else "open" if alarm.louder or alarm.masked else "tight"
         )
         return self._result(
             verdict, headline, remedy, places,
-            settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
-            evidence={**alarm.evidence, "gears_left": gears.left, "second": second}, runs=runs,
+            settled=settled, reasons=alarm.reasons, remarks=tuple(remarks),
+            evidence={**alarm.evidence, "gears_left": gears.left}, runs=runs,
         )  # fmt: skip
 
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
@@ -319,7 +321,6 @@ class _Finished:
         places: tuple[Place, ...],
         *,
         settled: bool = False,
-        several: bool = False,
         reasons: tuple[str, ...] = (),
         remarks: tuple[str, ...] | None = None,
         evidence: Mapping[str, float] | None = None,
@@ -334,7 +335,6 @@ class _Finished:
             remedy=remedy,
             places=places,
             settled=settled,
-            several=several,
             reasons=reasons,
             remarks=self.session.remarks if remarks is None else remarks,
             evidence=evidence or {},
@@ -373,6 +373,7 @@ def _untold(arm: SuspectArm) -> tuple[Place, ...]:
                 rhythm=0.0,
                 tested=0.0,
                 why="no run can be used",
+                base=at == arm.base,
             )
         )
     return tuple(found)
@@ -389,13 +390,14 @@ def _places(
     reversed_ = tested_share(rhythm.reversing, arm.n, len(rhythm.directions))
     shares = dict(zip(arm.places, reversed_.tolist(), strict=True))
     names = np.array(names_of(arm, rhythm))
+    slides = dict(zip(arm.joints, arm.slides, strict=True))
     found = []
     for rank, place in enumerate(scores.order):
         kind, at = place.split("@", 1)
         best = scores.best[place]
         chance = scores.probability[place] if alarm.loose else 0.0
         direction = None
-        if kind == BOLTS:
+        if kind == BOLTS and at != arm.base:
             d = rhythm.directions[rhythm.labels[best][2]]
             direction = (round(float(d[0]), 5), round(float(d[1]), 5), round(float(d[2]), 5))
         verdict: PlaceVerdict
@@ -403,16 +405,14 @@ def _places(
             verdict, why = "loose", alarm.reasons[0]
         elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
             verdict = "suspect"
-            why = (
-                "the session does not tell it from the other suspects"
-                if chance < 1 - _LISTED
-                else "the top band rings in its rhythm"
-            )
+            why = "the session does not tell it from the other suspects"
         elif alarm.masked:
             verdict, why = "not tested", "other strikes hide whether it knocks"
         elif is_tested_share(shares[place]):
             verdict = "tight"
-            why = "its load reversed, and " + (
+            turns = at == arm.base or (kind != BOLTS and not slides[at])
+            held = f"{np.median(rhythm.held[names == place]):.2g} {'N·m' if turns else 'N'}"
+            why = f"its load reversed by up to {held}, and " + (
                 "another place fits what was heard better" if alarm.loose else "it was not heard"
             )
         else:
@@ -427,6 +427,7 @@ def _places(
                 tested=round(shares[place], 3),
                 direction=direction,
                 why=why,
+                base=at == arm.base,
             )
         )
     return tuple(found)
@@ -438,9 +439,7 @@ def _untested_words(share: float, kind: str) -> str:
     return "its load never reversed beyond friction: it would stay shut if it were loose"
 
 
-def _words(
-    places: Sequence[Place], alarm: Alarm, *, settled: bool, several: bool, hobby: bool
-) -> tuple[str, str]:
+def _words(places: Sequence[Place], alarm: Alarm, *, settled: bool, hobby: bool) -> tuple[str, str]:
     """Headline and remedy."""
     untested = [p for p in places if p.verdict == "not tested"]
     if alarm.masked:
@@ -468,12 +467,6 @@ def _words(
             "Something knocks, as in every arm of this class.",
             "Compare with the same session of another month: loose trend.",
         )
-    if several:
-        suspects = " and ".join(p.words for p in places[:2])
-        return (
-            f"More than one place knocks; {suspects} fit best.",
-            f"Check {top.words} first, then repeat the session.",
-        )
     if settled:
         return f"{top.words[0].upper()}{top.words[1:]} is loose.", _work(top)
     listed = " or ".join([p.words for p in places if p.verdict == "suspect"][:3])
@@ -485,5 +478,8 @@ def _words(
 
 def _work(place: Place) -> str:
     if place.kind == BOLTS:
-        return f"Torque the bolts at {place.words}, then repeat the session."
-    return f"Measure the play at {place.words}, and repeat the session after the repair."
+        return f"Torque the bolts at {place.words}, then repeat the session: {_AGAIN}."
+    return f"Measure the play at {place.words}, repair it, then repeat the session: {_AGAIN}."
+
+
+_AGAIN = "a second loose place is heard once the louder one is tight"

@@ -18,7 +18,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -54,7 +54,8 @@ from loose_env.report import standalone, to_svg
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
-from scripts.study import arm_named, pyplot, save_figure
+from scripts.charts import Panel, chart, curve, save
+from scripts.study import arm_named
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -334,35 +335,19 @@ def bare(axes: Axes) -> None:
 
 SEED = 1
 """Seed of the episodes, one that training may use."""
-FAULTS = ("structural_looseness@link2", "backlash@joint3", "healthy")
-"""What the episodes hide, a row of the figure each."""
-EPISODES = (3, 0, 1)
-"""Numbers of the episodes."""
+EPISODES = {"structural_looseness@link2": 3, "backlash@joint3": 0, "healthy": 1}
+"""Fault and number of the episodes, a row of the figure each."""
 
 
-class Step(NamedTuple):
-    """One record and what the agent made of it."""
-
-    pose: Array
-    """Pose [rad] (n,)."""
-    direction: float
-    """Direction of the change of motion, tool frame [rad]."""
-    moved: str
-    """Joints that moved before the record, and by how much."""
-    left: tuple[str, ...]
-    """Places left, best first; empty if nothing is seen."""
-    decision: str
-    """The verdict, or what is done next."""
-
-
-def play(arm: Arm, settings: DiagnosisSettings, fault: str, number: int) -> list[Step]:
-    """Play one episode and keep every step."""
+def steps_of(arm: Arm, settings: DiagnosisSettings, fault: str, number: int) -> list[Panel]:
+    """Play one episode and draw every record: pose, direction, what is left, the decision."""
     agent = make_agent("classical", Problem.of(arm, settings))
     assert isinstance(agent, ClassicalAgent)
     batch = EpisodeBatch(arm, settings, num=1, threads=1)
     batch.start(0, seed=SEED, number=number, options={"fault": fault})
     state: Any = None
-    steps: list[Step] = []
+    before: Array | None = None
+    panels: list[Panel] = []
     ended = False
     while not ended:
         pose = agent.problem.layout.pose_of(batch.observe(0))
@@ -371,17 +356,35 @@ def play(arm: Arm, settings: DiagnosisSettings, fault: str, number: int) -> list
         decoded = batch.actions.decode(action)
         verdict = batch.verdicts[decoded.verdict - 1] if decoded.verdict else None
         alone = None if memory.driven is None else memory.driven + 1
-        moved = moves_of(steps[-1].pose if steps else None, pose)
+        moved = moves_of(before, pose)
         next_moves = [str(j + 1) for j, k in enumerate(decoded.moves) if k != settings.stay]
         decision = verdict or (f"move {', '.join(next_moves)}" if next_moves else "stay")
         if alone is not None:  # the record that it asks for, then the one that it judges
             moved = f"joint {alone} driven alone" if verdict else moved
             decision = verdict or f"drive {alone} alone"
         if memory.pool.records:
-            x, y = memory.pool.records[-1].direction
-            steps.append(Step(pose, float(np.arctan2(y, x)), moved, memory.left, decision))
+            before, (x, y) = pose, memory.pool.records[-1].direction
+            left = ", ".join(short(name) for name in memory.left[:3]) or "nothing seen"
+            words = [f"hidden: {short(fault)}"] if not panels else []
+            words += textwrap.wrap(f"{len(panels) + 1}: {moved}", 34)
+            words += [f"left: {left}", f"-> {short(decision)}"]
+            panels.append(drawn(arm, pose, np.arctan2(y, x), "\n".join(words), bool(memory.left)))
         ended = batch.step([0], [action])[0].terminated
-    return steps
+    return panels
+
+
+def drawn(arm: Arm, pose: Array, direction: float, words: str, seen: bool) -> Panel:
+    """The arm in a pose and a direction of its tool frame [rad]."""
+    places, angle = points_of(arm, pose)
+    x, y = (places - places[0]).T
+    size, seen_at = 0.2 * arm.reach * np.array([-1.0, 1.0]), angle + direction
+    ends = x[-1] + size * np.cos(seen_at), y[-1] + size * np.sin(seen_at)
+    colour = MEASURED if seen else EDGE
+    lines = [
+        curve(x, y, color=INK, linewidth=2.0, marker="o", markersize=4),
+        curve(ends[0], ends[1], color=colour, linewidth=2.5),
+    ]
+    return Panel(title=words, curves=lines)
 
 
 def moves_of(before: Array | None, after: Array) -> str:
@@ -412,53 +415,15 @@ def points_of(arm: Arm, pose: Array) -> tuple[Array, float]:
     return np.array(rows)[:, :2], float(np.arctan2(frame[1, 0], frame[0, 0]))
 
 
-def draw_steps(arm: Arm, episodes: Sequence[tuple[str, list[Step]]], out: Path) -> Path:
-    """Draw a row for each episode and a panel for each record."""
-    plt = pyplot()
-    most = max(len(steps) for _, steps in episodes)
-    figure, axes = plt.subplots(
-        len(episodes), most, figsize=(2.9 * most, 3.0 * len(episodes)), squeeze=False
-    )
-    figure.subplots_adjust(left=0.02, right=0.98, top=0.92, bottom=0.07, hspace=0.55, wspace=0.1)
-    half = 0.5 * arm.reach  # arms are seldom stretched
-    for (fault, steps), row in zip(episodes, axes, strict=True):
-        for k, panel in enumerate(row):
-            panel.set_axis_off()
-            if k >= len(steps):
-                continue
-            step = steps[k]
-            points, angle = points_of(arm, step.pose)
-            points = points - points[0]
-            panel.plot(*points.T, "-o", color=INK, lw=2.0, ms=4)
-            seen = angle + step.direction
-            along = 0.4 * half * np.array([np.cos(seen), np.sin(seen)])
-            line = np.stack([points[-1] - along, points[-1] + along])
-            panel.plot(*line.T, color=MEASURED if step.left else EDGE, lw=2.5)
-            ends = np.concatenate([points, line])
-            x, y = (ends.min(axis=0) + ends.max(axis=0)) / 2
-            panel.set(xlim=(x - half, x + half), ylim=(y - half, y + half), aspect="equal")
-            left = ", ".join(short(name) for name in step.left[:3]) or "nothing seen"
-            panel.set_title(
-                (f"hidden: {short(fault)}\n" if k == 0 else "")
-                + textwrap.fill(f"{k + 1}: {step.moved}", 34),
-                fontsize=8,
-                color=INK,
-            )
-            words = f"left: {left}\n-> {short(step.decision)}"
-            look: dict[str, Any] = {"ha": "center", "va": "top", "fontsize": 7, "color": MUTED}
-            panel.text(0.5, -0.02, words, transform=panel.transAxes, **look)
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / "classical_steps.svg"
-    save_figure(plt, figure, path)
-    return path
-
-
 def draw_classical(options: Method) -> None:
-    """Play the episodes and draw them."""
+    """Play the episodes and draw a row for each, a panel a record."""
     arm, settings = planar(4), DiagnosisSettings(engine="reduced")
-    pairs = zip(FAULTS, EPISODES, strict=True)
-    episodes = [(fault, play(arm, settings, fault, number)) for fault, number in pairs]
-    print(draw_steps(arm, episodes, options.out))
+    rows = [steps_of(arm, settings, fault, number) for fault, number in EPISODES.items()]
+    most = max(map(len, rows))
+    panels = [panel for row in rows for panel in [*row, *[Panel(curves=())] * (most - len(row))]]
+    path = options.out / "classical_steps.svg"
+    save(chart(panels, columns=most, bare=True, width=2.9 * most, height=3.0), path)
+    print(path)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -223,6 +223,7 @@ def write_bag(
 
         with sqlite3.connect(next(folder.glob("*.db3"))) as database:
             database.execute("DROP TABLE message_definitions")
+            database.execute("UPDATE schema SET schema_version = 3")
     return folder
 
 

@@ -166,7 +166,9 @@ def test_degrees_reversed_and_shuffled_columns_of_a_nameless_table(
     for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
         assert found[f"sensor.{joint}_pos"] == (str(2 + i), "deg", 1)
         assert found[f"sensor.{joint}_vel"] == (str(5 + i), "deg/s", -1)
-        assert found[f"ctrl.{command}"] == (str(8 + order.index(i)), "deg", [1, -1, 1][i])
+        own = (str(8 + order.index(i)), "deg", 1)
+        # A joint that moves against its command does not tell whose sign is reversed.
+        assert found.get(f"ctrl.{command}") == (None if joint == "shoulder_lift" else own)
 
 
 def test_a_table_without_times_needs_a_rate(
@@ -262,9 +264,9 @@ def test_channels_have_the_quantity_of_their_stated_units(home: Path, motion: Mo
     for i, joint in enumerate(JOINTS):
         assert found[f"sensor.{joint}_pos"].candidate.key.channel == f"Achse {'ABC'[i]} [deg]"
     assert not any("[g]" in e.candidate.key.channel for e in proposal.columns if e.open)
-    assert [channel.key.channel for _, channel in proposal.unassigned] == ["Druck [V]"]
+    assert [left.key.channel for left in proposal.unassigned] == ["Druck [V]"]
     text = proposal_text(proposal, "arm.xml")
-    assert '# "sensor.?" = { channel = "Druck [V]", unit = "V" }' in text.splitlines()
+    assert '# "sensor.?" = { channel = "Druck [V]", unit = "V" }  # no role; most like' in text
 
 
 @pytest.mark.parametrize("name", ["Zeit", "counter"])
@@ -290,7 +292,7 @@ def test_a_position_with_the_unit_of_another_quantity_is_left(home: Path, motion
     columns = {f"{JOINTS[i]}_pos [{units[i]}]": motion.position[:, i] for i in range(3)}
     proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL)
     assert "sensor.shoulder_lift_pos" not in {e.column for e in proposal.columns if not e.open}
-    assert [c.key.channel for _, c in proposal.unassigned] == ["shoulder_lift_pos [g]"]
+    assert [left.key.channel for left in proposal.unassigned] == ["shoulder_lift_pos [g]"]
 
 
 def test_a_word_that_one_joint_alone_has_names_it(home: Path, motion: Motion) -> None:

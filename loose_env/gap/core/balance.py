@@ -74,17 +74,13 @@ USUAL = "sliding 4%"
 class Forces:
     """Change of the balance that an effect makes, dry friction apart."""
 
-    smooth: Array
-    """Change of the balance [N·m, N] (T, joints)."""
-    dry: Array
-    """Dry friction to be multiplied by the direction of sliding (T, joints)."""
-    readings: Array
-    """Change of the readings beside the motion (T, R)."""
+    smooth: Array  # Change of the balance [N·m, N] (T, joints)
+    dry: Array  # Dry friction to be multiplied by the direction of sliding (T, joints)
+    readings: Array  # Change of the readings beside the motion (T, R)
     operator: Array
     """Change of the mean inertia, damping and stiffness matrices, drives included (3, joints,
     joints)."""
-    eased: Array | float = 0.0
-    """Share of the time in which a drive holds nothing (joints,)."""
+    eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
 
     def with_contact(self, direction: Array) -> Array:
         """The whole change for a direction of sliding (T, joints + R)."""
@@ -636,16 +632,12 @@ class Balance:
 class _Hidden:
     """One more joint than the machine has."""
 
-    number: int
-    """Its degree of freedom."""
-    seen: Array
-    """Degrees of freedom of the machine's joints (joints,)."""
+    number: int  # Its degree of freedom
+    seen: Array  # Degrees of freedom of the machine's joints (joints,)
     states: Callable[[Array, Array, Array], tuple[Array, Array, Array]]
     """States of all joints for a motion of its own."""
-    force: Array
-    """Force on it while it rests (T,)."""
-    own: Array
-    """Its mean inertia, damping and stiffness (3,)."""
+    force: Array  # Force on it while it rests (T,)
+    own: Array  # Its mean inertia, damping and stiffness (3,)
     coupled: Array
     """Change of the other joints' forces by its acceleration, speed and position (3, joints)."""
 

@@ -47,38 +47,25 @@ Late = tuple[int, float] | None
 class Column:
     """One column of the balance with the prior of its coefficient."""
 
-    change: Change
-    """Change of the balance by a coefficient of one (T, joints)."""
-    operator: Array
-    """Change of the mean inertia, damping and stiffness (3, joints, joints)."""
-    centre: float
-    """Prior mean of the coefficient."""
-    spread: float
-    """Prior standard deviation."""
-    low: float
-    """Smallest coefficient."""
-    high: float
-    """Largest coefficient."""
-    eased: Array | float = 0.0
-    """Share of the time in which a drive holds nothing (joints,)."""
-    late: Late = None
-    """Joint whose positions are read late, and by how much [s]."""
+    change: Change  # Change of the balance by a coefficient of one (T, joints)
+    operator: Array  # Change of the mean inertia, damping and stiffness (3, joints, joints)
+    centre: float  # Prior mean of the coefficient
+    spread: float  # Prior standard deviation
+    low: float  # Smallest coefficient
+    high: float  # Largest coefficient
+    eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
+    late: Late = None  # Joint whose positions are read late, and by how much [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
     """A candidate: an effect, the axes that its coefficients share out, and its columns."""
 
-    effect: Effect
-    """The effect."""
-    axes: tuple[tuple[float, ...], ...]
-    """Parameter values whose changes are the columns."""
-    contact: str
-    """Direction of sliding that its dry friction has; "" without dry friction."""
-    law: bool
-    """Whether it is a law with a coefficient of about one."""
-    columns: tuple[Column, ...]
-    """Columns, one for each axis."""
+    effect: Effect  # The effect
+    axes: tuple[tuple[float, ...], ...]  # Parameter values whose changes are the columns
+    contact: str  # Direction of sliding that its dry friction has; "" without dry friction
+    law: bool  # Whether it is a law with a coefficient of about one
+    columns: tuple[Column, ...]  # Columns, one for each axis
 
     @property
     def name(self) -> tuple[str, str]:

@@ -79,16 +79,11 @@ Start = tuple[Set, tuple[Array, ...]]
 class ExactFit:
     """A set of effects, fitted in simulation."""
 
-    terms: Set
-    """The effects."""
-    values: tuple[Array, ...]
-    """Parameter values of each effect."""
-    spreads: tuple[Array, ...]
-    """Standard deviations of their free numbers."""
-    rms: Array
-    """Residual of each channel [noise standard deviations] (C,)."""
-    total: float
-    """Minus twice the log posterior, as of `Selection`."""
+    terms: Set  # The effects
+    values: tuple[Array, ...]  # Parameter values of each effect
+    spreads: tuple[Array, ...]  # Standard deviations of their free numbers
+    rms: Array  # Residual of each channel [noise standard deviations] (C,)
+    total: float  # Minus twice the log posterior, as of `Selection`
 
 
 class _Known(Effect):

@@ -179,20 +179,13 @@ def residual_tests(
 class Overlay:
     """The stretch of a channel in which the nominal model misses most of the motion."""
 
-    channel: str
-    """Joint, or reading with its axis."""
-    run: str
-    """File of the run."""
-    unit: str
-    """Unit of the values."""
-    time: Array
-    """Times from the beginning of the stretch [s] (T,)."""
-    measured: Array
-    """Force of the drive, or what was read (T,)."""
-    nominal: Array
-    """The same as the nominal model needs or foretells it (T,)."""
-    corrected: Array
-    """The same of the corrected model (T,)."""
+    channel: str  # Joint, or reading with its axis
+    run: str  # File of the run
+    unit: str  # Unit of the values
+    time: Array  # Times from the beginning of the stretch [s] (T,)
+    measured: Array  # Force of the drive, or what was read (T,)
+    nominal: Array  # The same as the nominal model needs or foretells it (T,)
+    corrected: Array  # The same of the corrected model (T,)
 
 
 def overlays(selection: Selection, before: Array, after: Array, most: int) -> tuple[Overlay, ...]:
@@ -346,12 +339,9 @@ class Played:
 class Response:
     """Frequency response of a joint to the command of its drive."""
 
-    joint: str
-    """Name of the joint."""
-    frequency: Array
-    """Frequencies [Hz] (F,)."""
-    gains: Mapping[str, ComplexArray]
-    """"measured", "nominal" and "corrected" -> complex gain (F,)."""
+    joint: str  # Name of the joint
+    frequency: Array  # Frequencies [Hz] (F,)
+    gains: Mapping[str, ComplexArray]  # "measured", "nominal" and "corrected" -> complex gain (F,)
 
 
 def responses(shown: Played, band: float) -> tuple[Response, ...]:

@@ -63,26 +63,17 @@ Set = tuple[Term, ...]
 class SetFit:
     """A set of effects, fitted to the cells."""
 
-    terms: Set
-    """The effects."""
-    numbers: NDArray[np.intp]
-    """Columns in the fit: tolerances first."""
-    values: Array
-    """Their coefficients."""
+    terms: Set  # The effects
+    numbers: NDArray[np.intp]  # Columns in the fit: tolerances first
+    values: Array  # Their coefficients
     powers: tuple[Array, ...]
     """Noise, discrepancy and what laws miss in each cell, channel by channel, as weights see it."""
-    left: tuple[Array, ...]
-    """Residual sum of squares of each cell, in units of its noise."""
-    costs: tuple[Array, ...]
-    """Minus twice the log likelihood of each cell."""
-    normal: Array
-    """Precision of the coefficients."""
-    cost: float
-    """Minus twice the log evidence."""
-    total: float
-    """The same with the prior of the set."""
-    allowed: bool
-    """Whether all coefficients lie within their bounds."""
+    left: tuple[Array, ...]  # Residual sum of squares of each cell, in units of its noise
+    costs: tuple[Array, ...]  # Minus twice the log likelihood of each cell
+    normal: Array  # Precision of the coefficients
+    cost: float  # Minus twice the log evidence
+    total: float  # The same with the prior of the set
+    allowed: bool  # Whether all coefficients lie within their bounds
 
     def places(self, columns: Iterable[int]) -> NDArray[np.intp]:
         """Where columns of the set stand among its coefficients."""

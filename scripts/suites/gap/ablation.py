@@ -1,8 +1,8 @@
 r"""Ablation of `loose gap`: the suite again with one thing changed at a time.
 
 `NUMBERS` is the one list of numbers that decide what is named. Each is halved and doubled, and five
-parts of the method are left out. Rows are kept with their whole configuration, so that the same
-command goes on where it was stopped; those of the method as shipped are the suite's own.
+parts of the method are left out. Each variant is a tool of its own, ``loose_gap@VARIANT``, with its
+own rows; those of the method as shipped are the suite's.
 
     python -m scripts.suites.gap.run --numbers 0-59 --ablate --most-seconds 20
     python -m scripts.suites.gap.run --numbers 0-59 --ablate without core.decision --show
@@ -12,17 +12,16 @@ command goes on where it was stopped; those of the method as shipped are the sui
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from loose_env.errors import InvalidSetting
 from loose_env.gap import GapSettings
-from scripts.suites.rows import Row, check_code, kept, run_cases
+from scripts.suites.rows import Row
 
 PACKAGE = "loose_env.gap"
 """Package whose numbers are changed."""
@@ -157,14 +156,6 @@ def _everywhere(name: str, value: float) -> Changes:
     return dict.fromkeys(number.places(), value)
 
 
-def configuration(changes: Changes) -> dict[str, Any]:
-    """All numbers, tolerances and settings of a variant."""
-    settings = GapSettings()
-    whole: dict[str, Any] = {number.name: number.value for number in NUMBERS}
-    whole |= {f"tolerances.{name}": own for name, own in asdict(settings.tolerances).items()}
-    return {**whole, "settings.simulate": settings.simulate, **changes}
-
-
 def changes_of(name: str) -> Changes:
     """Changes of a variant, by its name."""
     known = variants()
@@ -196,34 +187,6 @@ def chosen(prefixes: Sequence[str]) -> list[str]:
             f"no variant begins with {prefixes}; there are {', '.join(variants())}"
         )
     return names
-
-
-def ablated(
-    shipped: Sequence[Row],
-    words: Sequence[str],
-    work: Callable[[str, int], Row],
-    file: Path,
-    *,
-    code: str,
-    workers: int = 1,
-    say: Callable[[Row], str] = str,
-    show: bool = False,
-) -> dict[str, list[Row]]:
-    """Rows of the variants that begin with some words; those that the file lacks are run."""
-    known, names = variants(), chosen(words)
-    keys = {f"{name} {row['number']}": (name, row["number"]) for name in names for row in shipped}
-    check_code(kept(file), code, file)
-
-    def one(key: str) -> Row:
-        name, number = keys[key]
-        row = work(name, number)
-        return {"key": key, "variant": name, "configuration": configuration(known[name]), **row}
-
-    if show:
-        rows = [row for row in kept(file) if row["key"] in keys]
-    else:
-        rows = run_cases(keys, one, file, workers=workers, say=say, key="key")
-    return {name: own for name in names if (own := [row for row in rows if row["variant"] == name])}
 
 
 # ---------------------------------------------------------------------------------- tables

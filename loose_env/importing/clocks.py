@@ -1,0 +1,451 @@
+"""Times of a table: which column they are, and what may be done to put their rows in order.
+
+A column of times is taken as it is where it increases. A counter that overflowed is continued, and
+rows that came late are put back, where nothing contradicts it: every one of these is told with its
+count. Anything else is refused with the column, the row and both values. A clock that was set back
+is no row that came late: the time that it runs through twice holds twice as many rows.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.importing.dates import date_format_of, date_ns, looks_like_a_date
+from loose_env.importing.mapping import TimeSource
+from loose_env.importing.samples import Samples, Table
+from loose_env.importing.units import quantity_of, unit_in, unit_named
+from loose_env.recording import nearest
+from loose_env.typing import Array
+
+_LATEST_NS = 2**63 - 1
+_MODULI = (*(float(2**bits) for bits in (8, 12, 16, 24, 31, 32)), 1e6, 1e9)
+"""Counts at which counters of loggers start again."""
+_OVERFLOW = 5.0
+"""Most median steps across an overflow, which hides how many rows were lost there."""
+_LATE = 0.3
+"""Largest share of rows that come late, one row in three being no order any more."""
+_TWICE = 0.25
+"""Rows beyond the even rate, as a share of a stretch, from which the clock ran through it twice."""
+_FEWEST = 10
+"""Rows from which a rate is known that tells late rows from a clock that was set back."""
+_JITTER = 0.2
+"""Share of the median step by which most steps of a nameless column of times may differ."""
+_EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e9, "s"))
+"""Least count of a date since 1970, from the year 2001 on, in each unit."""
+_STEPS = ((1e5, "ns"), (100.0, "us"), (0.9, "ms"), (0.0, "s"))
+"""Smallest step of a column of times -> its unit, for rates from 1 Hz to 10 kHz."""
+_NAMES = {"time", "t", "timestamp", "timestamps", "stamp", "zeit", "datetime", "date", "temps",
+          "tid", "tick", "ticks", "clock", "timer"}  # fmt: skip
+_STEADY = {"monotonic", "mono", "steady", "boot", "uptime", "elapsed", "relative", "since"}
+_SECONDS, _NANOS = {"sec", "secs", "seconds"}, {"nanosec", "nsec", "nsecs", "nanosecs", "nanos",
+                                                "nanoseconds"}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Clock:
+    """Times of all rows of a table, as the file has them."""
+
+    label: str
+    """Column and unit, as errors say them."""
+    raw: NDArray[Any]
+    factor: float
+    """Seconds of one of the raw values."""
+
+
+def samples_of(table: Table, channel: str, time: TimeSource) -> Samples:
+    """Samples of a channel on its table's times; refused where there is no order to them."""
+    own = table.named(channel) or channel
+    place = f"{table.place}: {table.column_word} {channel!r}"
+    if own in table.texts:
+        i, cell = next((i, c) for i, c in enumerate(table.texts[own]) if not _is_number(c))
+        hint = "; give decimal = ','" if "," in cell else ""
+        raise InvalidData(
+            f"{table.row(i)}, {table.column_word} {channel!r}: {cell[:40]!r} is no number{hint}"
+        )
+    values = np.asarray(table.numbers(own), dtype=np.float64)
+    there = ~np.isnan(values)
+    infinite = np.flatnonzero(np.isinf(values))
+    clock = _clock(table, time)
+    done: tuple[str, ...] = ()
+    keep = np.flatnonzero(there) if not there.all() else None
+    if clock is None:
+        at = np.arange(len(values)) / (time.rate_hz or table.rate_hz or 1.0)
+        at, origin = (at if keep is None else at[keep]), 0
+    else:
+        at, origin, keep, done = _ordered(table, clock, keep)
+    if infinite.size:
+        raise InvalidData(f"{table.row(int(infinite[0]))}: the value is infinite, {channel!r}")
+    count = len(values) if keep is None else len(keep)
+    if count < 2:
+        raise InvalidData(f"{place}: it has {count} samples; at least 2 needed")
+    return Samples(
+        place=place,
+        origin_ns=origin,
+        time=at,
+        values=values if keep is None else values[keep],
+        unit=table.units.get(own, ""),
+        done=(*table.done, *done),
+    )
+
+
+def named_times(table: Table) -> list[TimeSource]:
+    """Times that a table's own names, or its container, offer, in the order of trust."""
+    if not table.stamps:
+        return _named(table)
+    return [TimeSource(), *(TimeSource(stamp=s) for s in ("log", "publish") if s in table.stamps)]
+
+
+def chosen_time(table: Table) -> tuple[TimeSource, str]:
+    """Time of a table that names none: the first of its candidates that orders the rows.
+
+    Returns
+    -------
+    tuple of TimeSource and str
+        The time, and words on why; candidates that were passed over are named.
+
+    Raises
+    ------
+    InvalidData
+        If no column can be one; the message has the best candidate's row and values.
+    """
+    if table.times is not None or table.rate_hz is not None:
+        return TimeSource(), "by the format"
+    candidates = named_times(table) or _nameless(table)
+    refused: list[str] = []
+    found: list[tuple[int, TimeSource, str]] = []
+    for each in candidates:
+        try:
+            clock = _clock(table, each)
+            assert clock is not None
+            rows = np.flatnonzero(~np.isnan(np.asarray(clock.raw, dtype=np.float64)))
+            _, _, _, done = _ordered(table, clock, rows if len(rows) < len(table) else None)
+        except InvalidData as error:
+            refused.append(str(error))
+            continue
+        found.append((len(done), each, "; ".join(done)))
+    if found:
+        # Candidates come in the order of trust; one that needs nothing done goes before its like.
+        _, time, done_words = found[0]
+        passed = [f"not {_short(words)}" for words in refused]
+        return time, "; ".join(filter(None, [unit_words(table, time), done_words, *passed]))
+    if refused:
+        more = "" if len(refused) == 1 else f"; nor can the next, {_short(refused[1])}"
+        raise InvalidData(f"{refused[0]}; no other column orders the rows{more}")
+    raise InvalidData(
+        f"{table.place}: its times are not known: no column advances in even steps; give the "
+        "sampling rate by --rate-hz, or a mapping with time = { column = ... }"
+    )
+
+
+def unit_words(table: Table, time: TimeSource) -> str:
+    """Words on the unit of a time where the file states none."""
+    stated = not time.column or time.fine or time.date_format or time.column in table.texts
+    if stated or table.units.get(time.column) or unit_in(time.column):
+        return ""
+    return f"{time.unit} by the size of its steps: no unit is stated"
+
+
+def time_line(time: TimeSource, words: str = "") -> str:
+    """Line of a mapping for a time."""
+    from loose_env.importing.mapping_file import quoted
+
+    parts = [f"column = {quoted(time.column)}"] if time.column else []
+    numeric = time.column and not time.fine and not time.date_format
+    parts += [f'unit = "{time.unit}"'] if numeric else []
+    parts += [f"fine = {quoted(time.fine)}"] if time.fine else []
+    parts += [f"date_format = {quoted(time.date_format)}"] if time.date_format else []
+    parts += [f"stamp = {quoted(time.stamp)}"] if time.stamp != "auto" else []
+    parts += [f"rate_hz = {time.rate_hz:.12g}"] if time.rate_hz is not None else []
+    plain = "".join(c if c.isprintable() else " " for c in words)
+    return f"time = {{ {', '.join(parts)} }}{f'  # {plain}' if plain else ''}"
+
+
+def time_unit(step: float, value: float = 0.0) -> str:
+    """Unit of a column of times by its size, where that is a date, else by its step.
+
+    Examples
+    --------
+    >>> time_unit(0.002), time_unit(2.0), time_unit(2e6), time_unit(2e6, 1.7e18)
+    ('s', 'ms', 'ns', 'ns')
+    """
+    if value >= _EPOCHS[-1][0]:
+        return next(unit for least, unit in _EPOCHS if value >= least)
+    return next(unit for least, unit in _STEPS if step >= least)
+
+
+# ------------------------------------------------------------------------- candidates
+
+
+def _named(table: Table) -> list[TimeSource]:
+    """Columns that their names call a time, those of a clock that is never set first."""
+    found: list[tuple[int, TimeSource]] = []
+    names = list(table.columns)
+    for name in names:
+        words = set(re.findall(r"[a-zäöü]+", name.lower()))
+        unit = table.units.get(name) or unit_in(name)
+        timed = bool(unit) and quantity_of(unit) == "time"
+        if words & _SECONDS:
+            fine = next((n for n in names if _same_but(name, n)), "")
+            if fine:
+                found.append((1, TimeSource(column=name, fine=fine)))
+                continue
+        if not (words & (_NAMES | _STEADY) or timed or any("time" in word for word in words)) or (
+            words & _NANOS and not words & _NAMES
+        ):
+            continue
+        if words & {"task", "index", "lag", "delay", "duration", "execution"} and not timed:
+            continue
+        found.append((0 if words & _STEADY else 1, _with_unit(table, name, unit if timed else "")))
+    for name, cells in table.texts.items():
+        if cells and looks_like_a_date(cells[0]):
+            try:
+                date_format = date_format_of(cells, f"{table.place}: column {name!r}")
+            except InvalidData:
+                date_format = ""
+            found.append((1, TimeSource(column=name, date_format=date_format)))
+    return [each for _, each in sorted(found, key=lambda pair: pair[0])]
+
+
+def _nameless(table: Table) -> list[TimeSource]:
+    """Columns that advance in even steps and are no counts of rows."""
+    found = []
+    for name, values in table.columns.items():
+        steps = np.diff(np.asarray(values, dtype=np.float64))
+        if len(steps) < 2 or not np.all(steps > 0):
+            continue
+        step = float(np.median(steps))
+        even = np.mean(np.abs(steps - step) <= _JITTER * step) > 0.5
+        if even and not np.all(steps == 1):
+            found.append(_with_unit(table, name, ""))
+    return found[:1]
+
+
+def _with_unit(table: Table, name: str, unit: str) -> TimeSource:
+    values = np.asarray(table.columns[name], dtype=np.float64)
+    steps = np.diff(values[~np.isnan(values)])
+    steps = steps[steps > 0]
+    first = float(values[0]) if len(values) else 0.0
+    return TimeSource(
+        column=name, unit=unit or time_unit(float(np.median(steps)) if steps.size else 0.0, first)
+    )
+
+
+def _same_but(seconds: str, nanos: str) -> bool:
+    """Whether two names differ in seconds and nanoseconds alone."""
+    one, other = (re.split(r"([A-Za-z]+)", name) for name in (seconds, nanos))
+    if len(one) != len(other):
+        return False
+    unlike = [
+        (a.lower(), b.lower()) for a, b in zip(one, other, strict=True) if a.lower() != b.lower()
+    ]
+    return len(unlike) == 1 and unlike[0][0] in _SECONDS and unlike[0][1] in _NANOS
+
+
+def _short(words: str) -> str:
+    return words.split("; choose", 1)[0][:160]
+
+
+# ------------------------------------------------------------------------- order
+
+
+@lru_cache(maxsize=8)
+def _clock(table: Table, time: TimeSource) -> _Clock | None:
+    """Times of all rows; None where they follow from a rate."""
+    place = table.place
+    if time.rate_hz is not None:
+        return None
+    if not time.column and table.times is not None:
+        return _Clock("the time", table.times, 1.0)
+    if table.stamps:
+        name = time.stamp
+        if name == "auto":
+            header = table.stamps.get("header.stamp")
+            name = "log" if header is None or not len(header) or header[0] == 0 else "header.stamp"
+        name = "header.stamp" if name == "header" else name
+        if name in table.stamps:
+            stamps = table.stamps[name]
+            bad = np.flatnonzero((stamps < 0) | (stamps >= _LATEST_NS))
+            if bad.size:
+                i = int(bad[0])
+                raise InvalidData(f"{table.row(i)}: its time is {stamps[i]} ns, which is no date")
+            return _Clock(f"stamp {name!r} [ns]", stamps, 1e-9)
+        if name not in table.columns:
+            raise InvalidData(
+                f"{table.row(0)}: {name!r} holds no time; stamp is one of "
+                f"{', '.join(map(repr, table.stamps))}, or a field"
+            )
+        return _Clock(f"field {name!r}", table.columns[name], unit_named(time.unit, place).factor)
+    if not time.column:
+        if table.rate_hz is not None:
+            return None
+        raise InvalidData(
+            f"{place}: its time is not known. Name its column, time = {{ column = 'Time' }}, or "
+            "give the recorder's sampling rate where the samples are evenly spaced, "
+            "time = { rate_hz = ... } [Hz]; no rate is assumed"
+        )
+    own = table.named(time.column)
+    if own is None:
+        there = [*table.columns, *table.texts]
+        raise InvalidData(
+            f"{place}: there is no column {time.column!r} for the time; there are "
+            f"{', '.join(map(repr, there[:30]))[:600]}{nearest(time.column, there)}"
+        )
+    if own in table.texts:
+        return _dates(table, own, time)
+    raw = table.columns[own]
+    if time.fine:
+        fine = table.named(time.fine)
+        if fine is None or fine in table.texts:
+            raise InvalidData(f"{place}: there is no column {time.fine!r} of nanoseconds")
+        whole = [np.asarray(part) for part in (raw, table.columns[fine])]
+        if not all(np.all(np.isfinite(part)) for part in whole):
+            raise InvalidData(f"{place}: columns {own!r} and {fine!r} of the time miss values")
+        raw = whole[0].astype(np.int64) * 10**9 + whole[1].astype(np.int64)
+        return _Clock(f"{own!r} and {fine!r} [ns]", raw, 1e-9)
+    factor = unit_named(time.unit, f"{place}: time.unit").factor
+    return _Clock(f"{own!r} [{time.unit}]", raw, factor)
+
+
+def _dates(table: Table, own: str, time: TimeSource) -> _Clock:
+    cells = table.texts[own]
+    date_format = time.date_format
+    if not date_format and cells and looks_like_a_date(cells[0]):
+        date_format = date_format_of(cells, f"{table.place}: column {own!r}")
+    if not date_format:
+        i = next(i for i, cell in enumerate(cells) if not _is_number(cell))
+        raise InvalidData(f"{table.row(i)}, column {own!r}: {cells[i][:40]!r} is no time")
+    stamps = [date_ns(c, date_format, table.row(i)) for i, c in enumerate(cells)]
+    return _Clock(f"{own!r} [ns]", np.array(stamps, dtype=np.int64), 1e-9)
+
+
+def _ordered(
+    table: Table, clock: _Clock, keep: NDArray[np.int64] | None
+) -> tuple[Array, int, NDArray[np.int64] | None, tuple[str, ...]]:
+    """Times [s] after an origin [ns], the rows in their order, and what was done."""
+    raw = clock.raw if keep is None else clock.raw[keep]
+    rows = np.arange(len(clock.raw)) if keep is None else keep
+    if raw.dtype.kind == "f":
+        bad = np.flatnonzero(~np.isfinite(raw))
+        if bad.size:
+            value = raw[int(bad[0])]
+            words = "''" if np.isnan(value) else f"'{value}'"
+            name = clock.label.rsplit(" [", 1)[0]
+            raise InvalidData(f"{table.row(int(rows[bad[0]]))}, column {name}: {words} is no time")
+    done: list[str] = []
+    if len(raw) > 1 and np.any(np.diff(raw) <= 0):
+        raw, order = _mended(table, clock, raw, rows, done)
+        keep, raw = (rows[order], raw[order])
+    first = raw[0] if len(raw) else 0
+    nanos = round(clock.factor * 1e9)
+    origin = int(first) * nanos if raw.dtype.kind in "iu" else round(float(first) * nanos)
+    return (raw - first) * clock.factor, origin, keep, tuple(done)
+
+
+def _mended(
+    table: Table, clock: _Clock, raw: NDArray[Any], rows: NDArray[np.int64], done: list[str]
+) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Times with overflows continued, and the order of their rows."""
+    raw = _continued(table, clock, raw, rows, done)
+    steps = np.diff(raw)
+    back = np.flatnonzero(steps <= 0)
+    if not back.size:
+        return raw, np.arange(len(raw))
+    order = np.argsort(raw, kind="stable")
+    behind = raw < np.maximum.accumulate(raw)
+    step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    late = int(behind.sum())
+    enough = step > 0 and len(raw) >= _FEWEST and late <= _LATE * len(raw)
+    i = _set_back(raw, raw[order], back, step) if enough else int(back[0])
+    still = np.flatnonzero(np.diff(raw[order]) == 0)
+    if i is None and still.size:
+        i = int(order[still[0]])
+        other = int(order[still[0] + 1])
+        raise _refused(table, clock, raw, rows, (i, other))
+    if i is not None:
+        raise _refused(table, clock, raw, rows, (i, i + 1))
+    done.append(f"{table.place}: {late} rows came late by {clock.label} and were put back in order")
+    return raw, order
+
+
+def _continued(
+    table: Table, clock: _Clock, raw: NDArray[Any], rows: NDArray[np.int64], done: list[str]
+) -> NDArray[Any]:
+    """Times of a counter that started again at 0, counted on."""
+    steps = np.diff(np.asarray(raw, dtype=np.float64))
+    forward = steps[steps > 0]
+    if not forward.size:
+        return raw
+    step, low, high = float(np.median(forward)), float(raw.min()), float(raw.max())
+    deep = np.flatnonzero(steps < -0.5 * (high - low))
+    for modulus in (m * scale for scale in (1.0, 1e-3, 1e-6, 1e-9) for m in _MODULI):
+        jumps = steps[deep] + modulus
+        if not deep.size or low < 0 or high >= modulus or (high - low) < 1e-3 * modulus:
+            continue
+        if np.any(jumps <= 0) or np.any(jumps > _OVERFLOW * step):
+            continue
+        turns = np.zeros(len(raw), dtype=raw.dtype)
+        turns[deep + 1] = modulus if raw.dtype.kind == "f" else int(modulus)
+        first = int(rows[deep[0] + 1])
+        done.append(
+            f"{table.row(first)}: the counter {clock.label} overflows at {modulus:.10g}, from "
+            f"{raw[deep[0]]} to {raw[deep[0] + 1]}, and is counted on ({len(deep)} times)"
+        )
+        return np.asarray(raw + np.cumsum(turns))
+    return raw
+
+
+def _set_back(
+    raw: NDArray[Any], order: NDArray[Any], back: NDArray[np.int64], step: float
+) -> int | None:
+    """Row before the deepest step back of the clock; None where rows only came late."""
+    top = np.maximum.accumulate(raw)
+    twice: list[tuple[float, int]] = []
+    for i in back:
+        low, high = float(raw[i + 1] - raw[0]), float(top[i] - raw[0])
+        if high <= low:
+            continue
+        first, last = (
+            int(np.count_nonzero(order - raw[0] < edge))
+            for edge in (low - 5 * step, high + 5.0001 * step)
+        )
+        span = min(high + 5 * step, float(order[-1] - raw[0])) - max(
+            low - 5 * step, float(order[0] - raw[0])
+        )
+        extra = float(last - first) - (span / step + 1)
+        if extra > max(1.5, _TWICE * (high - low) / step):
+            twice.append((high - low, -int(i)))
+    return -max(twice)[1] if twice else None
+
+
+def _refused(
+    table: Table,
+    clock: _Clock,
+    raw: NDArray[Any],
+    rows: NDArray[np.int64],
+    pair: tuple[int, int],
+) -> InvalidData:
+    one, other = pair
+    before, after = raw[one], raw[other]
+    word = "stands still" if before == after else "runs backwards"
+    alike = len(raw) - len(np.unique(raw))
+    coarse = f" ({alike} of {len(raw)} rows have the time of another)" if before == after else ""
+    return InvalidData(
+        f"{table.row(int(rows[other]))}: time {word}: {clock.label} is {after} after {before}"
+        f"{coarse}; choose another time for this source (a finer stamp, or rate_hz where the "
+        "samples are evenly spaced)"
+    )
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.strip() or "nan")
+    except ValueError:
+        return False
+    return True

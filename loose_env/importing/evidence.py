@@ -1,0 +1,218 @@
+"""Signals of a log's channels on common times, and how alike two of them are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy import fft, ndimage
+
+from loose_env.importing.join_runs import decoded
+from loose_env.importing.names import Meaning
+from loose_env.importing.samples import ChannelKey, Samples
+from loose_env.typing import Array
+
+MOST_ROWS = 8192
+"""Samples compared of a run, where it moves most; at 1 kHz, 8 s."""
+LONGEST_LAG = 0.5
+"""Largest delay searched between a command and the motion that follows it [s]."""
+_WIDTHS = (1, 5, 21)
+"""Samples over which a position is averaged before it is differentiated; the best counts."""
+_FALLS = 5.0
+"""Factor by which the largest jump falls where values were wrapped around or had a sign bit."""
+_PERIODS = (2 * np.pi, 360.0, *(float(2**b) for b in (8, 10, 12, 13, 14, 16, 17, 20, 24, 32)))
+_SIGN_BITS = (10, 11, 15, 31)
+
+
+@dataclass(eq=False, kw_only=True)
+class Signal:
+    """A channel with its values on the common times of each run."""
+
+    source: str
+    key: ChannelKey
+    unit: str
+    """Unit that the file or the name states; "" for none."""
+    meaning: Meaning
+    runs: list[Array]
+    """Values of each run, each of shape (T,); empty where the run lacks the channel."""
+    step: float
+    """Time between rows [s]."""
+    period: float | None = None
+    """Period at which the values wrapped around, which is undone in ``runs``."""
+    sign_bit: int | None = None
+    whole: bool = False
+    """True if all values are whole numbers."""
+    sort: int = field(default=0)
+    """Place among the channels of the log."""
+
+    @cached_property
+    def values(self) -> Array:
+        """Values of all runs in a row."""
+        return np.concatenate(self.runs) if self.runs else np.empty(0)
+
+    @cached_property
+    def moves(self) -> bool:
+        """True if it changes by more than the rounding of its values in some run."""
+        scale = max(float(np.max(np.abs(self.values))), 1e-9) if self.values.size else 1.0
+        return any(len(v) and float(np.ptp(v)) > 1e-6 * scale for v in self.runs)
+
+    @cached_property
+    def low(self) -> float:
+        """Smallest value."""
+        return float(np.min(self.values))
+
+    @cached_property
+    def high(self) -> float:
+        """Largest value."""
+        return float(np.max(self.values))
+
+    @cached_property
+    def smooth(self) -> list[list[Array]]:
+        """Averages of the runs, at each width of smoothing."""
+        return [
+            [np.asarray(ndimage.uniform_filter1d(v, w)) if len(v) else v for v in self.runs]
+            for w in _WIDTHS
+        ]
+
+    @cached_property
+    def rates(self) -> list[list[Array]]:
+        """Derivatives of the runs, at each width of smoothing."""
+        return [[derivative(v, self.step, w) for v in self.runs] for w in _WIDTHS]
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """Best correlation of two signals over their delay."""
+
+    correlation: float
+    """From -1 to 1."""
+    lag: float
+    """Delay of the second behind the first [s]."""
+
+
+def derivative(values: Array, step: float, width: int = 5) -> Array:
+    """Rate of a smoothed signal, shape (T,)."""
+    if len(values) < 2:
+        return np.zeros(len(values))
+    return np.asarray(np.gradient(ndimage.uniform_filter1d(values, width), step))
+
+
+def correlation(first: Sequence[Array], second: Sequence[Array]) -> float:
+    """Correlation of two signals at no delay, the mean of each run apart; 0 where one is still."""
+    products = np.zeros(3)
+    for a, b in zip(first, second, strict=True):
+        if len(a) and len(a) == len(b):
+            one, two = a - a.mean(), b - b.mean()
+            products += (one @ two, one @ one, two @ two)
+    scale = float(np.sqrt(products[1] * products[2]))
+    return float(products[0]) / scale if scale > 0 else 0.0
+
+
+def slope(first: Sequence[Array], second: Sequence[Array]) -> float:
+    """Signed ratio of the spread of a second signal to that of the first."""
+    spreads = [
+        sum(float(np.sum((v - v.mean()) ** 2)) for v, w in zip(one, other, strict=True)
+            if len(v) and len(v) == len(w))
+        for one, other in ((first, second), (second, first))
+    ]  # fmt: skip
+    sign = 1.0 if correlation(first, second) >= 0 else -1.0
+    return sign * float(np.sqrt(spreads[1] / spreads[0])) if spreads[0] > 0 else 0.0
+
+
+def likeness(first: Sequence[Array], second: Sequence[Array], step: float) -> Likeness:
+    """Correlate two signals over delays of the second from -0.5 to 0.5 s; the best in size."""
+    most = round(LONGEST_LAG / step)
+    longest = max((len(v) for v in first), default=0)
+    most = min(most, longest // 2)
+    total, powers = np.zeros(2 * most + 1), np.zeros(2)
+    for a, b in zip(first, second, strict=True):
+        if not len(a) or len(a) != len(b):
+            continue
+        one, two = a - a.mean(), b - b.mean()
+        size = fft.next_fast_len(len(a) + most + 1, real=True)
+        whole = fft.irfft(np.conj(fft.rfft(one, size)) * fft.rfft(two, size), size)
+        total += np.concatenate([whole[size - most :], whole[: most + 1]])
+        powers += (one @ one, two @ two)
+    scale = float(np.sqrt(powers[0] * powers[1]))
+    if scale <= 0:
+        return Likeness(0.0, 0.0)
+    total /= scale
+    best = int(np.argmax(np.abs(total)))
+    exact = float(best)
+    if 0 < best < len(total) - 1:
+        left, here, right = np.abs(total[best - 1 : best + 2])
+        bend = left - 2 * here + right
+        exact += float(0.5 * (left - right) / bend) if bend < 0 else 0.0
+    return Likeness(float(np.clip(total[best], -1, 1)), (exact - most) * step)
+
+
+def rate_likeness(position: Signal, other: Signal) -> float:
+    """Correlation of a channel with the derivative of another, at the best smoothing."""
+    pairs = zip(position.rates, other.smooth, strict=True)
+    return max((correlation(rates, own) for rates, own in pairs), key=abs)
+
+
+def coding_of(values: Array) -> tuple[float | None, int | None]:
+    """Period at which values wrap around, and bit that holds their sign; None for neither.
+
+    Examples
+    --------
+    >>> turns = np.linspace(0, 30, 500)
+    >>> coding_of(np.degrees(turns) % 360), coding_of(turns)
+    ((360.0, None), (None, None))
+    """
+    jump = _jump(values)
+    spread = float(np.ptp(values)) if values.size else 0.0
+    if jump < 0.5 * spread or spread == 0:
+        return None, None
+    best: tuple[float, float | None, int | None] = (jump / _FALLS, None, None)
+    for period in _PERIODS:
+        if 0.5 * period < spread <= 1.001 * period and jump > 0.5 * period:
+            left = _jump(decoded(values, period, None))
+            best = min(best, (left, period, None), key=lambda each: each[0])
+    if np.min(values) >= 0 and np.all(values == np.round(values)):
+        for bit in _SIGN_BITS:
+            if 2**bit <= np.max(values) < 2 ** (bit + 1):
+                left = _jump(decoded(values, None, bit))
+                best = min(best, (left, None, bit), key=lambda each: each[0])
+    return best[1], best[2]
+
+
+def _jump(values: Array) -> float:
+    return float(np.max(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
+
+
+def on_one_base(samples: Mapping[int, Samples]) -> tuple[float, dict[int, Array]]:
+    """Channels of one run at the times that all of them have, where they move most."""
+    if not samples:
+        return 1.0, {}
+    origin = min(each.origin_ns for each in samples.values())
+    times = {key: each.since(origin) for key, each in samples.items()}
+    ends = np.array([[t[0], t[-1]] for t in times.values()])
+    # A channel that speaks of less than half of the others' time is no part of the motion.
+    longest = np.median(ends[:, 1] - ends[:, 0])
+    kept = {
+        key: t
+        for key, t in times.items()
+        if min(t[-1], np.median(ends[:, 1])) - max(t[0], np.median(ends[:, 0])) > 0.5 * longest
+    }
+    if not kept:
+        return 1.0, {}
+    start, stop = max(t[0] for t in kept.values()), min(t[-1] for t in kept.values())
+    step = min(samples[key].step for key in kept)
+    rows = int((stop - start) / step + 1e-6) + 1 if stop > start else 0
+    if rows < 10:
+        return step, {}
+    base = start + step * np.arange(rows)
+    found = {k: np.interp(base, t, samples[k].values) for k, t in kept.items()}
+    if rows > MOST_ROWS:
+        effort = sum(
+            (np.abs(np.diff(v)) / np.ptp(v) for v in found.values() if np.ptp(v) > 0),
+            start=np.zeros(rows - 1),
+        )
+        total = np.concatenate([[0.0], np.cumsum(effort)])
+        at = int(np.argmax(total[MOST_ROWS - 1 :] - total[: rows - MOST_ROWS + 1]))
+        found = {k: v[at : at + MOST_ROWS] for k, v in found.items()}
+    return step, found

@@ -1,0 +1,161 @@
+"""Meaning of a channel by its name: quantity, joint, and place in a vector; a prior, no proof."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from loose_env.importing.samples import ChannelKey
+
+Role = Literal["position", "velocity", "torque", "current", "command", "acceleration", "other", ""]
+"""Quantity that a channel seems to hold; "" where the name says nothing."""
+
+_WORD = re.compile(r"[A-ZÄÖÜ]?[a-zäöüß]+|[A-ZÄÖÜ]+(?![a-zäöüß])|\d+")
+_UNIT = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
+_ENTRY = re.compile(r"(.*?)\[([^\[\]]+)\]$")
+_NUMBERED = re.compile(r"(.*?\D)(\d+)$")
+_TABLE = """
+other: tcp temp temperature temperatures volt volts voltage mode bits momentum pose quat eef wrench
+other: fraction scaling sin cos image reward done force index task frame next orientation twist
+other: error err seq count counter id status state_machine enable kp kd gain mass
+command: target target command commands cmd action actions desired des ref reference setpoint goal
+command: ctrl control controls soll sollwert demand tgt sp
+acceleration: qdd ddq acc accel acceleration accelerometer qacc gyro gyroscope imu
+velocity: velocity velocities vel qd dq qvel speed rate omega
+torque: effort torque torques tau moment frc load
+current: current currents amps
+position: position positions pos q qpos angle angles encoder enc state ist
+"""
+_WORDS: dict[str, set[str]] = {}
+"""Quantity -> words that name it, in the order in which quantities are tried."""
+for _line in _TABLE.strip().splitlines():
+    _role, _, _rest = _line.partition(":")
+    _WORDS.setdefault(_role, set()).update(_rest.split())
+_TELLING = 3
+"""Fewest letters of a word by which a channel names a joint."""
+_AXES = {"0": "x", "1": "y", "2": "z", "x": "x", "y": "y", "z": "z"}
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """Meaning of a channel by its name."""
+
+    role: Role
+    of: Role
+    """Quantity commanded, where the role is "command"; else the role."""
+    joint: str
+    """Joint that the name has; "" where it has none."""
+    vector: tuple[str, ...]
+    """What is left of the name without joint and number: equal for the channels of a vector."""
+    index: int | None
+    """Place in that vector, where the name has a number."""
+    entry: bool
+    """True for an entry of an array, in brackets, of which the file itself makes a vector."""
+    words: tuple[str, ...]
+    """Words of the whole name, in lower case."""
+
+    @property
+    def axis(self) -> str:
+        """Axis x, y or z that the name has, alone or as in ``ax``; else ""."""
+        for last in reversed(self.words):
+            axis = _AXES.get(last, last[1:] if last in ("ax", "ay", "az", "gx", "gy", "gz") else "")
+            if axis:
+                return axis
+        return ""
+
+
+def meaning_of(key: ChannelKey, joints: Sequence[str] = (), beside: str = "") -> Meaning:
+    """Read the name of a channel, of a model with such joints; ``beside`` has further words.
+
+    Examples
+    --------
+    >>> found = meaning_of(ChannelKey("target_qd_3"))
+    >>> found.role, found.of, found.index
+    ('command', 'velocity', 3)
+    >>> found = meaning_of(ChannelKey("position[elbow]", "/joint_states"), ["elbow", "wrist"])
+    >>> found.role, found.joint
+    ('position', 'elbow')
+    """
+    entry = key.channel.endswith("]") and " " not in key.channel
+    plain = key.channel if entry else _UNIT.sub("", key.channel).strip()
+    base, index = plain, None
+    found, numbered = _ENTRY.fullmatch(plain), _NUMBERED.fullmatch(plain)
+    if found is not None:
+        base = found.group(1) if found.group(2).isdigit() else plain
+        index = int(found.group(2)) if found.group(2).isdigit() else None
+    elif numbered is not None:
+        base, index = numbered.group(1), int(numbered.group(2))
+    words = tuple(words_of(plain))
+    joint, own = _joint_of(words, joints)
+    rest = tuple(w for w in words_of(base) if w not in own)
+    roles = _roles(set(rest) | set(words_of(beside)) if rest or beside else set(words))
+    commanded = set(words_of(key.topic)) & _WORDS["command"]
+    if commanded and "command" not in roles and "other" not in roles:
+        roles = ["command", *roles]
+    role, of = "", ""
+    if roles:
+        role = roles[0]
+        of = next((each for each in roles if each != "command"), "")
+        if role == "command" and of == "":
+            of = "command"
+    vector = (key.topic, beside, *rest)
+    return Meaning(role, of, joint, vector, index, entry, words)  # type: ignore[arg-type]
+
+
+def quantities(name: str) -> list[str]:
+    """Quantities that the words of a name tell, such as those of a file's."""
+    return _roles(set(words_of(name)))
+
+
+def words_of(name: str) -> list[str]:
+    """Words of a name, in lower case.
+
+    Examples
+    --------
+    >>> words_of("shoulderPan_joint.pos")
+    ['shoulder', 'pan', 'joint', 'pos']
+    """
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def _roles(words: set[str]) -> list[str]:
+    return [role for role, known in _WORDS.items() if words & known]
+
+
+def _joint_of(words: tuple[str, ...], joints: Sequence[str]) -> tuple[str, set[str]]:
+    """Joint that a name has, and the words by which: its whole name, or one that it alone has."""
+    sizes = {joint: _named(words, joint) for joint in joints}
+    most = max(sizes.values(), default=0)
+    if most:
+        fitting = [joint for joint, size in sizes.items() if size == most]
+        own = set(words_of(fitting[0])) - {"joint"} or set(words_of(fitting[0]))
+        return (fitting[0], own | {"joint"}) if len(fitting) == 1 else ("", set())
+    telling = _telling(joints)
+    named = {telling[word] for word in words if word in telling}
+    if len(named) == 1:
+        joint = next(iter(named))
+        return joint, {word for word in words if telling.get(word) == joint}
+    return "", set()
+
+
+def _named(words: tuple[str, ...], joint: str) -> int:
+    """Number of words of a joint's name that a channel's words contain in a row; 0 if not all."""
+    own = [word for word in words_of(joint) if word != "joint"] or words_of(joint)
+    span = len(own)
+    there = any(list(words[i : i + span]) == own for i in range(len(words) - span + 1))
+    return span if there and span else 0
+
+
+def _telling(joints: Sequence[str]) -> dict[str, str]:
+    """Words that the name of one joint alone has, and that name no quantity -> that joint."""
+    found: dict[str, str] = {}
+    everywhere = [set(words_of(joint)) for joint in joints]
+    known = set().union(*_WORDS.values()) | {"joint", "motor", "axis"}
+    for joint in joints:
+        for word in words_of(joint):
+            alone = sum(word in words for words in everywhere) == 1
+            if alone and len(word) >= _TELLING and word not in known:
+                found[word] = joint
+    return found

@@ -1,0 +1,426 @@
+"""Proposal of a mapping for files: sources, runs, a column for each channel, with reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from loose_env.errors import InvalidData, LooseEnvError
+from loose_env.importing.clocks import chosen_time, samples_of, time_line
+from loose_env.importing.describe import source_name
+from loose_env.importing.evidence import Signal, coding_of, on_one_base
+from loose_env.importing.join_runs import decoded
+from loose_env.importing.mapping import TimeSource
+from loose_env.importing.mapping_file import MAPPING_FORMAT, quoted
+from loose_env.importing.names import meaning_of, quantities
+from loose_env.importing.reading import given_files, natural, open_log
+from loose_env.importing.roles import Line, Roles
+from loose_env.importing.samples import ChannelKey, Log, Samples, Table
+from loose_env.importing.targets import joint_targets
+
+_MOST_RUNS = 4
+"""Runs of which signals are compared; more tell hardly more."""
+_MOST_LEFT = 40
+"""Channels without a column that are listed, at most."""
+_SAME = 0.7
+"""Share of channels that two files have in common to be two runs of one log."""
+_ALL_NAN = "no sample: all its values are NaN"
+
+
+class Left(NamedTuple):
+    """A channel without a column, and the reason."""
+
+    source: str
+    key: ChannelKey
+    unit: str
+    reason: str
+
+
+@dataclass(eq=False, kw_only=True)
+class LogSource:
+    """A source of the mapping: files of one kind, one in each run, and how they are read."""
+
+    files: list[tuple[str, Path, Log, list[Table]]]
+    """Name on the command line, path, log, and tables of its first episode."""
+    lines: list[str] = field(default_factory=list)
+    """Lines of the mapping that say how to read it."""
+    times: dict[str, TimeSource] = field(default_factory=dict)
+    """Time of each topic."""
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes of all files."""
+        return sum(len(log.episodes) for _, _, log, _ in self.files)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposal:
+    """A proposed mapping."""
+
+    logs: Mapping[str, LogSource]
+    columns: tuple[Line, ...]
+    notes: tuple[str, ...]
+    unassigned: tuple[Left, ...] = ()
+    runs: tuple[Mapping[str, str], ...] = ()
+    """Files of each run, by source."""
+    unused: tuple[str, ...] = ()
+    """Files that hold no signals."""
+
+
+def propose(
+    sources: Sequence[str], model: mujoco.MjModel, rate_hz: float | None = None
+) -> Proposal:
+    """Propose a mapping of files to the columns of a model.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Files or folders, or ``NAME=PATH``: all runs of a log at once.
+    model : mujoco.MjModel
+        The model.
+    rate_hz : float, optional
+        Sampling rate of files without times [Hz].
+
+    Raises
+    ------
+    InvalidData
+        If a file cannot be read, its times are not known, or no channel is a measured one.
+    """
+    logs, notes, unused = _sources(sources, rate_hz)
+    runs = _runs(logs)
+    signals, step, left = _signals(logs, runs, [t.name for t in joint_targets(model)])
+    defined = {
+        name: "rad"
+        for name, log in logs.items()
+        if log.files[0][2].kind in ("mcap", "rosbag2", "sysid", "hdf5") or any(
+            key.startswith(("actual_q", "target_q")) for key in log.files[0][3][0].columns
+        )
+    }  # fmt: skip
+    roles = Roles(model, signals, step, defined).found()
+    columns = (*roles.lines.values(), *roles.open)
+    left = [*(Left(s.source, s.key, s.unit, why) for s, why in roles.left()), *left]
+    measured = [c for c in roles.lines if not c.startswith("ctrl.")]
+    if not measured:
+        names = ", ".join(dict.fromkeys(log.files[0][0] for log in logs.values()))
+        heard = "; ".join(f"{each.key}: {each.reason}" for each in left[:3])
+        found = ", ".join(f"{line.candidate.key} as {c}" for c, line in [*roles.lines.items()][:2])
+        raise InvalidData(
+            f"{names}: no channel is a measured position, velocity or torque of the model "
+            f"({found or 'nothing was recognised'}); record the joints' states too, or write a "
+            f"mapping by loose import --describe. {heard[:400]}"
+        )
+    return Proposal(
+        logs=logs, columns=columns, notes=(*notes, *roles.notes), unassigned=tuple(left),
+        runs=tuple(runs), unused=tuple(unused),
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------------- files
+
+
+def _sources(
+    words: Sequence[str], rate_hz: float | None
+) -> tuple[dict[str, LogSource], list[str], list[str]]:
+    """Sources of files, those of one kind in one; files without signals are left out."""
+    given = given_files(words)
+    notes: list[str] = []
+    unused: list[str] = []
+    groups: list[LogSource] = []
+    first: LooseEnvError | None = None
+    for call in sorted(given, key=natural):
+        try:
+            log = open_log(given[call])
+            tables = [table for table in log.first() if table.columns]
+            if not tables or all(len(t) < 2 for t in tables):
+                raise InvalidData(f"{log.name}: it holds no signals")
+        except LooseEnvError as error:
+            first = first or error
+            notes.append(f"left out: {error}")
+            unused.append(call)
+            continue
+        entry = (call, given[call], log, tables)
+        group = next((g for g in groups if _of_one_kind(g.files[0], entry)), None)
+        if group is None:
+            groups.append(LogSource(files=[entry]))
+        else:
+            group.files.append(entry)
+    if not groups:
+        raise first or InvalidData(f"{', '.join(words)}: no logs")
+    named: dict[str, LogSource] = {}
+    for group in groups:
+        name = source_name(group.files[0][0], named)
+        _take_times(group, rate_hz)
+        named[name] = group
+    return named, notes, unused
+
+
+def _of_one_kind(one: tuple[str, Path, Log, list[Table]],
+                 other: tuple[str, Path, Log, list[Table]]) -> bool:  # fmt: skip
+    """Whether two files are runs of one log: the same channels, and no other quantity by name."""
+    keys = [{(t.topic, c) for t in each[3] for c in t.columns} for each in (one, other)]
+    if one[2].kind != other[2].kind or len(keys[0] & keys[1]) < _SAME * len(keys[0] | keys[1]):
+        return False
+    told = [quantities(Path(each[0]).stem) for each in (one, other)]
+    own = {q for t in one[3] for c in t.columns for q in quantities(c)} - {"other"}
+    return told[0] == told[1] or len(own) > 1
+
+
+def _take_times(source: LogSource, rate_hz: float | None) -> None:
+    """Choose the time of each topic by all files, and write how they are read."""
+    _, _, log, _ = source.files[0]
+    lines = [f'kind = "{log.kind}"', *log.options]
+    if rate_hz is not None:
+        lines = [line for line in lines if not line.startswith("time =")]
+        lines.append(time_line(TimeSource(rate_hz=rate_hz)))
+    chosen: dict[str, tuple[TimeSource, str]] = {}
+    for call, _, _, tables in source.files:
+        for table in tables:
+            time, words = TimeSource(rate_hz=rate_hz), ""
+            if rate_hz is None:
+                try:
+                    time, words = chosen_time(table)
+                except InvalidData:
+                    if len(tables) == 1:
+                        raise
+                    continue
+            before = chosen.setdefault(table.topic, (time, words))
+            if before[0] != time:
+                time = _time_of_all(source, table.topic, (before[0], time), call)
+                chosen[table.topic] = (time, before[1])
+    source.times = {topic: time for topic, (time, _) in chosen.items()}
+    if rate_hz is None:
+        for topic, (time, words) in chosen.items():
+            plain = time == TimeSource()
+            if not topic and not plain:
+                lines.append(time_line(time, words))
+            elif topic and not plain:
+                body = time_line(time, words).removeprefix("time = ")
+                lines.append(f"topics.{quoted(topic)} = {body}")
+    source.lines = lines
+
+
+def _time_of_all(
+    source: LogSource, topic: str, times: tuple[TimeSource, ...], call: str
+) -> TimeSource:
+    """Time that orders the rows of all files of a source."""
+    for time in times:
+        try:
+            for _, _, _, tables in source.files:
+                for table in tables:
+                    if table.topic == topic:
+                        samples_of(table, next(iter(table.columns)), time)
+        except InvalidData:
+            continue
+        return time
+    raise InvalidData(
+        f"{call}: its rows are ordered by another time than those of {source.files[0][0]}; import "
+        "the files apart"
+    )
+
+
+def _runs(logs: Mapping[str, LogSource]) -> list[dict[str, str]]:
+    """Files of each run: one of each source, paired by folder or by order."""
+    counts = {name: len(log.files) for name, log in logs.items()}
+    if len(set(counts.values())) > 1:
+        most = max(counts, key=lambda name: counts[name])
+        few = min(counts, key=lambda name: counts[name])
+        raise InvalidData(
+            f"{counts[most]} files are like {logs[most].files[0][0]}, and {counts[few]} like "
+            f"{logs[few].files[0][0]}: which belong to one run cannot be told; give them in one "
+            "folder a run, or import each kind apart"
+        )
+    return [
+        {name: log.files[i][0] for name, log in logs.items()} for i in range(max(counts.values()))
+    ]
+
+
+# ------------------------------------------------------------------------- signals
+
+
+def _signals(
+    logs: Mapping[str, LogSource], runs: Sequence[Mapping[str, str]], joints: Sequence[str]
+) -> tuple[list[Signal], float, list[Left]]:
+    """Channels of some runs on common times, and those that have no samples."""
+    read: list[dict[tuple[str, ChannelKey], Samples]] = []
+    left: dict[tuple[str, ChannelKey], Left] = {}
+    units: dict[tuple[str, ChannelKey], str] = {}
+    for i in _chosen(len(runs)):
+        episodes = {name: log.files[i][2].episodes for name, log in logs.items()}
+        parts = next((e for e in episodes.values() if e), ("",))
+        for n in _chosen(len(parts), most=max(1, _MOST_RUNS // max(len(runs), 1))):
+            own: dict[tuple[str, ChannelKey], Samples] = {}
+            for name, log in logs.items():
+                _, _, file, first = log.files[i]
+                tables = file.tables(parts[n], None) if n and file.episodes else first
+                for table in tables:
+                    time = log.times.get(table.topic)
+                    if time is None:
+                        continue
+                    for channel in table.columns:
+                        if channel in (time.column, time.fine):
+                            continue
+                        key = (name, ChannelKey(channel, table.topic))
+                        units[key] = table.units.get(channel, "")
+                        try:
+                            own[key] = samples_of(table, channel, time)
+                        except InvalidData as error:
+                            nan = np.isnan(np.asarray(table.columns[channel], dtype=float)).all()
+                            why = _ALL_NAN if nan else str(error)
+                            left[key] = Left(*key, units[key], why)
+            read.append(own)
+    keys = list(dict.fromkeys(key for own in read for key in own))
+    coded = {key: _coding([own[key].values for own in read if key in own]) for key in keys}
+    step, bases = 0.0, []
+    for own in read:
+        plain = {i: _decoded(own[key], coded[key]) for i, key in enumerate(keys) if key in own}
+        own_step, base = on_one_base(plain)
+        step = step or own_step
+        bases.append(base)
+    signals = []
+    for i, key in enumerate(keys):
+        values = [base.get(i, np.empty(0)) for base in bases]
+        if not any(len(v) for v in values):
+            left[key] = Left(*key, units[key], "has no time in common with the other channels")
+            continue
+        source, channel_key = key
+        beside = Path(logs[source].files[0][0]).stem if len(logs) > 1 else ""
+        told = quantities(beside)
+        signals.append(
+            Signal(
+                source=source,
+                key=channel_key,
+                unit=units[key],
+                meaning=meaning_of(channel_key, joints, beside if told else ""),
+                runs=values,
+                step=step,
+                period=coded[key][0],
+                sign_bit=coded[key][1],
+                sort=i,
+            )
+        )
+    if not signals:
+        names = ", ".join(log.files[0][0] for log in logs.values())
+        raise InvalidData(
+            f"{names}: no channels of numbers that have 10 samples in common; give the runs of one "
+            "motion"
+        )
+    used = {(s.source, s.key) for s in signals}
+    return signals, step, [each for key, each in left.items() if key not in used]
+
+
+def _chosen(count: int, most: int = _MOST_RUNS) -> list[int]:
+    return sorted({round(i) for i in np.linspace(0, count - 1, min(count, most))})
+
+
+def _coding(runs: Sequence[np.ndarray]) -> tuple[float | None, int | None]:
+    """Coding that most of the runs with jumps have."""
+    found = [coding_of(values) for values in runs]
+    return next((each for each in found if each != (None, None)), (None, None))
+
+
+def _decoded(samples: Samples, coding: tuple[float | None, int | None]) -> Samples:
+    if coding == (None, None):
+        return samples
+    return Samples(
+        place=samples.place, origin_ns=samples.origin_ns, time=samples.time,
+        values=decoded(samples.values, *coding), unit=samples.unit,
+    )  # fmt: skip
+
+
+# ------------------------------------------------------------------------- text
+
+
+def proposal_text(proposal: Proposal, model: str) -> str:
+    """Write a proposal as a mapping file.
+
+    Parameters
+    ----------
+    proposal : Proposal
+        The proposal.
+    model : str
+        Path of the model from the folder of the mapping; "" where it lies elsewhere, so that it
+        is given on the command line.
+
+    Returns
+    -------
+    str
+        TOML; a line that lacks something is a comment.
+    """
+    several = len(proposal.logs) > 1
+    lines = [f"format = {quoted(MAPPING_FORMAT)}"]
+    lines.append(f"model = {quoted(model)}" if model else "# model: give it by --model")
+    if proposal.unused:
+        lines.append(f"unused = [{', '.join(map(quoted, proposal.unused))}]  # no signals in them")
+    for name, log in proposal.logs.items():
+        lines += ["", f"[sources.{name}]", f"file = {quoted(log.files[0][0])}", *log.lines]
+    lines += [
+        "",
+        "# Proposed by what the channels do, names and ranges besides: check every line.",
+        "[columns]",
+    ]
+    for each in proposal.columns:
+        lines.append(f"# {_plain(each.reason)}")
+        lines.append(f"{'# ' if each.open else ''}{_line(each, several)}")
+    lines += [f"# {_plain(note)}" for note in proposal.notes]
+    if proposal.unassigned:
+        lines.append("# Not used:")
+    for left in proposal.unassigned[:_MOST_LEFT]:
+        parts = _place(left.source, left.key, several)
+        parts += [f"unit = {quoted(left.unit)}"] if left.unit else []
+        lines.append(f'# "sensor.?" = {{ {", ".join(parts)} }}  # {_plain(left.reason)}')
+    if len(proposal.unassigned) > _MOST_LEFT:
+        more = len(proposal.unassigned) - _MOST_LEFT
+        lines.append(f"# and {more} more: loose import --describe lists them")
+    for i, files in enumerate(proposal.runs):
+        name = _run_name(proposal, i)
+        lines += ["", "[[runs]]", f"file = {quoted(name)}"]
+        if len(proposal.runs) > 1:
+            own = ", ".join(f"{source} = {quoted(file)}" for source, file in files.items())
+            lines.append(f"sources = {{ {own} }}")
+        if i == 0:
+            lines.append('condition = "suspect"  # or "healthy"')
+        episodes = max(len(log.files[i][2].episodes) for log in proposal.logs.values())
+        if episodes:
+            lines.append(f'episodes = "all"  # of {episodes}; or such as "0, 3-5"')
+    return "\n".join(lines) + "\n"
+
+
+def _run_name(proposal: Proposal, i: int) -> str:
+    """Name of a run: that of its file without the ending, or of its folder."""
+    files = list(proposal.runs[i].values())
+    name = files[0] if len(files) == 1 or len(proposal.runs) == 1 else files[0].split("/")[0]
+    taken: dict[str, None] = {}
+    for other in proposal.runs[: i + 1]:
+        own = list(other.values())
+        call = own[0] if len(own) == 1 or len(proposal.runs) == 1 else own[0].split("/")[0]
+        last = source_name(call.replace("/", "-"), taken)
+        taken[last] = None
+    return last if len(proposal.runs) > 1 else next(iter(proposal.logs), name)
+
+
+def _place(source: str, key: ChannelKey, several: bool) -> list[str]:
+    parts = [f"source = {quoted(source)}"] if several else []
+    parts += [f"topic = {quoted(key.topic)}"] if key.topic else []
+    return [*parts, f"channel = {quoted(key.channel)}"]
+
+
+def _line(each: Line, several: bool) -> str:
+    s = each.candidate
+    parts = _place(s.source, s.key, several)
+    scaling = each.scaling
+    parts += [f"unit = {quoted(scaling.unit)}"] if scaling.unit else []
+    parts += [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
+    parts += [f"sign = {each.sign}"] if each.sign != 1 else []
+    parts += [f"offset = {scaling.offset:.9g}"] if scaling.offset else []
+    parts += [f"period = {s.period:.9g}  "[:-2]] if s.period is not None else []
+    parts += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None else []
+    return f"{quoted(each.column or 'sensor.?')} = {{ {', '.join(parts)} }}"
+
+
+def _plain(words: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in words)

@@ -1,0 +1,884 @@
+"""Roles of channels by what they do: positions, velocities, torques, commands, tool sensors.
+
+A channel is a position if another follows its derivative, if another leads it, or if the torque
+that the model needs for it is in the log; a velocity if it follows the derivative of a position;
+a torque if it is what the model needs, and friction; a command if the motion follows it. Names
+and units are priors among these: they break ties, and never make a role of what contradicts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from loose_env.importing.evidence import (
+    Likeness,
+    Signal,
+    correlation,
+    derivative,
+    likeness,
+    rate_likeness,
+    slope,
+)
+from loose_env.importing.scalings import (
+    Scaling,
+    admits,
+    fits,
+    group_unit,
+    is_rate,
+    normalised_scaling,
+    position_scaling,
+    rate_unit,
+)
+from loose_env.importing.targets import (
+    JointTarget,
+    joint_targets,
+    needed_torques,
+    tool_sensors,
+)
+from loose_env.importing.units import quantity_of, unit_named
+from loose_env.recording import ModelColumns
+from loose_env.typing import Array
+
+ALIKE = 0.8
+"""Least correlation at which two channels without telling names are of one motion [1]."""
+_TRUSTED = 0.5
+"""Correlation from which a sign is read off a channel, and a name is believed [1]."""
+_SAME_UNIT = 3.0
+"""Factor by which a measured torque may differ from the model's to count as one in N·m [1]."""
+_TOGETHER = 0.3
+"""Share of a step within which neither of two channels leads."""
+_LAGS = 1.5
+"""Steps by which a command may seem to come late for the stamps of two streams."""
+_NAME = 0.3
+"""Correlation that a telling name is worth where channels compete for a joint [1]."""
+_PRIOR = {"position": 3.0, "": 0.0, "command": -3.0, "velocity": -4.0, "acceleration": -4.0,
+          "torque": -4.0, "current": -4.0, "other": -6.0}  # fmt: skip
+"""What a name is worth for a position, where leading or following a channel is worth 2."""
+_MOST = 80
+"""Channels that are compared with each other."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """One line of a proposal."""
+
+    column: str
+    """Column of the model; "" where it has none for the channel."""
+    candidate: Signal
+    scaling: Scaling
+    sign: int = 1
+    reason: str = ""
+    open: bool = False
+    """True if something is missing, so that the line is left as a comment."""
+
+
+@dataclass(eq=False)
+class _Vector:
+    """Channels of one quantity, each of its joint."""
+
+    members: dict[str, Signal]
+    words: str
+    """Where the joints follow from."""
+    given: bool = False
+    """True if the file itself makes a vector of them, by names or brackets."""
+
+
+@dataclass(eq=False)
+class Roles:
+    """Roles of the channels of a log at the joints of a model."""
+
+    model: mujoco.MjModel
+    signals: Sequence[Signal]
+    step: float
+    defined: Mapping[str, str] = field(default_factory=dict)
+    """Source -> unit of an angle that its format defines."""
+
+    def __post_init__(self) -> None:
+        self.targets = joint_targets(self.model)
+        self.joints = {each.name: each for each in self.targets}
+        self.lines: dict[str, Line] = {}
+        self.open: list[Line] = []
+        self.why: dict[int, str] = {}
+        """Reason for which a channel is left, by its place."""
+        self.used: set[int] = set()
+        self.positions: dict[str, tuple[Signal, Scaling, str]] = {}
+        self.rates: dict[str, list[Array]] = {}
+        self.needed: dict[str, list[Array]] = {}
+        self.commands: dict[str, Signal] = {}
+        self.notes: list[str] = []
+        self.pairs: dict[tuple[int, int], Likeness] = {}
+
+    def found(self) -> Roles:
+        """All roles, in the order in which one rests on the other."""
+        self._direct()
+        vectors = self._vectors()
+        self._take_positions(vectors)
+        self._take_velocities()
+        self._take_units()
+        self._take_torques()
+        self._take_commands(vectors)
+        self._take_still()
+        self._take_tool()
+        return self
+
+    # --------------------------------------------------------------------- candidates
+
+    def _free(self, *roles: str) -> list[Signal]:
+        return [
+            s
+            for s in self.signals
+            if s.sort not in self.used and s.moves and (not roles or s.meaning.role in roles)
+        ]
+
+    def _direct(self) -> None:
+        """Channels that are named as sensors of the model other than those of joints."""
+        known = ModelColumns.of(self.model).known
+        own = {c for t in self.targets for c in (t.position, t.velocity, t.torque, t.command)}
+        for s in self.signals:
+            text = s.key.channel
+            axis = {"[0]": ".x", "[1]": ".y", "[2]": ".z"}.get(text[-3:], "")
+            names = [text, f"sensor.{text}", f"sensor.{text[:-3]}{axis}" if axis else ""]
+            column = next((n for n in names if n in known and n not in own), "")
+            if column and s.moves:
+                words = f"named as the model's {text!r}"
+                self._add(column, s, Scaling(s.unit), 1, words)
+
+    def _named(self, s: Signal) -> tuple[str, str]:
+        """Role and joint of a channel that is named as a sensor or actuator of the model."""
+        text = s.key.channel
+        for t in self.targets:
+            for role, column in (("position", t.position), ("velocity", t.velocity),
+                                 ("torque", t.torque), ("command", t.command)):  # fmt: skip
+                bare = column.split(".", 1)[-1]
+                alone = bare if role != "torque" and bare != t.name else column
+                if column and text in (column, alone):
+                    return role, t.name
+                if role == "command" and column and text == f"{bare}_ctrl":
+                    return role, t.name
+            if text in (f"{t.name}_qpos", f"{t.name}_qvel"):
+                return ("position" if text.endswith("pos") else "velocity"), t.name
+        return "", ""
+
+    def _label(self, s: Signal) -> str:
+        """Joint that a channel names; that of the only one where it names none."""
+        return self._named(s)[1] or s.meaning.joint or (
+            self.targets[0].name if len(self.targets) == 1 else ""
+        )  # fmt: skip
+
+    def _role(self, s: Signal) -> str:
+        return self._named(s)[0] or s.meaning.role
+
+    def _vectors(self) -> list[_Vector]:
+        """Channels that belong together by their names, by brackets, or by their order."""
+        found: list[_Vector] = []
+        groups: dict[tuple[object, ...], list[Signal]] = {}
+        rest: list[Signal] = []
+        for s in self.signals:
+            if s.sort in self.used:
+                continue
+            role, joint = self._named(s)
+            if joint:
+                groups.setdefault(("named", s.source, role), []).append(s)
+            elif s.meaning.joint:
+                groups.setdefault(("label", s.source, s.meaning.vector), []).append(s)
+            elif len(self.targets) == 1:
+                groups.setdefault(("only", s.source, s.sort), []).append(s)
+            elif s.meaning.index is not None and (s.meaning.entry or s.meaning.role):
+                groups.setdefault(("index", s.source, s.meaning.vector), []).append(s)
+            else:
+                rest.append(s)
+        driven = [t.name for t in self.targets if t.command]
+        names = [t.name for t in self.targets]
+        for (kind, *_), own in groups.items():
+            if kind != "index":
+                while own:  # a joint may have two channels of one name
+                    members = {self._label(s): s for s in reversed(own)}
+                    own = [s for s in own if s not in members.values()]
+                    words = "of the only joint" if kind == "only" else "by its name"
+                    found.append(_Vector(members, words, kind != "only"))
+                continue
+            own = sorted(own, key=lambda s: s.meaning.index or 0)
+            order = next((o for o in (names, driven) if len(o) == len(own)), None)
+            if order is None and len(own) > len(names) and own[0].meaning.role:
+                order = names
+            if order is None:
+                rest += own
+                continue
+            place = {n: s for n, s in zip(order, own, strict=False)}
+            found.append(_Vector(place, "by its place in the vector", True))
+        return found + self._blocks(sorted(rest, key=lambda s: s.sort))
+
+    def _blocks(self, rest: list[Signal]) -> list[_Vector]:
+        """Vectors of channels without telling names: by blocks, and one of each joint in turn."""
+        names, count = [t.name for t in self.targets], len(self.targets)
+        found: list[_Vector] = []
+        for source in dict.fromkeys(s.source for s in rest):
+            own = [s for s in rest if s.source == source and s.meaning.role != "other"]
+            if count < 2 or len(own) < count or len(own) % count:
+                continue
+            parts = len(own) // count
+            for i in range(parts):
+                block = own[i * count : (i + 1) * count]
+                found.append(_Vector(dict(zip(names, block, strict=True)), "in the file's order"))
+                if parts > 1:
+                    turn = own[i::parts]
+                    found.append(_Vector(dict(zip(names, turn, strict=True)), "in turns"))
+        return found
+
+    # --------------------------------------------------------------------- positions
+
+    def _alike(self, first: Signal, second: Signal) -> Likeness:
+        key = (first.sort, second.sort)
+        if key not in self.pairs:
+            if key[::-1] in self.pairs:
+                other = self.pairs[key[::-1]]
+                return Likeness(other.correlation, -other.lag)
+            self.pairs[key] = likeness(first.runs, second.runs, self.step)
+        return self.pairs[key]
+
+    def _relation(self, s: Signal, others: Sequence[Signal]) -> tuple[float, str]:
+        """What a channel does among the others, for a position, and the words for it."""
+        score, words = 0.0, ""
+        rate = max(
+            ((abs(rate_likeness(s, d)), d) for d in others
+             if d is not s and is_rate(d.unit, s.unit)),
+            key=lambda pair: pair[0], default=(0.0, s),
+        )  # fmt: skip
+        is_of = max(
+            (abs(rate_likeness(d, s)) for d in others if d is not s and is_rate(s.unit, d.unit)),
+            default=0.0,
+        )
+        if rate[0] >= ALIKE and rate[0] > is_of:
+            score += 1.0 + rate[0]
+            words = f"{rate[1].key} is its derivative ({rate[0]:.2f})"
+        elif is_of >= ALIKE:
+            score -= 3.0
+        follows, leads = 0.0, 0.0
+        for d in others:
+            same = {quantity_of(d.unit), quantity_of(s.unit)} - {""}
+            if d is s or len(same) > 1 or self._role(d) not in ("", "position", "command"):
+                continue
+            like = self._alike(d, s)
+            if like.correlation < ALIKE:
+                continue
+            if like.lag > _TOGETHER * self.step and like.correlation > follows:
+                follows = like.correlation
+                words = words or f"follows {d.key} by {like.lag:.3g} s ({like.correlation:.2f})"
+            elif like.lag < -_TOGETHER * self.step:
+                leads = max(leads, like.correlation)
+        return score + (2.0 if follows else 0.0) - (2.0 if leads and not follows else 0.0), words
+
+    def _take_positions(self, vectors: Sequence[_Vector]) -> None:
+        moving = [s for s in self._free() if s.meaning.role != "other"][:_MOST]
+        scored: list[tuple[float, int, _Vector, dict[str, str]]] = []
+        for i, vector in enumerate(vectors):
+            own, words = [], {}
+            for joint, s in vector.members.items():
+                if s.sort in self.used or not admits(
+                    s.unit, "position", slide=self.joints[joint].slide
+                ):
+                    continue
+                role = self._role(s)
+                score = _PRIOR[role] + (2.0 if self._named(s)[0] == "position" else 0.0)
+                if not s.moves:
+                    continue
+                if role not in ("other", "velocity", "acceleration", "torque", "current"):
+                    relation, words[joint] = self._relation(s, moving)
+                    score += relation
+                    if position_scaling(self.joints[joint], s.values, s.unit) is None:
+                        score -= 4.0
+                own.append(score)
+            if own:
+                scored.append((float(np.mean(own)), -i, vector, words))
+        self._by_dynamics(scored)
+        for score, _, vector, words in sorted(scored, key=lambda each: each[:2], reverse=True):
+            if score <= 0.5:
+                break
+            taken = {s.sort for s, _, _ in self.positions.values()}
+            if any(s.sort in taken for s in vector.members.values()):
+                continue
+            for joint, s in vector.members.items():
+                fitting = admits(s.unit, "position", slide=self.joints[joint].slide)
+                if joint in self.positions or not s.moves or not fitting:
+                    continue
+                if _PRIOR[self._role(s)] < -3.0:
+                    continue
+                name = "position" if self._role(s) == "position" else "taken as position"
+                reason = "; ".join(filter(None, [f"{name} {vector.words}", words.get(joint, "")]))
+                self.positions[joint] = (s, Scaling(""), reason)
+                self.used.add(s.sort)
+        self.loose = not self.positions
+        if self.loose:
+            self._by_pairs(moving)
+
+    def _by_dynamics(self, scored: list[tuple[float, int, _Vector, dict[str, str]]]) -> None:
+        """Raise vectors for whose motion the model needs the torques of another one."""
+        if any(each[0] > 0.5 for each in scored):
+            return
+        for n, (score, i, vector, words) in enumerate(scored):
+            if score <= -2.0 or set(vector.members) != set(self.joints):
+                continue
+            for unit in ("rad", "deg"):
+                factor = unit_named(unit, "").factor
+                motion = {j: [v * factor for v in s.runs] for j, s in vector.members.items()}
+                needed = needed_torques(self.model, motion, self.step)
+                best = max(
+                    (float(np.mean([abs(correlation(needed[j], s.smooth[1]))
+                                    for j, s in other.members.items()]))
+                     for _, _, other, _ in scored
+                     if other is not vector and set(other.members) == set(needed)),
+                    default=0.0,
+                ) if needed else 0.0  # fmt: skip
+                if best > 0.6:
+                    words |= dict.fromkeys(
+                        vector.members, f"the torque for it is there ({best:.2f})"
+                    )
+                    scored[n] = (score + 4 * best, i, vector, words)
+
+    def _by_pairs(self, moving: Sequence[Signal]) -> None:
+        """Positions of channels without telling names, in their order, each with its relation."""
+        candidates = [s for s in moving if self._role(s) in ("", "position")]
+        related = []
+        for s in candidates:
+            score, words = self._relation(s, moving)
+            possible = any(position_scaling(t, s.values, s.unit) for t in self.targets)
+            if score > 0.5 and possible:
+                related.append((s, words))
+        if not related and len(candidates) == len(self.targets):
+            related = [(s, "the log has as many channels as the model has joints")
+                       for s in candidates]  # fmt: skip
+        free = list(self.targets)
+        for place, (s, words) in enumerate(related, 1):
+            fitting = [t for t in free if admits(s.unit, "position", slide=t.slide)]
+            own = [t for t in fitting if t.name == self._label(s)] or fitting
+            if not own:
+                continue
+            free.remove(own[0])
+            order = f"position {place} of {len(related)} in the file's order, assumed"
+            self.positions[own[0].name] = (s, Scaling(""), f"{order}; {words}")
+            self.used.add(s.sort)
+
+    # --------------------------------------------------------------------- velocities, units
+
+    def _take_velocities(self) -> None:
+        joints = [j for j, (s, _, _) in self.positions.items() if s.moves]
+        candidates = [
+            s for s in self._free("velocity", "", "position")
+            if all(admits(s.unit, "velocity", slide=t.slide) for t in self.targets)
+        ]  # fmt: skip
+        table = np.zeros((len(joints), len(candidates)))
+        for i, joint in enumerate(joints):
+            for k, s in enumerate(candidates):
+                if self._named(s)[0] in ("", "velocity"):
+                    table[i, k] = rate_likeness(self.positions[joint][0], s)
+        self.speeds: dict[str, tuple[Signal, float]] = {}
+        for i, k in self._assigned(np.abs(table), joints, candidates, "velocity"):
+            joint, s, value = joints[i], candidates[k], float(table[i, k])
+            named = self._role(s) == "velocity"
+            if abs(value) < (_TRUSTED if named else ALIKE):
+                self.why[s.sort] = f"{value:.2f} with the derivative of the position of {joint!r}"
+                continue
+            rates = self.positions[joint][0].rates[1]
+            like = likeness(s.smooth[1], rates, self.step)
+            here = abs(correlation(s.smooth[1], rates))
+            if like.lag > _LAGS * self.step and abs(like.correlation) > here + 0.02:
+                self.why[s.sort] = (
+                    f"leads the velocity of {joint!r} by {like.lag:.3g} s: one that was wanted, "
+                    "not measured"
+                )
+                continue
+            self.speeds[joint] = (s, value)
+            self.used.add(s.sort)
+
+    def _assigned(
+        self,
+        strength: Array,
+        joints: Sequence[str],
+        candidates: Sequence[Signal],
+        role: str,
+    ) -> list[tuple[int, int]]:
+        """Pairs of joint and channel of largest strength in sum, names adding theirs."""
+        if not strength.size:
+            return []
+        worth = strength.copy()
+        for i, joint in enumerate(joints):
+            for k, s in enumerate(candidates):
+                label = self._label(s)
+                worth[i, k] += _NAME * (self._role(s) == role)
+                worth[i, k] += _NAME * (label == joint) - _NAME * (label not in ("", joint))
+        rows, columns = linear_sum_assignment(-worth)
+        return [(int(i), int(k)) for i, k in zip(rows, columns, strict=True)]
+
+    def _take_units(self) -> None:
+        """Units of positions: stated, by a velocity of known unit, by limits; then velocities."""
+        pairs = {j: s for j, (s, _, _) in self.positions.items()}
+        common = group_unit([self.joints[j] for j in pairs], [s.values for s in pairs.values()])
+        told = self._by_speed()
+        # One joint whose values are no degrees, but may be normalised, tells it of its vector.
+        normalised = common == "deg" and not told and any(
+            not s.unit and not fits(self.joints[j], s.low, s.high, "deg")
+            and normalised_scaling(self.joints[j], s.values)
+            and not self.defined.get(s.source)
+            for j, s in pairs.items()
+        )  # fmt: skip
+        for joint, (s, _, reason) in list(self.positions.items()):
+            target = self.joints[joint]
+            unit, why = s.unit, "as stated"
+            if not unit and told.get(joint):
+                unit, why = told[joint], "by the velocity beside"
+            elif not unit and self.defined.get(s.source):
+                unit, why = self.defined[s.source], "as the format defines"
+                unit = "m" if target.slide else unit
+            elif not unit and not target.slide and common and fits(target, s.low, s.high, common):
+                unit, why = common, "fits most joints of the vector"
+                if common == "deg" and np.max(np.abs(s.values)) <= 100:
+                    why += "; values normalised to -100..100 would look alike"
+            scaling = position_scaling(target, s.values, unit, why)
+            if normalised and not s.unit:
+                scaling = normalised_scaling(target, s.values) or scaling
+            if scaling is None:
+                words = f"{reason}; its values or unit fit no unit of {joint!r}"
+                self.open.append(
+                    Line(column=target.position, candidate=s, scaling=Scaling(""), reason=words,
+                         open=True)
+                )  # fmt: skip
+                del self.positions[joint]
+                continue
+            self.positions[joint] = (s, scaling, reason)
+            if target.position:
+                self._add(target.position, s, scaling, 1, reason, scaling.reason)
+            else:
+                self.why[s.sort] = f"position of {joint!r}, for which the model has no sensor"
+                self.notes.append(
+                    f"the model has no sensor for the position of {joint!r}: add "
+                    f'<jointpos name="{joint}_position" joint="{joint}"/> to its <sensor>'
+                )
+        motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
+        self.rates = {j: [derivative(v, self.step) for v in own] for j, own in motion.items()}
+        self.needed = needed_torques(self.model, motion, self.step)
+        for joint, (s, value) in self.speeds.items():
+            self._add_velocity(joint, s, value)
+
+    def _by_speed(self) -> dict[str, str]:
+        """Units of positions that a velocity of stated unit determines."""
+        found = {}
+        for joint, (s, _) in self.speeds.items():
+            own, slide = self.positions[joint][0], self.joints[joint].slide
+            if own.unit or not s.unit:
+                continue
+            ratio = abs(slope(own.rates[1], s.smooth[1])) * unit_named(s.unit, "").factor
+            units = ("m", "cm", "mm", "um") if slide else ("rad", "deg", "rev", "mrad")
+            away = {u: abs(math.log(max(ratio, 1e-12) / unit_named(u, "").factor)) for u in units}
+            best = min(units, key=lambda u: away[u])
+            if away[best] < math.log(1.2):
+                found[joint] = best
+        return found
+
+    def _add_velocity(self, joint: str, s: Signal, value: float) -> None:
+        target = self.joints[joint]
+        if joint not in self.positions:
+            self.used.discard(s.sort)
+            return
+        ratio = slope(self.rates[joint], s.smooth[1])
+        unit = s.unit or rate_unit(ratio, target.slide)
+        words = f"{abs(ratio):.3g} times the derivative of the position, correlation {value:.2f}"
+        if not target.velocity:
+            self.why[s.sort] = f"velocity of {joint!r}, for which the model has no sensor"
+        elif not unit:
+            column = target.velocity
+            self._open(column, s, Scaling("rad/s"), f"velocity of {joint!r}; {words}: no unit is")
+        else:
+            sign = -1 if value < 0 else 1
+            self._add(target.velocity, s, Scaling(unit), sign, f"velocity of {joint!r}", words)
+
+    # --------------------------------------------------------------------- torques
+
+    def _explained(self, joint: str, s: Signal) -> tuple[float, float]:
+        """Correlation of a channel with needed torque and friction, and its N·m per unit."""
+        needed, rates = self.needed.get(joint), self.rates.get(joint)
+        if needed is None or rates is None:
+            return 0.0, 0.0
+        rows = [
+            np.stack([n - n.mean(), v, np.tanh(v / (np.std(v) * 0.1 + 1e-9)), c - c.mean()])
+            for n, v, c in zip(needed, rates, s.smooth[1], strict=True)
+            if len(c) == len(n) == len(v) and len(c) > 3
+        ]
+        if not rows:
+            return 0.0, 0.0
+        load, speed, sign, own = np.concatenate(rows, axis=1)
+        if np.std(own) == 0 or np.std(load) == 0:
+            return 0.0, 0.0
+        alone = float(np.corrcoef(load, own)[0, 1])
+        columns = np.stack([load, speed, sign], axis=1)
+        share = np.linalg.lstsq(columns, own, rcond=None)[0]
+        # Friction acts with the motion, as the load does with its own sign.
+        right = share[0] * alone > 0 and share[2] * share[0] >= 0
+        fitted = columns @ share
+        whole = float(np.corrcoef(fitted, own)[0, 1]) if np.std(fitted) > 0 else 0.0
+        value = math.copysign(max(whole, abs(alone)), alone) if right else alone
+        size = abs(share[0]) if right else np.std(own) / np.std(load) * abs(alone)
+        return value, 1 / size if size > 0 else 0.0
+
+    def _take_torques(self) -> None:
+        joints = list(self.positions)
+        quantities = ("", "torque", "force", "current", "number")
+        candidates = [
+            s for s in self._free("torque", "current", "")
+            if quantity_of(s.unit) in quantities
+        ]  # fmt: skip
+        if not self.needed:
+            self._torques_by_name(candidates)
+            return
+        found = [[self._explained(j, s) for s in candidates] for j in joints]
+        table = np.array([[abs(value) for value, _ in row] for row in found]).reshape(
+            len(joints), len(candidates)
+        )
+        for i, k in self._assigned(table, joints, candidates, "torque"):
+            joint, s = joints[i], candidates[k]
+            value, per = found[i][k]
+            target, named = self.joints[joint], self._role(s) in ("torque", "current")
+            if abs(value) < (_TRUSTED if named else 0.6):
+                if named:
+                    self.why[s.sort] = (
+                        f"correlation {value:.2f} with the torque that the model needs at {joint!r}"
+                    )
+                continue
+            motion = abs(self._alike(s, self.positions[joint][0]).correlation)
+            if not named and motion > table[i, k]:
+                continue
+            self._add_torque(target, s, value, per, named)
+
+    def _torques_by_name(self, candidates: Sequence[Signal]) -> None:
+        for s in candidates:
+            joint = self._label(s)
+            stated = quantity_of(s.unit) in ("torque", "force")
+            if joint and self.joints[joint].torque and (
+                stated or (self._role(s) == "torque" and self.defined.get(s.source))
+            ):  # fmt: skip
+                words = f"torque of {joint!r} by its name; the model's cannot be computed"
+                self._add(self.joints[joint].torque, s, Scaling(s.unit), 1, words)
+
+    def _add_torque(
+        self, target: JointTarget, s: Signal, value: float, per: float, named: bool
+    ) -> None:
+        sign, slide = -1 if value < 0 else 1, target.slide
+        words = f"correlation {value:.2f} with the torque that the model needs, and friction"
+        current = quantity_of(s.unit) == "current" or self._role(s) == "current"
+        unit = "N" if slide else "N*m"
+        self.used.add(s.sort)
+        if current:
+            self._open(
+                target.torque, s, Scaling(unit, per * abs(value)),
+                f"{words}; a current [A]: give the torque constant and gear as scale [N·m/A]; "
+                f"{per * abs(value):.4g} fits the torque that the model needs", sign,
+            )  # fmt: skip
+            return
+        factor = unit_named(s.unit, "").factor if quantity_of(s.unit) in ("torque", "force") else 1
+        ratio = per / factor
+        free = target.drive == "torque" and target.command and self._role(s) == ""
+        stated = quantity_of(s.unit) in ("torque", "force")
+        if free and target.command not in self.lines and 1 / _SAME_UNIT < ratio < _SAME_UNIT:
+            self.commands[target.name] = s
+            self._add(target.command, s, Scaling(""), sign, words, "the command of its motor")
+        elif stated or 1 / _SAME_UNIT < ratio < _SAME_UNIT:
+            self._add(target.torque, s, Scaling(s.unit or unit), sign, words)
+        else:
+            self._open(
+                target.torque, s, Scaling(unit, per),
+                f"{words}; {per:.4g} times it would be that torque [{unit}]: a current?", sign,
+            )  # fmt: skip
+
+    # --------------------------------------------------------------------- commands
+
+    def _motion(self, target: JointTarget) -> list[Array] | None:
+        if target.drive == "torque":
+            return self.needed.get(target.name)
+        if target.name not in self.positions:
+            return None
+        signal, scaling, _ = self.positions[target.name]
+        return scaling.si(signal.runs) if target.drive == "position" else self.rates[target.name]
+
+    def _take_commands(self, vectors: Sequence[_Vector]) -> None:
+        motion = {
+            t.name: own
+            for t in self.targets
+            if t.command and t.command not in self.lines and (own := self._motion(t)) is not None
+            and any(len(v) and np.ptp(v) > 0 for v in own)
+        }  # fmt: skip
+        joints = list(motion)
+        candidates = [s for s in self._free("command", "", "position")]
+        likes: dict[tuple[int, int], Likeness] = {}
+        table = np.zeros((len(joints), len(candidates)))
+        for i, joint in enumerate(joints):
+            target = self.joints[joint]
+            for k, s in enumerate(candidates):
+                if not admits(s.unit, "command", slide=target.slide) or not self._commands(
+                    s, target
+                ):
+                    continue
+                like = likeness(s.runs, motion[joint], self.step)
+                likes[i, k] = like
+                table[i, k] = like.correlation
+        places = {s.sort: j for v in vectors for j, s in v.members.items() if v.given}
+        order = {k: places.get(s.sort, "") for k, s in enumerate(candidates)}
+        table_by_place = table + np.array(
+            [[0.1 * (order[k] == joint) for k in range(len(candidates))] for joint in joints]
+        ).reshape(table.shape)
+        for i, k in self._assigned(np.abs(table_by_place), joints, candidates, "command"):
+            if (i, k) in likes:
+                self._take_command(joints[i], candidates[k], likes[i, k])
+        self._exchanged()
+        for joint, s in self.commands.items():
+            if joint in self.positions or self.joints[joint].drive == "torque":
+                self._add_command(joint, s, motion, places)
+
+    def _commands(self, s: Signal, target: JointTarget) -> bool:
+        """Whether a channel may be what the actuator of a joint takes, by its name and unit."""
+        quantity = quantity_of(s.unit)
+        rate = quantity in ("angular speed", "speed")
+        load = quantity in ("torque", "force", "current")
+        own = {"position": not rate and not load, "velocity": not load, "torque": not rate}
+        of = s.meaning.of if self._role(s) == "command" else ""
+        told = of in ("", "command", target.drive) or (of == "current" and target.drive == "torque")
+        if target.drive == "torque" and quantity in ("angle", "length"):
+            return False
+        return own[target.drive] and told and self._named(s)[0] in ("", "command")
+
+    def _take_command(self, joint: str, s: Signal, like: Likeness) -> None:
+        named = self._role(s) == "command"
+        words = f"correlation {like.correlation:.2f} with the motion of {joint!r}"
+        if like.correlation < 0 and abs(like.correlation) >= ALIKE and named:
+            column = self.joints[joint].command
+            why = f"{words}: the joint moves against it, so it is none, unless its sign is reversed"
+            self._open(column, s, Scaling(s.unit), why, -1)
+        elif like.correlation < (_TRUSTED if named else ALIKE):
+            self.why[s.sort] = f"{words}: no command"
+        elif like.lag < -_LAGS * self.step and self.joints[joint].drive != "torque":
+            self.why[s.sort] = f"{words}, but it lags by {-like.lag:.3g} s: no command"
+        elif self._role(s) == "position" and like.lag < self.step:
+            self.why[s.sort] = f"{words}: a second sensor of it"
+        else:
+            self.commands[joint] = s
+            self.used.add(s.sort)
+
+    def _exchanged(self) -> None:
+        """Try the permutation where commands and motions are crossed between two joints."""
+        label = {j: self._label(s) for j, s in self.commands.items()}
+        for one, other in [(a, b) for a in label for b in label if a < b]:
+            if label[one] != other or label[other] != one or len(self.targets) < 2:
+                continue
+            crossed, straight = (
+                self._torque_agreement(one, other, exchanged=True),
+                (self._torque_agreement(one, other, exchanged=False)),
+            )
+            if crossed > straight + 0.1:
+                words = (
+                    f"exchanged with that of the other of {one!r} and {other!r}: the commands' "
+                    f"motions, and the torques that the model needs agree so ({crossed:.2f}, "
+                    f"{straight:.2f} as named)"
+                )
+                self._swap(one, other, words)
+
+    def _torque_agreement(self, one: str, other: str, *, exchanged: bool) -> float:
+        """Correlation of needed torques with the servos' at two joints, with states exchanged."""
+        motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
+        commands = {j: self._command_si(j, s) for j, s in self.commands.items()}
+        if exchanged:
+            motion[one], motion[other] = motion[other], motion[one]
+            commands[one], commands[other] = commands[other], commands[one]
+        needed = needed_torques(self.model, motion, self.step)
+        if not needed:
+            return 0.0
+        found = []
+        for joint in (one, other):
+            gaps = [c - q for c, q in zip(commands[joint], motion[joint], strict=True)]
+            found.append(correlation(gaps, needed[joint]))
+        return float(np.mean(found))
+
+    def _command_si(self, joint: str, s: Signal) -> list[Array]:
+        own = self.positions.get(joint)
+        return own[1].si(s.runs) if own else list(s.runs)
+
+    def _swap(self, one: str, other: str, words: str) -> None:
+        tables: tuple[dict[str, Any], ...] = (
+            self.positions, self.commands, self.rates, self.speeds,
+        )  # fmt: skip
+        for table in tables:
+            if one in table and other in table:
+                table[one], table[other] = table[other], table[one]
+        for attribute in ("position", "velocity"):
+            a, b = (getattr(self.joints[j], attribute) for j in (one, other))
+            if a in self.lines and b in self.lines:
+                first, second = self.lines[a], self.lines[b]
+                self.lines[a] = replace(second, column=a, reason=f"{second.reason}; {words}")
+                self.lines[b] = replace(first, column=b, reason=f"{first.reason}; {words}")
+
+    def _add_command(
+        self,
+        joint: str,
+        s: Signal,
+        motion: Mapping[str, list[Array]],
+        places: Mapping[int, str],
+    ) -> None:
+        target = self.joints[joint]
+        if target.command in self.lines:
+            return
+        like = likeness(s.runs, motion[joint], self.step)
+        words = f"correlation {like.correlation:.2f}, the joint follows it by {like.lag:.3g} s"
+        there = places.get(s.sort, "")
+        if there not in ("", joint):
+            words = f"{joint!r} follows it, not {there!r} as by its name or place; {words}"
+        scaling = Scaling(s.unit)
+        if target.drive == "position":
+            signal, own, _ = self.positions[joint]
+            scaling = self._scaled_as(s, signal, own, target)
+        elif target.drive == "velocity" and not s.unit:
+            scaling = Scaling(rate_unit(slope(motion[joint], s.runs), target.slide))
+        self._add(target.command, s, scaling, 1, f"command of {joint!r}", words, scaling.reason)
+
+    def _scaled_as(self, s: Signal, signal: Signal, own: Scaling, target: JointTarget) -> Scaling:
+        """Scaling of a command by its size beside the position's."""
+        if s.unit and s.unit != "%":
+            return self._turned(s, signal, own, Scaling(s.unit, reason="as stated"))
+        ratio = abs(slope(own.si(signal.runs), s.runs))
+        units = ("m", "mm") if target.slide else ("rad", "deg")
+        like = abs(slope(signal.runs, s.runs))  # of one unit with the position where near 1
+        away = {u: abs(math.log(max(ratio, 1e-9) * unit_named(u, "").factor)) for u in units}
+        best = min(units, key=lambda u: away[u])
+        plain = own.scale == 1.0 and own.offset == 0.0
+        if abs(math.log(max(like, 1e-9))) <= (away[best] if plain else away[best] + 0.5):
+            like_position = replace(own, reason="scaled as the position")
+            return self._turned(s, signal, own, like_position)
+        return Scaling(best, reason=f"{ratio:.3g} times the position [{units[0]}]")
+
+    def _turned(self, s: Signal, signal: Signal, own: Scaling, scaling: Scaling) -> Scaling:
+        """Move the position by whole periods of its wrap-around to where its command is."""
+        if signal.period is None:
+            return scaling
+        period = signal.period * own.scale * unit_named(own.unit or "1", "").factor
+        apart = np.median(np.concatenate(scaling.si(s.runs)) - np.concatenate(own.si(signal.runs)))
+        turns = round(float(apart) / period)
+        column = self.joints[next(j for j, e in self.positions.items() if e[0] is signal)].position
+        if turns and column in self.lines:
+            moved = replace(own, offset=own.offset + turns * period)
+            line = self.lines[column]
+            self.lines[column] = replace(
+                line, scaling=moved, reason=f"{line.reason}; {turns} turns on, where its command is"
+            )
+        return scaling
+
+    # --------------------------------------------------------------------- the rest
+
+    def _take_still(self) -> None:
+        """Joints at rest: constant positions and commands beside channels that move."""
+        for s in self.signals:
+            if s.sort in self.used or s.moves or not s.values.size:
+                continue
+            joint, role = self._place_of_still(s)
+            self.why[s.sort] = f"constant, {s.values[0]:.6g}"
+            if not joint:
+                continue
+            target = self.joints[joint]
+            if role == "position" and target.position and target.position not in self.lines:
+                beside = self._beside(s, target.command)
+                if beside is None or not beside.moves:
+                    scaling = self._scaling_beside(s, target)
+                    if scaling is not None:
+                        self._add(target.position, s, scaling, 1, f"{joint!r} is at rest")
+            elif role == "command" and target.command and target.command not in self.lines:
+                own = self.positions.get(joint)
+                if own is None or not own[0].moves:
+                    scaling = self._scaling_beside(s, target)
+                    if scaling is not None:
+                        self._add(target.command, s, scaling, 1, f"{joint!r} is held at rest")
+
+    def _place_of_still(self, s: Signal) -> tuple[str, str]:
+        """Joint and role of a channel that rests, by the vector whose other channels have one."""
+        for line in self.lines.values():
+            c = line.candidate
+            if c.source == s.source and c.meaning.vector == s.meaning.vector and c is not s:
+                role = (
+                    "command"
+                    if line.column.startswith("ctrl.")
+                    else (
+                        "position" if any(t.position == line.column for t in self.targets) else ""
+                    )
+                )
+                label = self._label(s)
+                if not label and s.meaning.index is not None and c.meaning.index is not None:
+                    names = [t.name for t in self.targets]
+                    mine = next(
+                        t.name
+                        for t in self.targets
+                        if line.column in (t.position, t.command, t.velocity, t.torque)
+                    )
+                    at = names.index(mine) + s.meaning.index - c.meaning.index
+                    label = names[at] if 0 <= at < len(names) else ""
+                if label and role:
+                    return label, role
+        return "", ""
+
+    def _beside(self, s: Signal, column: str) -> Signal | None:
+        return self.lines[column].candidate if column in self.lines else None
+
+    def _scaling_beside(self, s: Signal, target: JointTarget) -> Scaling | None:
+        """Scaling of the vector's other channels."""
+        for line in self.lines.values():
+            c = line.candidate
+            if c.source == s.source and c.meaning.vector == s.meaning.vector:
+                if line.scaling.scale == 1.0:
+                    return Scaling(line.scaling.unit)
+                return normalised_scaling(target, s.values)
+        return None
+
+    def _take_tool(self) -> None:
+        """The model's only accelerometer and gyro, by names of axes, units and size."""
+        for column, s, unit, words in tool_sensors(self.model, self._free(), self.rates):
+            self._add(column, s, Scaling(unit), 1, words)
+
+    def _add(self, column: str, s: Signal, scaling: Scaling, sign: int, *reasons: str) -> None:
+        reason = "; ".join(filter(None, reasons))
+        line = Line(column=column, candidate=s, scaling=scaling, sign=sign, reason=reason)
+        self.used.add(s.sort)
+        if column and column not in self.lines:
+            self.lines[column] = line
+        else:
+            self.open.append(replace(line, open=True))
+
+    def _open(self, column: str, s: Signal, scaling: Scaling, reason: str, sign: int = 1) -> None:
+        """Add a line that lacks something, as a comment."""
+        self.used.add(s.sort)
+        self.open.append(
+            Line(column=column, candidate=s, scaling=scaling, sign=sign, reason=reason, open=True)
+        )
+
+    def left(self) -> Iterable[tuple[Signal, str]]:
+        """Channels that are not used, each with the reason and what it is most like."""
+        taken = {line.candidate.sort for line in (*self.lines.values(), *self.open)}
+        for s in self.signals:
+            if s.sort in taken:
+                continue
+            why = self.why.get(s.sort, "")
+            yield s, why or (self._nearest(s) if s.moves else "constant")
+
+    def _nearest(self, s: Signal) -> str:
+        """What a channel is most like, though not enough for a role."""
+        scores: list[tuple[float, str]] = []
+        for joint, (p, _, _) in self.positions.items():
+            like = self._alike(s, p)
+            if abs(like.correlation) < 0.995 or self._role(s) != "other":
+                scores.append((abs(like.correlation), f"the motion of {joint!r}"))
+            scores.append((abs(rate_likeness(p, s)), f"the velocity of {joint!r}"))
+            scores.append((abs(self._explained(joint, s)[0]), f"the torque of {joint!r}"))
+        scores.sort(reverse=True)
+        named = f"by its name of another quantity ({s.meaning.role})" if s.meaning.role else (
+            "no role")  # fmt: skip
+        best = ", then ".join(f"{words} ({value:.2f})" for value, words in scores[:2])
+        return f"{named}; most like {best}" if best else named

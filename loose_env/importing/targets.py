@@ -1,0 +1,169 @@
+"""Columns of a recording that belong to each joint of a model; inverse-dynamics torques."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+from scipy import ndimage
+
+from loose_env.importing.evidence import Signal
+from loose_env.importing.units import quantity_of
+from loose_env.recording import ModelColumns, joint_sensors
+from loose_env.sensors import STANDARD_GRAVITY
+from loose_env.typing import Array
+
+SMOOTHED = 9
+"""Samples over which positions are averaged before they are differentiated twice."""
+Drive = Literal["position", "velocity", "torque"]
+"""Quantity that an actuator's control commands."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTarget:
+    """A joint, and the columns of a recording that belong to it; "" where the model has none."""
+
+    name: str
+    slide: bool
+    limits: tuple[float, float] | None
+    """Limits of its position [rad or m]."""
+    position: str
+    velocity: str
+    torque: str
+    command: str
+    drive: Drive
+
+
+def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
+    """List the joints with one coordinate and a name, in the model's order."""
+    known = ModelColumns.of(model).known
+    found = []
+    for name, sensors in joint_sensors(model).items():
+        joint = model.joint(name).id
+        limited = bool(model.jnt_limited[joint])
+        low, high = model.jnt_range[joint]
+        actuator = _actuator(model, joint)
+        command = "" if actuator is None else f"ctrl.{model.actuator(actuator).name}"
+        torque = f"torque.{name}"
+        found.append(
+            JointTarget(
+                name=name,
+                slide=model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE,
+                limits=(float(low), float(high)) if limited else None,
+                position=f"sensor.{sensors.position[0]}" if sensors.position else "",
+                velocity=f"sensor.{sensors.velocity[0]}" if sensors.velocity else "",
+                torque=torque if torque in known else "",
+                command=command if command in known else "",
+                drive="torque" if actuator is None else _drive(model, actuator),
+            )
+        )
+    return found
+
+
+def tool_sensors(
+    model: mujoco.MjModel, free: Sequence[Signal], rates: Mapping[str, Sequence[Array]]
+) -> Iterator[tuple[str, Signal, str, str]]:
+    """Channels of the model's only accelerometer and gyro: column, channel, unit, and reason.
+
+    An accelerometer's unit is the one in which it reads 1 g at rest; a gyro's the one in which it
+    is not much faster than the fastest joint.
+    """
+    at_rest = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1e3}
+    kinds = (
+        (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration",
+         {"acc", "accel", "acceleration", "accelerometer"}),
+        (mujoco.mjtSensor.mjSENS_GYRO, "angular speed", {"gyro", "gyroscope", "angular"}),
+    )  # fmt: skip
+    for kind, quantity, words in kinds:
+        ids = np.flatnonzero(model.sensor_type == kind)
+        name = model.sensor(int(ids[0])).name if len(ids) == 1 else ""
+        own: dict[str, Signal] = {}
+        for s in free:
+            stated, named = quantity_of(s.unit), bool(set(s.meaning.words) & words)
+            alone = quantity == "acceleration" and stated == quantity
+            if s.meaning.axis and (alone or (named and stated in ("", quantity))):
+                own.setdefault(s.meaning.axis, s)
+        if not name or len(own) != 3:
+            continue
+        if quantity == "acceleration":
+            norm = float(np.median(np.sqrt(sum(own[axis].values ** 2 for axis in "xyz"))))
+            unit = min(at_rest, key=lambda u: abs(np.log(max(norm, 1e-9) / at_rest[u])))
+        else:
+            joint = max((float(np.std(np.concatenate(v))) for v in rates.values()), default=0.0)
+            fast = max(float(np.std(s.values)) for s in own.values())
+            unit = "deg/s" if joint > 0 and fast / joint > 10 else "rad/s"
+        for axis in "xyz":
+            reason = f"the model's only sensor of {quantity}; check its axes by loose doctor"
+            yield f"sensor.{name}.{axis}", own[axis], own[axis].unit or unit, reason
+
+
+def needed_torques(
+    model: mujoco.MjModel, joints: Mapping[str, Sequence[Array]], step: float
+) -> dict[str, list[Array]]:
+    """Torques that the model needs for a measured motion [N·m or N], by joint and run.
+
+    Positions are averaged over nine samples before they are differentiated. Joints that follow
+    another by an equality move with it. Empty where the motion of a joint is not known, or where
+    loops are closed, whose forces are not unique.
+    """
+    if model.nq != model.nv or model.nv == 0 or not joints:
+        return {}
+    joint_kind = int(mujoco.mjtEq.mjEQ_JOINT)
+    couplings = {}
+    for i in map(int, np.flatnonzero(model.eq_active0)):
+        if int(model.eq_type[i]) != joint_kind:
+            return {}
+        follower, leader = (int(ids[i]) for ids in (model.eq_obj1id, model.eq_obj2id))
+        couplings[model.joint(follower).name] = (leader, model.eq_data[i, :5])
+    names = [model.joint(j).name for j in range(model.njnt)]
+    if not set(names) - set(couplings) <= set(joints):
+        return {}
+    runs = len(next(iter(joints.values())))
+    found: dict[str, list[Array]] = {name: [] for name in names}
+    data = mujoco.MjData(model)
+    for run in range(runs):
+        length = max((len(own[run]) for own in joints.values()), default=0)
+        position = np.zeros((length, model.nq))
+        for j, name in enumerate(names):
+            if name in joints and len(joints[name][run]) == length:
+                position[:, j] = joints[name][run]
+        for name, (leader, poly) in couplings.items():
+            if name not in joints:
+                x = position[:, leader] if leader >= 0 else np.zeros(length)
+                position[:, names.index(name)] = np.polynomial.polynomial.polyval(x, poly)
+        if length < 3:
+            for name in names:
+                found[name].append(np.zeros(length))
+            continue
+        position = np.asarray(ndimage.uniform_filter1d(position, SMOOTHED, axis=0))
+        velocity = np.gradient(position, step, axis=0)
+        acceleration = np.gradient(velocity, step, axis=0)
+        torque = np.empty_like(position)
+        for i in range(length):
+            data.qpos[:], data.qvel[:], data.qacc[:] = position[i], velocity[i], acceleration[i]
+            mujoco.mj_inverse(model, data)
+            torque[i] = data.qfrc_inverse
+        for j, name in enumerate(names):
+            found[name].append(torque[:, j])
+    return found
+
+
+def _actuator(model: mujoco.MjModel, joint: int) -> int | None:
+    """The only actuator of a joint; None where it has none or several."""
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    own = [
+        i
+        for i in range(model.nu)
+        if int(model.actuator_trntype[i]) in kinds and model.actuator_trnid[i, 0] == joint
+    ]
+    return own[0] if len(own) == 1 else None
+
+
+def _drive(model: mujoco.MjModel, actuator: int) -> Drive:
+    bias = model.actuator_biasprm[actuator]
+    if model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_AFFINE:
+        return "torque"
+    return "position" if bias[1] else "velocity" if bias[2] else "torque"

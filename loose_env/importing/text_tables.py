@@ -1,0 +1,469 @@
+"""Text tables of loggers: any names or none, separators, decimal commas, dates, lines to skip."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from loose_env.errors import InvalidData
+from loose_env.importing.mapping import CsvLayout
+from loose_env.importing.mapping_file import quoted
+from loose_env.importing.samples import ChannelKey, Log, Table, unreadable
+from loose_env.importing.units import unit_in
+from loose_env.recording import MOST_VALUES
+from loose_env.typing import Array
+
+_LOOKED_AT = 200  # lines
+_PREAMBLE = 40  # lines above a table, at most
+_LONGEST_LINE = 2**20
+_MOST_COLUMNS = 10_000
+_EXACT = 2**53
+"""Whole numbers beyond which a float has no room for all digits."""
+_ENCODINGS = ("utf-8", "utf-16", "cp1252", "latin-1")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE | re.ASCII)
+_MISSING = ("", "nan", "NaN", "NAN", "null", "None", "N/A")
+_VECTOR = re.compile(r"\s*[\[(]\s*[-+.\d].*[\])]\s*")
+
+_SIX = """
+target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_qdd
+actual_current actual_current_window actual_current_as_torque joint_control_output
+joint_temperatures joint_mode actual_joint_voltage actual_TCP_pose actual_TCP_speed
+actual_TCP_force target_TCP_pose target_TCP_speed ft_raw_wrench payload_inertia
+"""
+_THREE = "actual_tool_accelerometer payload_cog elbow_position elbow_velocity"
+_WIDTHS = dict.fromkeys(_SIX.split(), 6) | dict.fromkeys(_THREE.split(), 3)
+_RECORD = """
+timestamp target_q target_qd target_qdd target_current target_moment actual_q actual_qd
+actual_current joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force
+target_TCP_pose target_TCP_speed actual_digital_input_bits joint_temperatures
+actual_execution_time robot_mode joint_mode safety_mode actual_tool_accelerometer speed_scaling
+target_speed_fraction actual_momentum actual_main_voltage actual_robot_voltage
+actual_robot_current actual_joint_voltage actual_digital_output_bits runtime_state
+"""
+"""Fields of the recorder's own ``record_configuration.xml`` of Universal Robots' RTDE."""
+
+
+@dataclass(frozen=True)
+class _Head:
+    """Beginning of a table: its layout, names, and first rows."""
+
+    layout: CsvLayout
+    names: list[str]
+    rows: list[list[str]]
+    units: list[str]
+    """Units of the line below the names, where there is one."""
+    numbers: int = 0
+
+
+def open_text_table(path: Path, name: str, layout: CsvLayout | None) -> Log:
+    """Open a text table; without a layout it is found out."""
+    head = _recognised(path, name) if layout is None else _told(path, name, layout)
+
+    def tables(_: str, __: Sequence[ChannelKey] | None) -> list[Table]:
+        return [_table(path, name, head)]
+
+    options = tuple(_options(head.layout))
+    return Log(name=name, kind="csv", words="table", tables=tables, options=options)
+
+
+def expanded_names(names: Sequence[str]) -> list[str]:
+    """Names of columns: a vector field of RTDE becomes its entries, others stay as they are.
+
+    Examples
+    --------
+    >>> expanded_names(["timestamp", "actual_tool_accelerometer"])
+    ['timestamp', 'actual_tool_accelerometer_0', 'actual_tool_accelerometer_1',
+    'actual_tool_accelerometer_2']
+    """
+    found = []
+    for name in names:
+        width = _WIDTHS.get(name, 1)
+        found += [f"{name}_{i}" for i in range(width)] if width > 1 else [name]
+    return found
+
+
+# ------------------------------------------------------------------------- values
+
+
+def _table(path: Path, name: str, head: _Head) -> Table:
+    """Whole table: by pyarrow where every row is as it should be, else cell by cell."""
+    layout, names = head.layout, head.names
+    read = _by_arrow(path, head) or _by_cells(path, name, layout, names)
+    cells, lines = read
+    keys = [n if n and names.count(n) == 1 else f"#{i + 1}" for i, n in enumerate(names)]
+    columns: dict[str, NDArray[Any]] = {}
+    texts: dict[str, Sequence[str]] = {}
+    for key, own in zip(keys, cells, strict=True):
+        if isinstance(own, np.ndarray):
+            columns[key] = own
+            continue
+        numbers = _numbers_of(own, layout)
+        if numbers is None:
+            texts[key] = own
+        else:
+            columns[key] = numbers
+    size = len(lines)
+    if size * max(len(keys), 1) > MOST_VALUES:
+        raise InvalidData(f"{name}: more than {MOST_VALUES} values; split the file")
+    aliases = {f"#{i + 1}": key for i, key in enumerate(keys)}
+    for key in [k for k, own in texts.items() if own and _VECTOR.fullmatch(own[0])]:
+        vectors = _vectors(texts[key])
+        if vectors is not None:
+            del texts[key]
+            columns |= {f"{key}[{j}]": vectors[:, j] for j in range(vectors.shape[1])}
+    if not layout.header:
+        columns, texts = _labelled(columns, texts)
+    units = {k: u for k, u in zip(keys, head.units, strict=False) if u}
+    units |= {k: unit for k, n in zip(keys, names, strict=True) if (unit := unit_in(n))}
+    return Table(
+        place=name,
+        columns=columns,
+        texts=texts,
+        units=units,
+        words={k: "nameless" for k, n in zip(keys, names, strict=True) if not n},
+        aliases={a: k for a, k in aliases.items() if k in columns or k in texts},
+        doubles={
+            n: [f"#{i + 1}" for i, other in enumerate(names) if other == n]
+            for n in names
+            if names.count(n) > 1
+        },
+        rows=lines,
+        row_word="line",
+        column_word="column",
+        kind=f"{len(names)} columns",
+    )
+
+
+Cells = tuple[list[NDArray[Any] | list[str]], NDArray[np.int64]]
+"""Columns, each as numbers or as text, and the lines of the rows."""
+
+
+def _by_arrow(path: Path, head: _Head) -> Cells | None:
+    """Columns of a regular table; None where a row is not like the others."""
+    import pyarrow as pa
+    from pyarrow import csv as pacsv
+
+    layout = head.layout
+    if layout.separator == " " or layout.encoding == "utf-16":
+        return None
+    raw = path.read_bytes()
+    start, skip = 0, layout.skip + (1 if layout.header else 0) + layout.skip_after_header
+    for _ in range(skip):
+        start = raw.find(b"\n", start) + 1
+        if not start:
+            return None
+    body = raw[start:].strip(b"\r\n")
+    if not body or b"\n\n" in body or b"\n\r\n" in body or b"\r" in body.replace(b"\r\n", b""):
+        return None
+    names = [str(i) for i in range(len(head.names))]
+    kinds = {}
+    for i, each in enumerate(names):
+        first = [row[i].strip() if i < len(row) else "" for row in head.rows]
+        first = [c for c in first if c not in _MISSING and c not in layout.missing]
+        if not all(_NUMBER.fullmatch(c.replace(layout.decimal, ".")) for c in first):
+            kinds[each] = pa.string()
+        elif first and all(re.fullmatch(r"[+-]?\d{16,19}", c) for c in first):
+            kinds[each] = pa.int64()
+        else:
+            kinds[each] = pa.float64()
+    try:
+        found = pacsv.read_csv(
+            pa.BufferReader(body),
+            pacsv.ReadOptions(column_names=names, use_threads=False, encoding=layout.encoding),
+            pacsv.ParseOptions(delimiter=layout.separator),
+            pacsv.ConvertOptions(
+                column_types=kinds,
+                null_values=[*_MISSING, *layout.missing],
+                decimal_point=layout.decimal,
+                strings_can_be_null=False,
+            ),
+        )
+    except (pa.ArrowInvalid, pa.ArrowKeyError, UnicodeError):
+        return None
+    cells: list[NDArray[Any] | list[str]] = []
+    for each in names:
+        column = found.column(each)
+        if kinds[each] == pa.string():
+            cells.append(column.to_pylist())
+        elif kinds[each] == pa.int64() and not column.null_count:
+            cells.append(column.to_numpy())
+        else:
+            cells.append(np.asarray(column.to_numpy(), dtype=np.float64))
+    return cells, skip + 1 + np.arange(found.num_rows, dtype=np.int64)
+
+
+def _by_cells(path: Path, name: str, layout: CsvLayout, names: list[str]) -> Cells:
+    lines: list[int] = []
+    whole: list[list[str]] = []
+    with _open_text(path, name, layout.encoding) as file:
+        rows = _rows(file, name, layout)
+        for _ in range(layout.skip_after_header + (1 if layout.header else 0)):
+            next(rows, None)
+        for line, row in rows:
+            # A nameless last column is left by a separator at the end.
+            if len(row) < len(names) and not (len(row) == len(names) - 1 and not names[-1]):
+                raise InvalidData(
+                    f"{name}: line {line}: {len(row)} cells, and {len(names)} columns are named; "
+                    "the row was cut short, or the separator is another"
+                )
+            lines.append(line)
+            whole.append(row)
+    cells: list[NDArray[Any] | list[str]] = [
+        [row[i] if i < len(row) else "" for row in whole] for i in range(len(names))
+    ]
+    return cells, np.array(lines, dtype=np.int64)
+
+
+def _numbers_of(cells: list[str], layout: CsvLayout) -> NDArray[Any] | None:
+    """Cells as numbers; None where one is none."""
+    found, whole = np.empty(len(cells)), True
+    for i, cell in enumerate(cells):
+        plain = cell.strip()
+        if not plain or plain in layout.missing or plain in _MISSING:
+            found[i], whole = np.nan, False
+            continue
+        if layout.decimal == ",":
+            if "." in plain:
+                return None
+            plain = plain.replace(",", ".")
+        if not _NUMBER.fullmatch(plain):
+            return None
+        found[i] = float(plain)
+        whole = whole and plain.lstrip("+-").isdigit()
+    if whole and len(found) and np.max(np.abs(found)) > _EXACT:
+        return np.array([int(cell) for cell in cells], dtype=np.int64)
+    return found
+
+
+def _vectors(cells: Sequence[str]) -> Array | None:
+    """Lists in cells, such as "[0.1, 0.2]", as columns; None where they differ in length."""
+    text = ",".join(cells).replace("(", "[").replace(")", "]")
+    try:
+        found = np.array(json.loads(f"[{text.replace('nan', 'NaN')}]"), dtype=np.float64)
+    except (ValueError, RecursionError):
+        return None
+    return found if found.ndim == 2 and len(found) == len(cells) else None
+
+
+def _labelled(
+    columns: dict[str, NDArray[Any]], texts: dict[str, Sequence[str]]
+) -> tuple[dict[str, NDArray[Any]], dict[str, Sequence[str]]]:
+    """Columns of ``ros2 topic echo --csv``, whose names stand in cells before their values."""
+    order = sorted([*columns, *texts], key=lambda key: int(re.findall(r"\d+", key)[0]))
+    names = [key for key in order if key in texts and all(texts[key])]
+    rest = [key for key in order[order.index(names[-1]) + 1 :] if key in columns] if names else []
+    before = [key for key in order[: order.index(names[0])] if key in columns] if names else []
+    count = len(names)
+    if not count or len(rest) not in (count, 2 * count, 3 * count) or len(before) < 2:
+        return columns, texts
+    label = np.array([texts[key] for key in names])
+    found: dict[str, NDArray[Any]] = {"sec": columns[before[0]], "nanosec": columns[before[1]]}
+    for block, role in zip(range(0, len(rest), count), ("position", "velocity", "effort"),
+                           strict=False):  # fmt: skip
+        values = np.array([columns[key] for key in rest[block : block + count]])
+        for each in dict.fromkeys(label.ravel().tolist()):
+            there = label == each
+            own = np.where(there, values, 0.0).sum(axis=0)
+            found[f"{role}[{each}]"] = np.where(there.any(axis=0), own, np.nan)
+    return found, {}
+
+
+# ------------------------------------------------------------------------- layout
+
+
+def _told(path: Path, name: str, layout: CsvLayout) -> _Head:
+    """Names and first rows of a table whose layout a mapping states."""
+    with _open_text(path, name, layout.encoding) as file:
+        rows = [row for _, row in itertools.islice(_rows(file, name, layout), _LOOKED_AT)]
+    if not rows:
+        raise InvalidData(f"{name}: there is no table after {layout.skip} lines skipped")
+    names = _header_of(rows[0], layout)
+    if not layout.header and len(names) != len(rows[0]):
+        raise InvalidData(
+            f"{name}: line {layout.skip + 1}: {len(rows[0])} cells, and names of the source gives "
+            f"{len(names)} columns (a vector of RTDE counts as its entries)"
+        )
+    head = 1 if layout.header else 0
+    units = _units_below(rows[head]) if layout.skip_after_header and len(rows) > head else []
+    return _Head(layout, names, rows[head + layout.skip_after_header :], units)
+
+
+def _recognised(path: Path, name: str) -> _Head:
+    """Layout of a table, found out: the split that reads most cells as numbers is the one meant."""
+    encoding = _encoding(path, name)
+    best: _Head | None = None
+    for separator in (",", ";", "\t", "|", " "):
+        for decimal in (".", ","):
+            if separator == decimal:
+                continue
+            layout = CsvLayout(separator=separator, decimal=decimal, encoding=encoding)
+            found = _split(path, name, layout)
+            if found is not None and (best is None or found.numbers > best.numbers):
+                best = found
+    if best is None:
+        raise InvalidData(
+            f"{name}: no table of numbers in its first {_LOOKED_AT} lines; separators tried are "
+            "comma, semicolon, tab, | and space"
+        )
+    return best
+
+
+def _split(path: Path, name: str, layout: CsvLayout) -> _Head | None:
+    """Head of a table by a layout; None where no row of numbers is followed by its like."""
+    lines: list[tuple[int, list[str]]] = []
+    for skip in range(_PREAMBLE):  # a quote in the words above the table may not be closed
+        try:
+            with _open_text(path, name, layout.encoding) as file:
+                rows_of = _rows(file, name, replace(layout, skip=skip))
+                lines = list(itertools.islice(rows_of, _LOOKED_AT))
+            break
+        except InvalidData:
+            continue
+    for i, (_, row) in enumerate(lines):
+        width, numbers = len(row), _count(row, layout)
+        if width < 2 or numbers < 1 or 2 * numbers < width - 1:
+            continue
+        alike = [r for _, r in lines[i : i + 5]]
+        if any(len(r) != width or 2 * _count(r, layout) < numbers for r in alike):
+            continue
+        rows = [r for _, r in lines[i:]]
+        off = 1 if width > 3 else 0  # names may lack one, or end with a separator
+        above = [j for j in range(i) if abs(len(lines[j][1]) - width) <= off]
+        above = [j for j in above if not _count(lines[j][1], layout)]
+        if not above:
+            names = _recipe(width) if layout.separator in " ," else ()
+            layout = replace(layout, skip=lines[i][0] - 1, header=False, names=names)
+            return _Head(layout, _header_of(rows[0], layout), rows, [], numbers)
+        at = above[0] if above[0] >= i - 3 else above[-1]
+        layout = replace(layout, skip=lines[at][0] - 1, skip_after_header=i - at - 1)
+        units = _units_below(lines[at + 1][1]) if i > at + 1 else []
+        return _Head(layout, _header_of(lines[at][1], layout), rows, units, numbers)
+    return None
+
+
+def _count(row: list[str], layout: CsvLayout) -> int:
+    """Number of cells that are numbers or vectors of them."""
+    return sum(
+        bool(_VECTOR.fullmatch(cell))
+        or (bool(cell.strip()) and _numbers_of([cell], layout) is not None)
+        for cell in row
+    )
+
+
+def _units_below(row: list[str]) -> list[str]:
+    return [unit_in(f"[{cell.strip().strip('[]()')}]") for cell in row]
+
+
+def _recipe(columns: int) -> tuple[str, ...]:
+    """Fields of RTDE's own recipe if a nameless table has as many columns, else none."""
+    record = tuple(_RECORD.split())
+    return record if columns == len(expanded_names(record)) else ()
+
+
+def _header_of(row: list[str], layout: CsvLayout) -> list[str]:
+    if not layout.header:
+        return expanded_names(layout.names) or [str(i + 1) for i in range(len(row))]
+    return [" ".join(cell.split()).lstrip("#").strip() or "" for cell in row]
+
+
+def _encoding(path: Path, name: str) -> str:
+    for encoding in _ENCODINGS[:-1]:
+        try:
+            with _open_text(path, name, encoding) as file:
+                while file.read(2**20):
+                    pass
+            return encoding
+        except InvalidData:
+            continue
+    return _ENCODINGS[-1]
+
+
+class _open_text:
+    """Opens a file as text; what cannot be read or decoded is refused."""
+
+    def __init__(self, path: Path, name: str, encoding: str) -> None:
+        self.path, self.name, self.encoding = path, name, encoding
+
+    def __enter__(self) -> IO[str]:
+        try:
+            with self.path.open("rb") as raw:
+                start = raw.read(2)
+            if start in (b"\xff\xfe", b"\xfe\xff") and self.encoding != "utf-16":
+                raise InvalidData(
+                    f"{self.name}: the file looks like UTF-16; give encoding = 'utf-16'"
+                )
+            own = "utf-8-sig" if self.encoding == "utf-8" else self.encoding
+            self.file = open(self.path, encoding=own, newline="")
+        except OSError as error:
+            raise unreadable(self.name, error) from None
+        return self.file
+
+    def __exit__(self, _: Any, error: BaseException | None, __: Any) -> None:
+        self.file.close()
+        if isinstance(error, UnicodeError):
+            raise InvalidData(
+                f"{self.name}: it is not {self.encoding}: {str(error)[:120]}; give encoding = "
+                "'latin-1', 'cp1252' or 'utf-16' with the source"
+            ) from None
+
+
+def _rows(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, list[str]]]:
+    """Rows of a table from its line of names on, each with its line; blank lines are left out.
+
+    Lines that the layout skips may be anything; they are not looked at as a table.
+    """
+    lines = _lines(file, name)
+    for _ in itertools.islice(lines, layout.skip):
+        pass
+    reader = csv.reader(
+        lines, delimiter=layout.separator, skipinitialspace=layout.separator == " ", strict=True
+    )
+    try:
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                number = layout.skip + reader.line_num
+                if len(row) > _MOST_COLUMNS:
+                    raise InvalidData(
+                        f"{name}: line {number}: {len(row)} cells; at most {_MOST_COLUMNS} are read"
+                    )
+                yield number, row
+    except csv.Error as error:
+        raise InvalidData(
+            f"{name}: line {layout.skip + reader.line_num}: not a table: {error}; look for a quote "
+            "that is not closed, or skip lines of words before the table"
+        ) from None
+
+
+def _lines(file: IO[str], name: str) -> Iterator[str]:
+    number = 0
+    while line := file.readline(_LONGEST_LINE):
+        number += 1
+        if len(line) == _LONGEST_LINE and line[-1] not in "\r\n":
+            raise InvalidData(
+                f"{name}: line {number} is longer than {_LONGEST_LINE} characters; is it a table "
+                "in text?"
+            )
+        yield line
+
+
+def _options(layout: CsvLayout) -> Iterator[str]:
+    plain = CsvLayout()
+    for key in ("separator", "decimal", "encoding"):
+        if getattr(layout, key) != getattr(plain, key):
+            yield f"{key} = {quoted(getattr(layout, key))}"
+    for key in ("skip", "skip_after_header"):
+        if getattr(layout, key):
+            yield f"{key} = {getattr(layout, key)}"
+    if not layout.header:
+        yield "header = false"
+    if layout.names:
+        yield f"names = [{', '.join(map(quoted, layout.names))}]  # of RTDE's recorder"

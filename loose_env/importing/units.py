@@ -1,0 +1,220 @@
+"""Units of a mapping, and the quantity of each column of a recording."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import mujoco
+
+from loose_env.errors import InvalidData
+from loose_env.recording import nearest
+from loose_env.sensors import STANDARD_GRAVITY
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unit:
+    """A unit: its quantity, and its factor to SI units."""
+
+    quantity: str
+    factor: float
+
+
+def _table() -> dict[str, Unit]:
+    by_quantity: dict[str, dict[str, float]] = {
+        "angle": {
+            "rad": 1.0,
+            "mrad": 1e-3,
+            "deg": math.pi / 180,
+            "°": math.pi / 180,
+            "arcmin": math.pi / 180 / 60,
+            "rev": 2 * math.pi,
+        },
+        "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254},
+        "time": {
+            "s": 1.0,
+            "ms": 1e-3,
+            "us": 1e-6,
+            "µs": 1e-6,
+            "ns": 1e-9,
+            "min": 60.0,
+            "h": 3600.0,
+        },
+        "speed": {
+            "m/s": 1.0,
+            "m/min": 1 / 60,
+            "mm/min": 1e-3 / 60,
+            "cm/s": 1e-2,
+            "mm/s": 1e-3,
+            "in/s": 0.0254,
+        },
+        "angular speed": {
+            "rad/s": 1.0,
+            "mrad/s": 1e-3,
+            "deg/s": math.pi / 180,
+            "°/s": math.pi / 180,
+            "dps": math.pi / 180,
+            "rpm": 2 * math.pi / 60,
+            "rev/s": 2 * math.pi,
+        },
+        "acceleration": {
+            "m/s^2": 1.0,
+            "cm/s^2": 1e-2,
+            "mm/s^2": 1e-3,
+            "g": STANDARD_GRAVITY,
+            "mg": 1e-3 * STANDARD_GRAVITY,
+            "in/s^2": 0.0254,
+        },
+        "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180},
+        "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": 4.4482216152605},
+        "torque": {
+            "N*m": 1.0,
+            "mN*m": 1e-3,
+            "kN*m": 1e3,
+            "N*cm": 1e-2,
+            "N*mm": 1e-3,
+            "lbf*in": 0.1129848290276167,
+            "lbf*ft": 1.3558179483314004,
+        },
+        "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
+        "current": {"A": 1.0, "mA": 1e-3},
+        "number": {"1": 1.0, "%": 1e-2},
+    }
+    return {
+        name: Unit(quantity=quantity, factor=factor)
+        for quantity, units in by_quantity.items()
+        for name, factor in units.items()
+    }
+
+
+UNITS = _table()
+"""Name -> unit. Also read are ``m/s2`` and ``m/s²``, and ``Nm``, ``N·m`` and ``N.m``."""
+
+_SAME = {
+    given: name
+    for name, all_given in {
+        "N*m": "Nm", "mN*m": "mNm", "kN*m": "kNm", "N*cm": "Ncm", "N*mm": "Nmm", "um": "μm",
+        "us": "μs", "deg": "degree degrees", "s": "sec", "g": "g's gn", "rad": "radians",
+        "V": "volt", "deg/s": "degps degs", "rad/s": "rads radps", "rev": "turn turns",
+        "rpm": "RPM 1/min min-1 U/min r/min", "m/s^2": "mps2", "%": "percent pct",
+    }.items()
+    for given in all_given.split()
+}  # fmt: skip
+_QUANTITIES = {
+    "mjSENS_ACCELEROMETER": "acceleration",
+    "mjSENS_FRAMELINACC": "acceleration",
+    "mjSENS_FRAMEANGACC": "angular acceleration",
+    "mjSENS_VELOCIMETER": "speed",
+    "mjSENS_FRAMELINVEL": "speed",
+    "mjSENS_SUBTREELINVEL": "speed",
+    "mjSENS_GYRO": "angular speed",
+    "mjSENS_FRAMEANGVEL": "angular speed",
+    "mjSENS_FORCE": "force",
+    "mjSENS_TOUCH": "force",
+    "mjSENS_TORQUE": "torque",
+    "mjSENS_FRAMEPOS": "length",
+    "mjSENS_RANGEFINDER": "length",
+    "mjSENS_FRAMEXAXIS": "number",
+    "mjSENS_FRAMEYAXIS": "number",
+    "mjSENS_FRAMEZAXIS": "number",
+}
+_BY_JOINT = {
+    "mjSENS_JOINTPOS": ("angle", "length"),
+    "mjSENS_JOINTVEL": ("angular speed", "speed"),
+    "mjSENS_JOINTACTFRC": ("torque", "force"),
+    "mjSENS_JOINTLIMITFRC": ("torque", "force"),
+}
+
+
+def unit_named(name: str, place: str) -> Unit:
+    """Find a unit by its name; nothing is evaluated, a table is looked up.
+
+    Examples
+    --------
+    >>> unit_named("rpm", "here").quantity
+    'angular speed'
+    >>> unit_named("m/s²", "here") == unit_named("m/s2", "here") == UNITS["m/s^2"]
+    True
+    """
+    found = UNITS.get(_plain(name))
+    if found is None:
+        raise InvalidData(
+            f"{place}: unknown unit {name[:40]!r}; known are {known_units()}"
+            f"{nearest(name[:40], list(UNITS))}"
+        )
+    return found
+
+
+def quantity_of(unit: str) -> str:
+    """Quantity of a unit; "" for none, or for one that is not known.
+
+    Examples
+    --------
+    >>> quantity_of("mm"), quantity_of("g"), quantity_of("counts")
+    ('length', 'acceleration', '')
+    """
+    try:
+        return unit_named(unit, "").quantity if unit else ""
+    except InvalidData:
+        return ""
+
+
+def known_units() -> str:
+    """List of all units by quantity."""
+    quantities = dict.fromkeys(unit.quantity for unit in UNITS.values())
+    return "; ".join(
+        f"{quantity}: {' '.join(n for n, unit in UNITS.items() if unit.quantity == quantity)}"
+        for quantity in quantities
+    )
+
+
+def column_quantity(model: mujoco.MjModel, column: str) -> str | None:
+    """Quantity of a column of a recording; None where the model does not determine it."""
+    group, _, name = column.partition(".")
+    if group == "torque":
+        return _of_joint(model, int(model.joint(name).id), ("torque", "force"))
+    if group != "sensor":
+        return None  # an actuator's input is in the unit that its gain takes
+    names = {model.sensor(i).name: i for i in range(model.nsensor)}
+    index = names.get(name, names.get(name[:-2]))
+    if index is None:
+        return None
+    kind = mujoco.mjtSensor(int(model.sensor_type[index])).name
+    if kind in _BY_JOINT:
+        return _of_joint(model, int(model.sensor_objid[index]), _BY_JOINT[kind])
+    return _QUANTITIES.get(kind)
+
+
+def _of_joint(model: mujoco.MjModel, joint: int, kinds: tuple[str, str]) -> str:
+    return kinds[int(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)]
+
+
+def _plain(name: str) -> str:
+    plain = "".join(name.split()).strip("[]()")
+    for given, taken in (("²", "^2"), ("**2", "^2"), ("s2", "s^2"), ("·", "*"), ("⋅", "*"),
+                         ("N.m", "N*m"), ("N-m", "N*m")):  # fmt: skip
+        plain = plain.replace(given, taken)
+    return _SAME.get(plain, plain)
+
+
+_MARKED = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
+_TAILED = re.compile(r"_([a-zA-Z/0-9^]+)$")
+
+
+def unit_in(name: str) -> str:
+    """Unit that the name of a column ends with, such as "[deg]" or "_ms"; "" for none.
+
+    Examples
+    --------
+    >>> unit_in("gyro_x_dps"), unit_in("Winkel [deg]"), unit_in("data_g")
+    ('dps', 'deg', '')
+    """
+    for pattern in (_MARKED, _TAILED):
+        found = pattern.search(name)
+        if found is None or _plain(found.group(1)) not in UNITS:
+            continue
+        # One letter after an underscore is more often an axis or a number than a unit.
+        if pattern is _MARKED or len(found.group(1)) > 1:
+            return found.group(1)
+    return ""
