@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from loose_agents.base import Problem
@@ -49,11 +49,12 @@ from loose_env.envs import DiagnosisSettings, EpisodeBatch
 from loose_env.errors import InvalidSetting, LooseEnvError
 from loose_env.evaluation import wilson
 from loose_env.faults import StructuralLooseness
-from loose_env.io import Count, written_beside
+from loose_env.io import Count
 from loose_env.report import AGENTS as PALETTE
-from loose_env.report import FAINT, INK, MUTED
+from loose_env.report import INK, MUTED
 from loose_env.typing import Array
-from scripts.study import ROOT, Row, pyplot, read_study, save_figure, study_rows, write_between
+from scripts.charts import DASHED, Curve, Panel, chart, curve, save
+from scripts.study import ROOT, Row, read_study, study_rows, write_between
 
 ARMS: dict[str, Callable[[], Arm]] = {
     **{f"planar{n}": functools.partial(planar, n) for n in range(2, 8)},
@@ -531,90 +532,50 @@ def _title(arm: str) -> str:
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Draw success by number of poses, as PNG and SVG: a column an arm, a row a scatter."""
-    plt = pyplot()
+    """Draw success by number of poses: a column an arm, a row a scatter."""
     whole = summed(rows)
     arms = [a for a in ARMS if any(key[0] == a for key in whole)]
     sds = sorted({key[1] for key in whole}, key=lambda s: (s == 0, s))
-    names = strategies_in(whole)
     colours = {s: PALETTE[k] for s, k in COLOURS.items()}
-    colours |= {s: INK for s in names if s not in colours}
-    figure, axes = plt.subplots(
-        len(sds),
-        len(arms),
-        figsize=(1.2 + 2.15 * len(arms), 1.5 + 2.1 * len(sds)),
-        sharex=True,
-        sharey=True,
-        squeeze=False,
-    )
-    for panels, sd in zip(axes, sds, strict=True):
-        for panel, arm in zip(panels, arms, strict=True):
-            _panel(panel, whole, arm, sd, colours)
-        what = f"directions ± {sd:g}°" if sd else "simulated records"
-        panels[0].set_ylabel(f"{what}\nright link [%]")
-    for panel, arm in zip(axes[0], arms, strict=True):
-        panel.set_title(_title(arm), fontsize=9.5, color=INK, loc="left")
-    for panel in axes[-1]:
-        panel.set_xlabel("poses")
-    handles = [plt.Line2D([], [], color=colours[s], lw=2, label=s) for s in names]
-    handles += [
-        plt.Line2D([], [], color=INK, lw=1.2, ls=(0, (4, 2)), label="limit (see below)"),
-        plt.Line2D([], [], color=MUTED, lw=1, ls=":", label="one joint, perfect directions"),
+    panels = [
+        Panel(
+            title=_title(arm),
+            up=f"directions ± {sd:g}°" if sd else "simulated records",
+            curves=_curves(whole, arm, sd, colours),
+            look={"ylim": (0, 103)},
+        )
+        for sd in sds
+        for arm in arms
     ]
-    figure.legend(handles=handles, loc="upper left", ncols=5, frameon=False, fontsize=8.5)
-    low = 0.62 / figure.get_figheight()
-    figure.text(0.008, 0.08 / figure.get_figheight(), _caption(sds), fontsize=8, color=MUTED)
-    figure.tight_layout(rect=(0, low, 1, 1 - 0.5 / figure.get_figheight()))
-    # The same file for the same rows.
-    with plt.rc_context({"svg.hashsalt": "pose sets"}):
-        written_beside(
-            path.with_suffix(".svg"), lambda beside: figure.savefig(beside, metadata={"Date": None})
-        )
-    save_figure(plt, figure, path.with_suffix(".png"))
+    size = {"columns": len(arms), "width": 1.2 + 2.15 * len(arms), "height": 2.1}
+    figure = chart(panels, across="poses; vertical: right link [%]", **size)  # type: ignore[arg-type]
+    save(figure, path)
 
 
-def _caption(sds: Sequence[float]) -> str:
-    words = []
-    if any(sds):
-        words.append(
-            "Directions, dashed: no choice of poses, fixed or adaptive, and no rule can pass it "
-            "when every direction scatters so (sphere-packing bound). "
-        )
-    if 0.0 in sds:
-        words.append(
-            "Records, dashed: best of the strategies if the slide's direction and friction were "
-            "known beside the same records. "
-        )
-    words.append(
-        "Dotted: t of n links named after t poses, one joint moved at a time from the base, "
-        "directions perfect. Bands: 95 % (Wilson)."
-    )
-    return "\n".join("".join(words[k : k + 1]) for k in range(len(words)))
-
-
-def _panel(panel: Any, whole: dict[Any, Row], arm: str, sd: float, colours: dict[str, str]) -> None:
+def _curves(
+    whole: dict[tuple[str, float, str], Row], arm: str, sd: float, colours: dict[str, str]
+) -> list[Curve]:
+    """Success of every strategy with its 95 % interval (Wilson), and what bounds it."""
     own = {s: row for (a, part, s), row in whole.items() if (a, part) == (arm, sd) and s != LIMIT}
     if not own:
-        panel.set_axis_off()
-        return
-    links = next(iter(own.values()))["links"]
-    for name, colour in colours.items():
-        if name not in own:
-            continue
-        right, cases = own[name]["right"], own[name]["cases"]
-        x = np.arange(1, len(right) + 1)
-        low, high = np.array([wilson(int(r), cases) for r in right]).T
-        panel.fill_between(x, 100 * low, 100 * high, color=colour, alpha=0.15, lw=0)
-        panel.plot(x, 100 * right / cases, color=colour, lw=1.5)
+        return []
+    curves = []
+    for name in strategies_in(whole):
+        if name in own:
+            right, cases = own[name]["right"], own[name]["cases"]
+            ends = np.array([wilson(int(r), cases) for r in right]).T
+            values = 100 * np.vstack([right / cases, ends])
+            x = np.arange(1, len(right) + 1)
+            curves.append(curve(x, values, name, color=colours.get(name, INK), linewidth=1.5))
     best = limit_of(whole, arm, sd)
     x = np.arange(1, len(best) + 1)
-    panel.plot(x, 100 * best, color=INK, lw=1.2, ls=(0, (4, 2)))
     # One joint at a time, directions perfect: a move settles one link; one of the rest is guessed.
-    share = 100 * np.minimum(1.0, x / links)
-    panel.plot(x, share, color=MUTED, lw=1, ls=":")
-    panel.set_ylim(0, 103)
-    panel.set_xticks(x)
-    panel.grid(axis="y", color=FAINT, lw=0.5)
+    share = 100 * np.minimum(1.0, x / next(iter(own.values()))["links"])
+    return [
+        *curves,
+        curve(x, 100 * best, "limit", color=INK, linestyle=DASHED),
+        curve(x, share, "one joint, perfect directions", color=MUTED, linestyle=":"),
+    ]
 
 
 def evaluate(chosen: Options) -> None:

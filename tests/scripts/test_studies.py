@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from loose_agents.jobs import BackendSettings
 
-from scripts.studies import link_finding
 from scripts.studies import pose_sets as script
 from scripts.studies.pose_sets import Directions, Task
 
@@ -66,19 +65,8 @@ def test_both_levels_are_drawn_and_printed(
     printed = capsys.readouterr().out
     assert printed.count("| greedy separation |") == 4
     assert "Simulated records" in printed
-    assert (tmp_path / "pose_sets.png").stat().st_size > 10_000
-    svg = (tmp_path / "pose_sets.svg").read_bytes()
+    picture = (tmp_path / "pose_sets.png").read_bytes()
+    assert len(picture) > 10_000
     script.main([*words, "--level", "--out", str(tmp_path)])  # from the rows alone
     assert capsys.readouterr().out == printed
-    assert (tmp_path / "pose_sets.svg").read_bytes() == svg
-
-
-@pytest.mark.slow
-def test_a_quick_run_of_link_finding_prints_both_tables(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    link_finding.main(["--quick", "--arm", "planar4", "--out", str(tmp_path / "link_finding.json")])
-    printed = capsys.readouterr().out
-    assert "scatter 20 degrees" in printed
-    assert "(b) simulated" in printed
-    assert printed.count("images all") == 5
+    assert (tmp_path / "pose_sets.png").read_bytes() == picture
