@@ -363,13 +363,14 @@ class Balance:
             batch.qpos[:], batch.qvel[:] = position[rows], speed[rows]
             batch.ctrl[:, : commands.shape[1]] = commands[rows]
             batch.forward()
-            needed[rows] = _times(model, mass, acceleration[rows]) + bias - passive
+            moved = np.einsum("tij,tj->ti", _dense(model, mass), acceleration[rows])
+            needed[rows] = moved + bias - passive
             given[rows] = acting
         return needed, given
 
     def given_by(self, commands: Array) -> Array:
         """Forces of the nominal actuators for other commands (T, joints)."""
-        return self._forces(compiled(self.machine.fresh()), commands)[1]
+        return self._forces(self._nominal, commands)[1]
 
     def late(self, actuator: int, order: int) -> Array:
         """Derivative of the balance by the time at which one actuator's commands act (T, joints).
@@ -390,13 +391,8 @@ class Balance:
         step sees it at once.
         """
         ahead = self.given_by(self.motion.stacked("sampled")) - self.given
-        model = self._nominal
-        mass = self._masses(model, self.position)
-        rows = np.repeat(np.arange(model.nv), model.M_rownnz)
-        dense = np.zeros((len(mass), model.nv, model.nv))
-        dense[:, rows, model.M_colind] = mass
-        dense[:, model.M_colind, rows] = mass
-        return np.asarray(np.linalg.solve(dense, ahead[..., None])[..., 0])
+        mass = _dense(self._nominal, self._masses(self._nominal, self.position))
+        return np.asarray(np.linalg.solve(mass, ahead[..., None])[..., 0])
 
     def _masses(self, model: mujoco.MjModel, position: Array) -> Array:
         """Packed mass matrices at some positions (T, nC)."""
@@ -679,15 +675,12 @@ def _same_forces(model: mujoco.MjModel, other: mujoco.MjModel) -> bool:
     )
 
 
-def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:
-    """Multiply packed lower-triangular mass matrices (T, nC) by vectors (T, nv)."""
-    found = np.zeros_like(acceleration)
+def _dense(model: mujoco.MjModel, packed: Array) -> Array:
+    """Mass matrices (T, nv, nv) of their packed lower triangles (T, nC)."""
     rows = np.repeat(np.arange(model.nv), model.M_rownnz)
-    for k, (row, column) in enumerate(zip(rows, model.M_colind, strict=True)):
-        found[:, row] += mass[:, k] * acceleration[:, column]
-        if row != column:
-            found[:, column] += mass[:, k] * acceleration[:, row]
-    return found
+    dense = np.zeros((len(packed), model.nv, model.nv))
+    dense[:, rows, model.M_colind] = dense[:, model.M_colind, rows] = packed
+    return dense
 
 
 def _direction(

@@ -519,7 +519,7 @@ def by_runs(selection: Selection, best: SetFit) -> SetFit:
             continue
         tried.add(ways)
         for term in _terms(trial, ways, runs):
-            state = trial.thinned(trial.settled(trial.solve((*rest, term))))
+            state = trial.settled(trial.solve((*rest, term)))
             if any(t.effect.mountings for t in state.terms) and state.total < best.total + KIND:
                 state = pruned(trial, trial.search(state.terms))
                 found = min(found, state, key=lambda f: f.total)

@@ -356,7 +356,6 @@ class Selection:
     def best(self) -> SetFit:
         """Best set of searches from several starts, with the shapes of its laws refined."""
         found = min((self.search(start) for start in self.starts()), key=lambda f: f.total)
-        found = self.thinned(found)
         for _ in range(2):
             refined = self.refined(found)
             if refined is found:
@@ -547,21 +546,6 @@ class Selection:
             if best.total > state.total - 0.3:
                 return state
             state = best
-
-    def thinned(self, state: SetFit) -> SetFit:
-        """Best set on the way to none, the least needed member removed first.
-
-        Several members that stand in for one are not removed one by one by steps that must help.
-        """
-        best = state
-        while len(state.terms) > 1 and state.cost < best.total:
-            rests = [tuple(t for t in state.terms if t is not term) for term in state.terms]
-            fits = self.fitted(state, rests, [state.powers, self.rich], _FITTED)
-            if not fits:
-                break
-            state = min(map(self.settled, fits[:_FITTED]), key=lambda f: f.total)
-            best = min(best, state, key=lambda f: f.total)
-        return best
 
     def alternatives(self, form: _Form, rest: Set, term: Term) -> list[Term]:
         """Other kinds at the place of a member, or at the links and drives beside it."""
