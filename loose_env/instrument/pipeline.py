@@ -26,7 +26,7 @@ from loose_env.instrument.locate import (
 from loose_env.instrument.motion import Gears, fit_gears
 from loose_env.instrument.plan import Plan, read_plan
 from loose_env.instrument.poses import is_tested_share, tested_share
-from loose_env.instrument.records import GRID, Record, Unusable, exchanged
+from loose_env.instrument.records import GRID, Record, Unusable, exchanged, followed_hz
 from loose_env.instrument.reference import Change, change, pairs
 from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
 from loose_env.instrument.signals import Multisine
@@ -124,6 +124,7 @@ def diagnose(
     twisted = exchanged(session.suspect, signal, arm.joints)
     if twisted:
         return done.refused(arm, twisted)
+    done = replace(done, session=replace(session, remarks=session.remarks + _short(session, plan)))
 
     models = [arm.at(record.pose) for record in session.suspect]
     say(f"fitting {arm.n} gears from encoders to tool by {len(models)} runs")
@@ -187,6 +188,23 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
         healthy=tuple(healthy),
         runs=tuple(runs),
         remarks=tuple(remarks),
+    )
+
+
+def _short(session: _Session, plan: Plan) -> tuple[str, ...]:
+    """Remark on joints that did not follow their commands up to the highest line."""
+    peaks = {Path(run.file).stem: run.peak for run in plan.runs}
+    played = [r for r in session.suspect if Path(r.name).stem in peaks]
+    if not played or plan.settings.limits.commands == "torque":
+        return ()
+    own = [peaks[Path(r.name).stem] for r in played]
+    band = followed_hz(played, own, plan.signal.signal, plan.joints)
+    if not band:
+        return ()
+    lowest = min(band.values())
+    return (
+        f"{', '.join(band)} followed less than half of the command above {lowest:g} Hz: a plan "
+        f"with --bandwidth-hz {lowest:g} shakes harder below it",
     )
 
 
