@@ -29,17 +29,12 @@ from loose_env.recording import joint_sensors
 from loose_env.typing import Array, ComplexArray
 
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-_DRIVES = 29
-"""Group of the machine's own drives, off in runs without commands."""
-_POSES = 24
-"""States at which the mean operator is read."""
-_NUDGE = 1e-4
-"""Displacement of numerical derivatives [rad, m]."""
+_DRIVES = 29  # group of the machine's own drives, off in runs without commands
+_POSES = 24  # states at which the mean operator is read
+_NUDGE = 1e-4  # displacement of numerical derivatives [rad, m]
 
-_MOST_LOAD = 0.9
-"""Share of a drive's torque from which friction by load would lock it."""
-_MODEL = 1e-4
-"""Error of any torque, as a share of the typical one: rounding, integration."""
+_MOST_LOAD = 0.9  # share of a drive's torque from which friction by load would lock it
+_MODEL = 1e-4  # error of any torque, as a share of the typical one: rounding, integration
 _SPRINGS, _DAMPINGS = 90, (0.02, 0.06, 0.2)
 """Stiffnesses and damping ratios that are tried for an added spring."""
 _STIFFEST = 4.0
@@ -47,8 +42,7 @@ _STIFFEST = 4.0
 _ROUNDS, _CONVERGED = 12, 0.02
 """Rounds of the motion of an added joint whose inertia varies, at most, and the share of its
 acceleration that may be left."""
-_RESONANCES = 3
-"""Springs that are started from."""
+_RESONANCES = 3  # springs that are started from
 
 _SIZES = (
     *("nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "ntendon", "nC", "ngeom", "neq"),
