@@ -148,6 +148,19 @@ def likeness(first: Sequence[Array], second: Sequence[Array], step: float) -> Li
     return Likeness(float(np.clip(total[best], -1, 1)), (exact - most) * step)
 
 
+def closeness(first: Sequence[Array], second: Sequence[Array]) -> float:
+    """Nearness of two signals as they stand: 1 where they are equal, 0 where they are far apart.
+
+    Channels of one unit are near; joints that all follow the same course differ in where they are.
+    """
+    whole = [(a, b) for a, b in zip(first, second, strict=True) if len(a) and len(a) == len(b)]
+    if not whole:
+        return 0.0
+    apart = np.sqrt(np.mean(np.concatenate([(a - b) ** 2 for a, b in whole])))
+    spread = np.sqrt(np.mean(np.concatenate([(b - b.mean()) ** 2 for _, b in whole])))
+    return float(np.exp(-apart / spread)) if spread > 0 else 0.0
+
+
 def rate_likeness(position: Signal, other: Signal) -> float:
     """Correlation of a channel with the derivative of another, at the best smoothing."""
     pairs = zip(position.rates, other.smooth, strict=True)

@@ -142,7 +142,9 @@ def _joint_of(words: tuple[str, ...], joints: Sequence[str]) -> tuple[str, set[s
 
 def _named(words: tuple[str, ...], joint: str) -> int:
     """Number of words of a joint's name that a channel's words contain in a row; 0 if not all."""
-    own = [word for word in words_of(joint) if word != "joint"] or words_of(joint)
+    own = [word for word in words_of(joint) if word != "joint"]
+    if all(word.isdigit() for word in own):  # a number alone is a place, not a name
+        own = words_of(joint)
     span = len(own)
     there = any(list(words[i : i + span]) == own for i in range(len(words) - span + 1))
     return span if there and span else 0

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,6 +20,7 @@ from scipy.optimize import linear_sum_assignment
 from loose_env.importing.evidence import (
     Likeness,
     Signal,
+    closeness,
     correlation,
     derivative,
     likeness,
@@ -61,6 +62,13 @@ _NAME = 0.3
 _PRIOR = {"position": 3.0, "": 0.0, "command": -3.0, "velocity": -4.0, "acceleration": -4.0,
           "torque": -4.0, "current": -4.0, "other": -6.0}  # fmt: skip
 """What a name is worth for a position, where leading or following a channel is worth 2."""
+_STRIDES = 5
+"""Most quantities that a log may have of each joint in turn."""
+_RATE = 0.95
+"""Least correlation with a derivative at which a channel without a name is a velocity [1]: dry
+friction's torque has 0.8 and more."""
+_UNIT = 0.15
+"""Share by which such a channel may be off the size that a unit gives it [1]."""
 _MOST = 80
 """Channels that are compared with each other."""
 
@@ -77,6 +85,17 @@ class Line:
     reason: str = ""
     open: bool = False
     """True if something is missing, so that the line is left as a comment."""
+
+
+class _Torque(NamedTuple):
+    """What there is of a torque in a channel."""
+
+    whole: float = 0.0
+    """Correlation with the torque that the model needs, and friction; negative if reversed [1]."""
+    alone: float = 0.0
+    """Correlation with the torque that the model needs [1]."""
+    per: float = 0.0
+    """Torque that the model needs for each of its units [N·m or N]."""
 
 
 @dataclass(eq=False)
@@ -216,20 +235,16 @@ class Roles:
         return found + self._blocks(sorted(rest, key=lambda s: s.sort))
 
     def _blocks(self, rest: list[Signal]) -> list[_Vector]:
-        """Vectors of channels without telling names: by blocks, and one of each joint in turn."""
+        """Vectors of channels without telling names: as many as joints, in a row or in turns."""
         names, count = [t.name for t in self.targets], len(self.targets)
         found: list[_Vector] = []
         for source in dict.fromkeys(s.source for s in rest):
-            own = [s for s in rest if s.source == source and s.meaning.role != "other"]
-            if count < 2 or len(own) < count or len(own) % count:
-                continue
-            parts = len(own) // count
-            for i in range(parts):
-                block = own[i * count : (i + 1) * count]
-                found.append(_Vector(dict(zip(names, block, strict=True)), "in the file's order"))
-                if parts > 1:
-                    turn = own[i::parts]
-                    found.append(_Vector(dict(zip(names, turn, strict=True)), "in turns"))
+            own = [s for s in rest if s.source == source and s.meaning.role != "other" and s.moves]
+            for stride in range(1, _STRIDES + 1) if count > 1 else ():
+                words = "in the file's order" if stride == 1 else f"every {stride}th channel"
+                for first in range(len(own) - stride * (count - 1)):
+                    block = own[first : first + stride * (count - 1) + 1 : stride]
+                    found.append(_Vector(dict(zip(names, block, strict=True)), words))
         return found
 
     # --------------------------------------------------------------------- positions
@@ -266,7 +281,7 @@ class Roles:
             if d is s or len(same) > 1 or self._role(d) not in ("", "position", "command"):
                 continue
             like = self._alike(d, s)
-            if like.correlation < ALIKE:
+            if like.correlation < (_TRUSTED if self._role(d) == "command" else ALIKE):
                 continue
             if like.lag > _TOGETHER * self.step and like.correlation > follows:
                 follows = like.correlation
@@ -278,6 +293,7 @@ class Roles:
     def _take_positions(self, vectors: Sequence[_Vector]) -> None:
         moving = [s for s in self._free() if s.meaning.role != "other"][:_MOST]
         scored: list[tuple[float, int, _Vector, dict[str, str]]] = []
+        relations: dict[int, tuple[float, str]] = {}
         for i, vector in enumerate(vectors):
             own, words = [], {}
             for joint, s in vector.members.items():
@@ -290,13 +306,16 @@ class Roles:
                 if not s.moves:
                     continue
                 if role not in ("other", "velocity", "acceleration", "torque", "current"):
-                    relation, words[joint] = self._relation(s, moving)
+                    if s.sort not in relations:
+                        relations[s.sort] = self._relation(s, moving)
+                    relation, words[joint] = relations[s.sort]
                     score += relation
                     if position_scaling(self.joints[joint], s.values, s.unit) is None:
                         score -= 4.0
                 own.append(score)
             if own:
-                scored.append((float(np.mean(own)), -i, vector, words))
+                mean = float(np.mean(own) if vector.given else np.min(own))
+                scored.append((mean, -i, vector, words))
         self._by_dynamics(scored)
         for score, _, vector, words in sorted(scored, key=lambda each: each[:2], reverse=True):
             if score <= 0.5:
@@ -397,6 +416,15 @@ class Roles:
             self.speeds[joint] = (s, value)
             self.used.add(s.sort)
 
+    def _of_a_unit(self, joint: str, s: Signal) -> bool:
+        """Whether a channel has the size of a velocity of the position in some pair of units."""
+        if s.unit:
+            return True
+        ratio = abs(slope(self.positions[joint][0].rates[1], s.smooth[1]))
+        angles = (1.0, 180 / math.pi, 0.5 / math.pi, 30 / math.pi, 1 / 6, 1 / 360, 1e3, 60.0)
+        sizes = (*angles, *(1 / each for each in angles))
+        return any(abs(math.log(max(ratio, 1e-12) / each)) < _UNIT for each in sizes)
+
     def _assigned(
         self,
         strength: Array,
@@ -436,7 +464,7 @@ class Roles:
             elif not unit and self.defined.get(s.source):
                 unit, why = self.defined[s.source], "as the format defines"
                 unit = "m" if target.slide else unit
-            elif not unit and not target.slide and common and fits(target, s.low, s.high, common):
+            elif not unit and not target.slide and fits(target, s.low, s.high, common, 0.5):
                 unit, why = common, "fits most joints of the vector"
                 if common == "deg" and np.max(np.abs(s.values)) <= 100:
                     why += "; values normalised to -100..100 would look alike"
@@ -500,31 +528,32 @@ class Roles:
 
     # --------------------------------------------------------------------- torques
 
-    def _explained(self, joint: str, s: Signal) -> tuple[float, float]:
-        """Correlation of a channel with needed torque and friction, and its N·m per unit."""
+    def _explained(self, joint: str, s: Signal) -> _Torque:
+        """What there is of a torque in a channel."""
         needed, rates = self.needed.get(joint), self.rates.get(joint)
         if needed is None or rates is None:
-            return 0.0, 0.0
+            return _Torque()
         rows = [
             np.stack([n - n.mean(), v, np.tanh(v / (np.std(v) * 0.1 + 1e-9)), c - c.mean()])
             for n, v, c in zip(needed, rates, s.smooth[1], strict=True)
             if len(c) == len(n) == len(v) and len(c) > 3
         ]
         if not rows:
-            return 0.0, 0.0
+            return _Torque()
         load, speed, sign, own = np.concatenate(rows, axis=1)
         if np.std(own) == 0 or np.std(load) == 0:
-            return 0.0, 0.0
+            return _Torque()
         alone = float(np.corrcoef(load, own)[0, 1])
         columns = np.stack([load, speed, sign], axis=1)
         share = np.linalg.lstsq(columns, own, rcond=None)[0]
-        # Friction acts with the motion, as the load does with its own sign.
-        right = share[0] * alone > 0 and share[2] * share[0] >= 0
         fitted = columns @ share
         whole = float(np.corrcoef(fitted, own)[0, 1]) if np.std(fitted) > 0 else 0.0
-        value = math.copysign(max(whole, abs(alone)), alone) if right else alone
-        size = abs(share[0]) if right else np.std(own) / np.std(load) * abs(alone)
-        return value, 1 / size if size > 0 else 0.0
+        # The load, and friction, which acts with the motion, have the sign of the larger one.
+        friction = columns[:, 1:] @ share[1:]
+        larger = share[0] if np.std(load) * abs(share[0]) > np.std(friction) else (
+            float(np.mean(friction * speed)))  # fmt: skip
+        size = abs(share[0]) if share[0] * alone > 0 else np.std(own) / np.std(load) * abs(alone)
+        return _Torque(math.copysign(whole, larger), alone, 1 / size if size > 0 else 0.0)
 
     def _take_torques(self) -> None:
         joints = list(self.positions)
@@ -537,23 +566,26 @@ class Roles:
             self._torques_by_name(candidates)
             return
         found = [[self._explained(j, s) for s in candidates] for j in joints]
-        table = np.array([[abs(value) for value, _ in row] for row in found]).reshape(
-            len(joints), len(candidates)
-        )
+        named = [self._role(s) in ("torque", "current") for s in candidates]
+        table = np.array(
+            [[abs(t.whole if named[k] else t.alone) for k, t in enumerate(row)] for row in found]
+        ).reshape(len(joints), len(candidates))
+        chosen: list[tuple[JointTarget, Signal, _Torque]] = []
         for i, k in self._assigned(table, joints, candidates, "torque"):
-            joint, s = joints[i], candidates[k]
-            value, per = found[i][k]
-            target, named = self.joints[joint], self._role(s) in ("torque", "current")
-            if abs(value) < (_TRUSTED if named else 0.6):
-                if named:
-                    self.why[s.sort] = (
-                        f"correlation {value:.2f} with the torque that the model needs at {joint!r}"
-                    )
-                continue
+            joint, s, told = joints[i], candidates[k], found[i][k]
             motion = abs(self._alike(s, self.positions[joint][0]).correlation)
-            if not named and motion > table[i, k]:
-                continue
-            self._add_torque(target, s, value, per, named)
+            if named[k] and table[i, k] < _TRUSTED:
+                self.why[s.sort] = (
+                    f"correlation {told.whole:.2f} with the torque that the model needs at "
+                    f"{joint!r}, and friction"
+                )
+            elif named[k]:
+                self._add_torque(self.joints[joint], s, told, named=True)
+            elif table[i, k] > max(0.6, motion):
+                chosen.append((self.joints[joint], s, told))
+        if 2 * len(chosen) >= len(joints):  # one of many without a name is chance
+            for target, s, told in chosen:
+                self._add_torque(target, s, told, named=False)
 
     def _torques_by_name(self, candidates: Sequence[Signal]) -> None:
         for s in candidates:
@@ -565,13 +597,14 @@ class Roles:
                 words = f"torque of {joint!r} by its name; the model's cannot be computed"
                 self._add(self.joints[joint].torque, s, Scaling(s.unit), 1, words)
 
-    def _add_torque(
-        self, target: JointTarget, s: Signal, value: float, per: float, named: bool
-    ) -> None:
-        sign, slide = -1 if value < 0 else 1, target.slide
+    def _add_torque(self, target: JointTarget, s: Signal, told: _Torque, *, named: bool) -> None:
+        value, per = (told.whole if named else told.alone), told.per
+        sign = -1 if value < 0 else 1
         words = f"correlation {value:.2f} with the torque that the model needs, and friction"
         current = quantity_of(s.unit) == "current" or self._role(s) == "current"
-        unit = "N" if slide else "N*m"
+        unit = "N" if target.slide else "N*m"
+        stated = quantity_of(s.unit) in ("torque", "force")
+        near = 1 / _SAME_UNIT < per < _SAME_UNIT
         self.used.add(s.sort)
         if current:
             self._open(
@@ -579,15 +612,7 @@ class Roles:
                 f"{words}; a current [A]: give the torque constant and gear as scale [N·m/A]; "
                 f"{per * abs(value):.4g} fits the torque that the model needs", sign,
             )  # fmt: skip
-            return
-        factor = unit_named(s.unit, "").factor if quantity_of(s.unit) in ("torque", "force") else 1
-        ratio = per / factor
-        free = target.drive == "torque" and target.command and self._role(s) == ""
-        stated = quantity_of(s.unit) in ("torque", "force")
-        if free and target.command not in self.lines and 1 / _SAME_UNIT < ratio < _SAME_UNIT:
-            self.commands[target.name] = s
-            self._add(target.command, s, Scaling(""), sign, words, "the command of its motor")
-        elif stated or 1 / _SAME_UNIT < ratio < _SAME_UNIT:
+        elif stated or near or (named and abs(told.alone) < _TRUSTED):
             self._add(target.torque, s, Scaling(s.unit or unit), sign, words)
         else:
             self._open(
@@ -626,12 +651,16 @@ class Roles:
                 like = likeness(s.runs, motion[joint], self.step)
                 likes[i, k] = like
                 table[i, k] = like.correlation
+        near = np.array(
+            [[closeness(s.runs, self.positions[j][0].runs) if j in self.positions else 0.0
+              for s in candidates] for j in joints]
+        ).reshape(table.shape)  # fmt: skip
         places = {s.sort: j for v in vectors for j, s in v.members.items() if v.given}
         order = {k: places.get(s.sort, "") for k, s in enumerate(candidates)}
-        table_by_place = table + np.array(
+        table_by_place = np.abs(table) * (1 + _NAME * near) + np.array(
             [[0.1 * (order[k] == joint) for k in range(len(candidates))] for joint in joints]
         ).reshape(table.shape)
-        for i, k in self._assigned(np.abs(table_by_place), joints, candidates, "command"):
+        for i, k in self._assigned(table_by_place, joints, candidates, "command"):
             if (i, k) in likes:
                 self._take_command(joints[i], candidates[k], likes[i, k])
         self._exchanged()
@@ -876,7 +905,7 @@ class Roles:
             if abs(like.correlation) < 0.995 or self._role(s) != "other":
                 scores.append((abs(like.correlation), f"the motion of {joint!r}"))
             scores.append((abs(rate_likeness(p, s)), f"the velocity of {joint!r}"))
-            scores.append((abs(self._explained(joint, s)[0]), f"the torque of {joint!r}"))
+            scores.append((abs(self._explained(joint, s).alone), f"the torque of {joint!r}"))
         scores.sort(reverse=True)
         named = f"by its name of another quantity ({s.meaning.role})" if s.meaning.role else (
             "no role")  # fmt: skip
