@@ -212,7 +212,7 @@ def unit_in(name: str) -> str:
     """
     for pattern in (_MARKED, _TAILED):
         found = pattern.search(name)
-        if found is None or _plain(found.group(1)) not in UNITS:
+        if found is None or _plain(found.group(1)) not in UNITS or found.group(1).isdigit():
             continue
         # One letter after an underscore is more often an axis or a number than a unit.
         if pattern is _MARKED or len(found.group(1)) > 1:
