@@ -18,13 +18,13 @@ _ENTRY = re.compile(r"(.*?)\[([^\[\]]+)\]$")
 _NUMBERED = re.compile(r"(.*?\D)(\d+)$")
 _TABLE = """
 other: tcp temp temperature temperatures volt volts voltage mode bits momentum pose quat eef wrench
-other: fraction scaling sin cos image reward done force index task frame next orientation twist
+other: fraction scaling sin cos image reward done index task frame next orientation twist
 other: error err seq count counter id status state_machine enable kp kd gain mass
 command: target target command commands cmd action actions desired des ref reference setpoint goal
 command: ctrl control controls soll sollwert demand tgt sp
 acceleration: qdd ddq acc accel acceleration accelerometer qacc gyro gyroscope imu
 velocity: velocity velocities vel qd dq qvel speed rate omega
-torque: effort torque torques tau moment frc load
+torque: effort torque torques tau moment force forces frc load
 current: current currents amps
 position: position positions pos q qpos angle angles encoder enc state ist
 """

@@ -80,6 +80,8 @@ _ROWS = 2000
 """Rows of which torques are computed where several motions are tried."""
 _WEAK = 0.2
 """Least correlation of a named command with the motion of its joint [1]."""
+_MOSTLY = 0.75
+"""Share of the moving joints that have a velocity where channels without names are velocities."""
 _MOST = 80
 """Channels that are compared with each other."""
 
@@ -133,7 +135,9 @@ class Roles:
     def found(self) -> Roles:
         """All roles, in the order in which one rests on the other."""
         self._direct()
-        vectors = self.labels.vectors([s for s in self.signals if s.sort not in self.used])
+        self.vectors = vectors = self.labels.vectors(
+            [s for s in self.signals if s.sort not in self.used]
+        )
         self.places = {s.sort: j for v in vectors if v.given for j, s in v.members.items()}
         self._take_positions(vectors)
         self._take_velocities()
@@ -287,24 +291,34 @@ class Roles:
                 motion = {j: [v * factor for v in s.runs] for j, s in vector.members.items()}
                 self.needed = needed_torques(self.model, motion, self.step, self._every(motion))
                 self.rates = {j: [derivative(v, self.step) for v in m] for j, m in motion.items()}
-                for _, _, other, _ in full:
-                    if set(other.members.values()) & set(vector.members.values()):
-                        continue
-                    named = all(self._role(s) == "torque" for s in other.members.values())
-                    told = [self._explained(j, s) for j, s in other.members.items()]
-                    whole, alone = (float(np.mean([t[i] for t in told])) for i in (0, 1))
-                    moves = [abs(self._alike(s, vector.members[j]).correlation)
-                             for j, s in other.members.items()]  # fmt: skip
-                    load = named or (alone > _NAME and float(np.mean(moves)) < whole)
-                    if whole > max(0.6, best[0]) and load:
-                        best = (whole, score, i, vector, words, other)
+                whole, _ = self._loads(vector.members)
+                if whole > best[0]:
+                    best = (whole, score, i, vector, words)
         if len(best) > 1:
-            whole, score, i, vector, words, other = best
+            whole, score, i, vector, words = best
             why = f"the torque that the model needs for it is in the log ({whole:.2f})"
             words |= dict.fromkeys(vector.members, why)
             scored.append((score + 4 * whole, i, vector, words))
-            self.loads = {s.sort: j for j, s in other.members.items()}
         self.needed, self.rates = {}, {}
+
+    def _loads(self, positions: Mapping[str, Signal]) -> tuple[float, dict[str, Signal]]:
+        """Vector that is most like the torques of positions, and how much; 0 where none is."""
+        best: tuple[float, dict[str, Signal]] = (0.0, {})
+        for other in self.vectors if self.needed else ():
+            own = {j: s for j, s in other.members.items() if j in positions}
+            taken = set(own.values()) & set(positions.values())
+            if taken or len(own) < len(positions) or any(
+                s.sort in self.used or self._role(s) not in ("", "torque") for s in own.values()
+            ):  # fmt: skip
+                continue
+            named = all(self._role(s) == "torque" for s in own.values())
+            told = [self._explained(j, s) for j, s in own.items()]
+            whole, alone = (float(np.mean([t[i] for t in told])) for i in (0, 1))
+            moves = [abs(self._alike(s, positions[j]).correlation) for j, s in own.items()]
+            load = named or (alone > _NAME and float(np.mean(moves)) < whole)
+            if whole > max(0.6, best[0]) and load:
+                best = (whole, own)
+        return best
 
     def _every(self, motion: Mapping[str, Sequence[Array]]) -> int:
         """Rows of which one is enough to tell a torque."""
@@ -365,7 +379,11 @@ class Roles:
                 )
                 continue
             self.speeds[joint] = (s, value)
-            self.used.add(s.sort)
+        bare = [j for j, (s, _) in self.speeds.items() if self._role(s) == "" and not s.unit]
+        if len(bare) < _MOSTLY * len(joints):  # dry friction's torque is like a velocity, too
+            for joint in bare:
+                del self.speeds[joint]
+        self.used |= {s.sort for s, _ in self.speeds.values()}
 
     def _assigned(
         self,
@@ -487,6 +505,8 @@ class Roles:
             s for s in self._free("torque", "current", "")
             if quantity_of(s.unit) in quantities
         ]  # fmt: skip
+        _, loads = self._loads({j: s for j, (s, _, _) in self.positions.items()})
+        self.loads = {s.sort: j for j, s in loads.items()}
         self.places |= self.loads
         if not self.needed:
             self._torques_by_name(candidates)
@@ -505,7 +525,7 @@ class Roles:
         table = np.array(
             [[abs(t.whole if named[k] else t.alone) for k, t in enumerate(row)] for row in found]
         ).reshape(len(joints), len(candidates))
-        chosen: list[tuple[JointTarget, Signal, Torque]] = []
+        chosen: list[tuple[JointTarget, Signal, Torque, bool]] = []
         for i, k in self._assigned(table, joints, candidates, "torque"):
             joint, s, told = joints[i], candidates[k], found[i][k]
             motion = abs(self._alike(s, self.positions[joint][0]).correlation)
@@ -515,12 +535,18 @@ class Roles:
                     f"{joint!r}, and friction"
                 )
             elif named[k]:
-                self._add_torque(self.joints[joint], s, told, named=True)
+                chosen.append((self.joints[joint], s, told, True))
             elif table[i, k] > max(0.6, motion):
-                chosen.append((self.joints[joint], s, told))
-        if 2 * len(chosen) >= len(joints):  # one of many without a name is chance
-            for target, s, told in chosen:
-                self._add_torque(target, s, told, named=False)
+                chosen.append((self.joints[joint], s, told, False))
+        bare = sum(not own for *_, own in chosen)
+        self.sure = {
+            ("loads",) if s.sort in self.loads else (s.source, s.meaning.vector)
+            for _, s, told, _ in chosen
+            if abs(told.alone) >= _TRUSTED and 1 / _SAME_UNIT < told.per < _SAME_UNIT
+        }
+        for target, s, told, own in chosen:
+            if own or 2 * bare >= len(joints):  # one of many without a name is chance
+                self._add_torque(target, s, told, named=own)
 
     def _torques_by_name(self, candidates: Sequence[Signal]) -> None:
         for s in candidates:
@@ -547,13 +573,22 @@ class Roles:
                 f"{words}; a current [A]: give the torque constant and gear as scale [N·m/A]; "
                 f"{per * abs(value):.4g} fits the torque that the model needs", sign,
             )  # fmt: skip
-        elif stated or near or (named and abs(told.alone) < _TRUSTED):
+        elif stated or near or self._told_beside(s):
             self._add(target.torque, s, Scaling(s.unit or unit), sign, words)
+        elif named and abs(told.alone) < _TRUSTED:
+            why = f"{words}; mostly friction, which does not tell its unit: give it"
+            self._open(target.torque, s, Scaling(unit), why, sign)
         else:
             self._open(
                 target.torque, s, Scaling(unit, per),
                 f"{words}; {per:.4g} times it would be that torque [{unit}]: a current?", sign,
             )  # fmt: skip
+
+    def _told_beside(self, s: Signal) -> bool:
+        """Whether the unit of a torque is its format's, or is told by others of its vector."""
+        defined = bool(self.defined.get(s.source)) and self._role(s) == "torque"
+        vector = ("loads",) if s.sort in self.loads else (s.source, s.meaning.vector)
+        return defined or vector in self.sure
 
     # --------------------------------------------------------------------- commands
 
@@ -760,66 +795,30 @@ class Roles:
     # --------------------------------------------------------------------- the rest
 
     def _take_still(self) -> None:
-        """Joints at rest: constant positions and commands beside channels that move."""
+        """Joints at rest: constant positions and commands beside others of their vector."""
         for s in self.signals:
-            if s.sort in self.used or s.moves or not s.values.size:
+            if not s.moves and s.values.size:
+                self.why[s.sort] = f"constant, {s.values[0]:.6g}"
+        for vector in self.vectors:
+            lines = {line.candidate.sort: line for line in self.lines.values()}
+            own = [lines[s.sort] for s in vector.members.values() if s.sort in lines]
+            if not own or not vector.given:
                 continue
-            joint, role = self._place_of_still(s)
-            self.why[s.sort] = f"constant, {s.values[0]:.6g}"
-            if not joint:
+            command = own[0].column.startswith("ctrl.")
+            if not command and all(own[0].column != t.position for t in self.targets):
                 continue
-            target = self.joints[joint]
-            if role == "position" and target.position and target.position not in self.lines:
-                beside = self._beside(s, target.command)
-                if beside is None or not beside.moves:
-                    scaling = self._scaling_beside(s, target)
+            for joint, s in vector.members.items():
+                target = self.joints[joint]
+                column = target.command if command else target.position
+                rival = self.lines.get(target.position if command else target.command)
+                if s.moves or not s.values.size or not column or column in self.lines:
+                    continue
+                if rival is None or not rival.candidate.moves:
+                    plain = own[0].scaling.scale == 1.0
+                    scaling = Scaling(own[0].scaling.unit) if plain else (
+                        normalised_scaling(target, s.values))  # fmt: skip
                     if scaling is not None:
-                        self._add(target.position, s, scaling, 1, f"{joint!r} is at rest")
-            elif role == "command" and target.command and target.command not in self.lines:
-                own = self.positions.get(joint)
-                if own is None or not own[0].moves:
-                    scaling = self._scaling_beside(s, target)
-                    if scaling is not None:
-                        self._add(target.command, s, scaling, 1, f"{joint!r} is held at rest")
-
-    def _place_of_still(self, s: Signal) -> tuple[str, str]:
-        """Joint and role of a channel that rests, by the vector whose other channels have one."""
-        for line in self.lines.values():
-            c = line.candidate
-            if c.source == s.source and c.meaning.vector == s.meaning.vector and c is not s:
-                role = (
-                    "command"
-                    if line.column.startswith("ctrl.")
-                    else (
-                        "position" if any(t.position == line.column for t in self.targets) else ""
-                    )
-                )
-                label = self.labels.joint(s)
-                if not label and s.meaning.index is not None and c.meaning.index is not None:
-                    names = [t.name for t in self.targets]
-                    mine = next(
-                        t.name
-                        for t in self.targets
-                        if line.column in (t.position, t.command, t.velocity, t.torque)
-                    )
-                    at = names.index(mine) + s.meaning.index - c.meaning.index
-                    label = names[at] if 0 <= at < len(names) else ""
-                if label and role:
-                    return label, role
-        return "", ""
-
-    def _beside(self, s: Signal, column: str) -> Signal | None:
-        return self.lines[column].candidate if column in self.lines else None
-
-    def _scaling_beside(self, s: Signal, target: JointTarget) -> Scaling | None:
-        """Scaling of the vector's other channels."""
-        for line in self.lines.values():
-            c = line.candidate
-            if c.source == s.source and c.meaning.vector == s.meaning.vector:
-                if line.scaling.scale == 1.0:
-                    return Scaling(line.scaling.unit)
-                return normalised_scaling(target, s.values)
-        return None
+                        self._add(column, s, scaling, 1, f"{joint!r} is at rest")
 
     def _take_tool(self) -> None:
         """The model's only accelerometer and gyro, by names of axes, units and size."""
