@@ -15,6 +15,7 @@ PARTS = (
     "errors",
     "typing",
     "io",
+    "streams",
     "arms",
     "faults",
     "excitation",

@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import CREST_FACTOR, Arm, LinearArm, LinearPose, Response
+from loose_env.arms import CREST_FACTOR, Arm, LinearArm, LinearPose
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.io import Checked, NonNegative, positive
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 __all__ = [
     "CREST_FACTOR",
@@ -23,10 +23,10 @@ __all__ = [
     "SeatDrive",
     "SeatReference",
     "Shaping",
-    "all_at_levels",
     "at_levels",
     "torque_periods",
     "torque_signals",
+    "torques_at_levels",
 ]
 
 
@@ -65,7 +65,15 @@ def torque_signals(
     >>> u.shape, bool(abs(u[0].std() - 2.0) < 0.3), float(u[1].std())
     ((2, 1200), True, 0.0)
     """
-    period, _, joints = torque_periods([excitation], timestep=timestep, rngs=[rng])
+    period, _, joints = torque_periods(
+        np.array([excitation.torque_rms]),
+        np.array([excitation.shaker_rms]),
+        duration=excitation.duration,
+        band=excitation.band,
+        timestep=timestep,
+        rngs=[rng],
+        shaping=[excitation.shaping],
+    )
     count = period.shape[1]
     torque = np.zeros((len(excitation.levels), before + count + after))
     torque[joints] = period[:, np.arange(-before, count + after) % count]
@@ -73,18 +81,33 @@ def torque_signals(
 
 
 def torque_periods(
-    excitations: Sequence[Excitation], *, timestep: float, rngs: Sequence[np.random.Generator]
+    torque_rms: Array,
+    shaker_rms: Array,
+    *,
+    duration: float,
+    band: tuple[float, float],
+    timestep: float,
+    rngs: Sequence[np.random.Generator],
+    shaping: Sequence[tuple[Shaping | None, ...] | None] | None = None,
 ) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
     """Draw one period of the torque of every excited joint of several records of one length.
 
     Parameters
     ----------
-    excitations : sequence of Excitation
-        Excitations of one duration and band.
+    torque_rms : ndarray (J, n)
+        Rms torque of every joint [N·m].
+    shaker_rms : ndarray (J,)
+        Rms force of the shaker [N]; where it is off it takes nothing from the generator.
+    duration : float
+        Length of the records [s].
+    band : tuple of float
+        Their band [Hz].
     timestep : float
         Sampling step [s].
-    rngs : sequence of numpy.random.Generator
+    rngs : sequence of J numpy.random.Generator
         Source of each record's draw, as for `torque_signals`.
+    shaping : sequence, optional
+        `Excitation.shaping` of each record; flat spectra by default.
 
     Returns
     -------
@@ -98,45 +121,44 @@ def torque_periods(
     Examples
     --------
     >>> import numpy as np
-    >>> e = Excitation(torque_rms=(0.0, 2.0), duration=1.2, band=(30.0, 150.0))
     >>> rows, records, joints = torque_periods(
-    ...     [e, e], timestep=1e-3, rngs=[np.random.default_rng(k) for k in range(2)]
+    ...     np.array([[0.0, 2.0]] * 2),
+    ...     np.zeros(2),
+    ...     duration=1.2,
+    ...     band=(30.0, 150.0),
+    ...     timestep=1e-3,
+    ...     rngs=[np.random.default_rng(k) for k in range(2)],
     ... )
     >>> rows.shape, records.tolist(), joints.tolist()
     ((2, 1200), [0, 1], [1, 1])
     """
-    first = excitations[0]
-    low, high = first.band
+    low, high = band
     if high >= 0.5 / timestep:
         raise InvalidSetting(
-            f"band {first.band} Hz reaches half the sampling rate, {0.5 / timestep:g} Hz"
+            f"band {band} Hz reaches half the sampling rate, {0.5 / timestep:g} Hz"
         )
-    count = round(first.duration / timestep)
+    count = round(duration / timestep)
     frequency = np.arange(count // 2 + 1) / (count * timestep)
     inside = np.flatnonzero((frequency >= low - 1e-9) & (frequency <= high + 1e-9))
-    owners, joints, lines = [], [], []
-    for k, (excitation, rng) in enumerate(zip(excitations, rngs, strict=True)):
-        levels = excitation.levels
-        draws = rng.standard_normal((len(levels), len(inside), 2))
-        for j, rms in enumerate(levels):
-            if rms == 0:
-                continue
-            owners.append(k)
-            joints.append(j)
-            # E|line|² = 2; the expected rms of the sum of all lines is the one asked for.
-            own = (draws[j, :, 0] + 1j * draws[j, :, 1]) * (
-                rms * count / (2 * np.sqrt(len(inside)))
-            )
-            shape = None if excitation.shaping is None else (*excitation.shaping, None)[j]
-            if shape is not None:
-                weight = shape(frequency[inside])
-                own *= weight / np.sqrt(np.mean(weight**2))
-            lines.append(own)
+    levels = np.column_stack([torque_rms, shaker_rms])
+    owners, joints = np.nonzero(levels)
+    draws = np.empty((*levels.shape, len(inside), 2))
+    for own, shaker, rng in zip(draws, shaker_rms, rngs, strict=True):
+        rng.standard_normal(out=own if shaker else own[:-1])
+    # E|line|² = 2; the expected rms of the sum of all lines is the one asked for.
+    scale = levels[owners, joints] * count / (2 * np.sqrt(len(inside)))
+    lines = draws[owners, joints].view(complex)[..., 0] * scale[:, None]
+    shapes = [None] * len(levels) if shaping is None else shaping
+    for line, owner, joint in zip(lines, owners, joints, strict=True):
+        own_shapes = shapes[int(owner)]
+        shape = None if own_shapes is None else (*own_shapes, None)[joint]
+        if shape is not None:
+            weight = shape(frequency[inside])
+            line *= weight / np.sqrt(np.mean(weight**2))
     spectra = np.zeros((len(lines), count // 2 + 1), dtype=complex)
-    spectra[:, inside] = np.reshape(lines, (len(lines), len(inside)))
+    spectra[:, inside] = lines
     # numpy transforms row by row: no row depends on the others.
-    rows = np.fft.irfft(spectra, n=count)
-    return rows, np.array(owners, dtype=np.intp), np.array(joints, dtype=np.intp)
+    return np.fft.irfft(spectra, n=count), owners, joints
 
 
 Shaping = Callable[[Array], Array]
@@ -227,72 +249,56 @@ def at_levels(pose: LinearPose, levels: Array, *, duration: float) -> tuple[Exci
         raise InvalidSetting(
             f"levels of {arm.name!r} are {arm.n} numbers, zero or more m/s², got {levels!r}"
         )
-    (excitation,), share = all_at_levels([pose], wanted[None], durations=[duration])
-    return excitation, share[0]
+    on, torque, share = wanted > 0, np.zeros(arm.n), np.ones(arm.n)
+    if on.any():
+        answer = pose.response(on)
+        gravity = pose.gravity_torque[None]
+        given = answer.acceleration[None], answer.tool[None]
+        (torque,), (share,) = torques_at_levels(arm, wanted[None], gravity, *given)
+    rms = tuple(torque.tolist())
+    return Excitation(torque_rms=rms, duration=duration, band=arm.band), share
 
 
-def all_at_levels(
-    poses: Sequence[LinearPose], levels: Array, *, durations: Sequence[float]
-) -> tuple[list[Excitation], Array]:
-    """Find the torques of several records, each as `at_levels`.
+def torques_at_levels(
+    arm: Arm, levels: Array, gravity: Array, acceleration: ComplexArray, tool: ComplexArray
+) -> tuple[Array, Array]:
+    """Find the torques of several records, each as `at_levels`, equally many joints on in all.
 
     Parameters
     ----------
-    poses : sequence of B LinearPose
-        One nominal arm at several poses.
+    arm : Arm
+        The nominal arm.
     levels : ndarray (B, n)
         Wanted rms accelerations [m/s²].
-    durations : sequence of B float
-        Lengths of the records [s].
+    gravity : ndarray (B, n)
+        Torque that holds each joint against gravity [N·m].
+    acceleration, tool : ndarray (B, K, v, m), (B, K, d, m)
+        The arm's responses, as `LinearPoses.responses` gives them.
 
     Returns
     -------
-    list of B Excitation
+    ndarray (B, n)
+        Rms torques [N·m].
     ndarray (B, n)
         Share of each wanted level that is allowed.
     """
-    arm = poses[0].linear.arm
     on = levels > 0
     torque, share = np.zeros(levels.shape), np.ones(levels.shape)
-    limits = np.array(arm.torque_limits)
-    counts = on.sum(axis=1)
-    for m in np.unique(counts[counts > 0]):
-        members = [int(k) for k in np.flatnonzero(counts == m)]
-        chosen = on[members]
-        found = poses[0].linear.responses([poses[k] for k in members], chosen)
-        tool = np.array([answer.tool for answer in found])
-        per_torque = np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=2), axis=1))
-        if arm.unfelt_joints:
-            least = [_least_felt(a, c, arm) for a, c in zip(found, chosen, strict=True)]
-            per_torque = np.maximum(per_torque, least)
-        gravity = np.array([poses[k].gravity_torque for k in members])
-        spare = limits - np.abs(gravity)
-        allowed = np.maximum(spare[chosen].reshape(-1, m), 0.0) / CREST_FACTOR
-        needed = levels[members][chosen].reshape(-1, m) / per_torque
-        given = np.minimum(needed, allowed)
-        rows, columns = np.nonzero(chosen)
-        rows = np.array(members)[rows]
-        torque[rows, columns] = given.ravel()
-        share[rows, columns] = (given / needed).ravel()
-    excitations = [
-        Excitation(torque_rms=tuple(own.tolist()), duration=duration, band=arm.band)
-        for own, duration in zip(torque, durations, strict=True)
-    ]
-    return excitations, share
-
-
-def _least_felt(response: Response, on: NDArray[np.bool_], arm: Arm) -> Array:
-    """Acceleration that counts for an unfelt joint per torque, 0 for the others (m,).
-
-    No torque would give the tool on the joint's axis its level; what is asked for then is the
-    level at a distance of `UNFELT_LEVER` times the reach.
-    """
-    found = np.zeros(int(on.sum()))
-    for k, joint in enumerate(np.flatnonzero(on)):
-        if joint + 1 in arm.unfelt_joints:
-            turning = np.sqrt(np.mean(np.abs(response.joint[:, joint, k]) ** 2))
-            found[k] = UNFELT_LEVER * arm.reach * turning
-    return found
+    m = tool.shape[-1]
+    per_torque = np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=2), axis=1))
+    for joint in arm.unfelt_joints:
+        # No torque would give the tool on the joint's axis its level; what is asked for then is
+        # the level at a distance from it.
+        rows = np.flatnonzero(on[:, joint - 1])
+        at = np.cumsum(on[rows], axis=1)[:, joint - 1] - 1
+        turning = np.sqrt(np.mean(np.abs(acceleration[rows, :, joint - 1, at]) ** 2, axis=1))
+        per_torque[rows, at] = np.maximum(per_torque[rows, at], UNFELT_LEVER * arm.reach * turning)
+    spare = np.array(arm.torque_limits) - np.abs(gravity)
+    allowed = np.maximum(spare[on].reshape(-1, m), 0.0) / CREST_FACTOR
+    needed = levels[on].reshape(-1, m) / per_torque
+    given = np.minimum(needed, allowed)
+    torque[on], share[on] = given.ravel(), (given / needed).ravel()
+    return torque, share
 
 
 SeatReference = Literal["median", "best"]

@@ -710,7 +710,8 @@ class ActionAndPrediction(DiagnosisWrapper):
         base = 0.0 if terminated else float(reward)
         if self.every_step and not truncated:
             # The last record ends the episode: there is nothing to stop.
-            terminated = terminated or episode.records >= settings.max_records
+            taken = self.diagnosis.batch.episode(0).records
+            terminated = terminated or taken >= settings.max_records
         scored = self.every_step or terminated
         info = {
             **self.masked(info),

@@ -16,9 +16,8 @@ from loose_agents.jobs import BackendSettings, ProgressLine, results_of
 
 import loose_env
 from loose_env.arms import Arm, planar, scara, six_axis, vera
-from loose_env.envs import FAINT, INK, MUTED
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.io import write_text, written_beside
+from loose_env.io import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 MARKS = ("<!-- {}: begin -->", "<!-- {}: end -->")
@@ -162,31 +161,3 @@ def arm_named(name: str) -> Arm:
     if not (name.startswith("planar") and count.isdecimal()):
         raise UnknownName(f"there is no arm {name!r}; there are {', '.join(known)} and planar4[v]")
     return planar(int(count), vertical=links.endswith("v"))
-
-
-def pyplot() -> Any:
-    """Matplotlib's pyplot without a window, set to the studies' look."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    plt.rcParams.update(
-        {
-            "font.size": 9,
-            "text.color": INK,
-            "axes.edgecolor": FAINT,
-            "axes.labelcolor": INK,
-            "xtick.color": MUTED,
-            "ytick.color": MUTED,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-        }
-    )
-    return plt
-
-
-def save_figure(plt: Any, figure: Any, path: Path, *, dpi: int = 130) -> None:
-    """Write a figure to a file atomically, and close it."""
-    written_beside(path, lambda beside: figure.savefig(beside, dpi=dpi))
-    plt.close(figure)

@@ -25,7 +25,7 @@ MOST_LINES = 900
 # From the bottom up. A part imports itself and what stands above it in this list, never
 # what stands below it or beside it.
 ORDER = (
-    ("errors", "typing", "version", "io"),
+    ("errors", "typing", "version", "io", "streams"),
     ("arms",),
     ("faults",),
     ("excitation",),
@@ -48,7 +48,7 @@ ORDER = (
     ("cli",),
 )
 RANK = {part: rank for rank, parts in enumerate(ORDER) for part in parts}
-BASICS = {"errors", "typing"}  # modules that anything may import, io included
+BASICS = {"errors", "typing", "streams"}  # modules that anything may import, io included
 
 # The statistics are functions of arrays: they know neither the rig nor the simulator.
 SEALED = {"statistics": {"loose_env.rig", "mujoco"}}

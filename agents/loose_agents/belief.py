@@ -285,7 +285,7 @@ def tuned(problem: Problem) -> dict[str, Any]:
     ``stop`` maps agents to the probability at which they stop, ``constant`` holds the best
     levels of one joint, ``fixed`` the best sequences of records, ``information`` the factors on
     expected information. What was not tuned under other rules (`tuning_name`) is that of the
-    usual ones. Written by scripts/agents/tune_agents.py and scripts/agents/fit_information.py.
+    usual ones. Written by scripts/agents/tune_agents.py and scripts/agents/train_posterior.py.
     """
     usual, own = (
         json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}

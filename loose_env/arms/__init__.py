@@ -51,8 +51,14 @@ from loose_env.arms.library import (
     vera,
     vera_spec,
 )
-from loose_env.arms.linear import LinearArm, LinearPose, Response, inertance_rate
-from loose_env.arms.mismatch import Drift, Mismatch, MismatchDraw, MismatchIndices
+from loose_env.arms.linear import LinearArm, LinearPose, LinearPoses, Response, inertance_rate
+from loose_env.arms.mismatch import (
+    Drift,
+    Mismatch,
+    MismatchDraw,
+    MismatchIndices,
+    apply_mismatches,
+)
 from loose_env.arms.model_file import (
     ModelFile,
     compile_spec,
@@ -87,6 +93,7 @@ __all__ = [
     "Holding",
     "LinearArm",
     "LinearPose",
+    "LinearPoses",
     "LinkSite",
     "Mismatch",
     "MismatchDraw",
@@ -96,6 +103,7 @@ __all__ = [
     "Response",
     "Shaker",
     "add_shaker",
+    "apply_mismatches",
     "arm_from_file",
     "arm_of_model_file",
     "compile_spec",

@@ -696,18 +696,22 @@ class Arm:
         )
 
     def wrap(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bring joints that turn without end into [-pi, pi)."""
+        """Bring joints of poses (..., n) that turn without end into [-pi, pi)."""
         wrapped = np.array(pose, dtype=float)
         for j, r in enumerate(self.joint_ranges):
             if r is None:
-                wrapped[j] = (wrapped[j] + np.pi) % (2 * np.pi) - np.pi
+                wrapped[..., j] = (wrapped[..., j] + np.pi) % (2 * np.pi) - np.pi
         return wrapped
 
     def random_pose(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """Draw a pose, uniform over the joints' ranges [rad] (n,)."""
+        return np.asarray(self.random_poses([rng])[0])
+
+    def random_poses(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.float64]:
+        """Draw a pose from each of B generators (B, n); as `random_pose`."""
         low = np.array([-np.pi if r is None else r[0] for r in self.joint_ranges])
         high = np.array([np.pi if r is None else r[1] for r in self.joint_ranges])
-        return np.asarray(low + (high - low) * rng.random(self.n))
+        return np.asarray(low + (high - low) * np.array([rng.random(self.n) for rng in rngs]))
 
 
 Place = Literal["proximal", "distal"]

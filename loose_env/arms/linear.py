@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
-from loose_env.typing import Array, ComplexArray
+from loose_env.typing import Array, ComplexArray, IndexArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,47 +281,46 @@ class LinearArm:
         if found is None:
             while len(self._cache) >= self._remember:
                 del self._cache[next(iter(self._cache))]  # the oldest
-            found = self._cache[key] = self._linearise(q)
+            found = self._cache[key] = self.at_all(q[None])[0]
         return found
 
-    def responses(self, poses: Sequence[LinearPose], excited: NDArray[np.bool_]) -> list[Response]:
-        """Frequency responses at several poses of this arm at once; they remember them.
+    def at_all(self, poses: Array) -> LinearPoses:
+        """Linearise at poses [rad] (B, n), without remembering them."""
+        model, data, count = self.model, self._data, len(poses)
+        inertia = np.zeros((count, model.nv, model.nv))
+        load, jacobian = np.zeros((count, model.nv)), np.zeros((count, 3, model.nv))
+        frames, frame = np.empty((count, 3, 3)), data.site_xmat[self.tool].reshape(3, 3)
+        for k in self._placed(poses):
+            mujoco.mj_makeM(model, data)
+            mujoco.mj_fullM(model, data, inertia[k])
+            mujoco.mj_rne(model, data, 0, load[k])  # at rest: gravity alone
+            mujoco.mj_jacSite(model, data, jacobian[k], None, self.tool)
+            frames[k] = frame
+        jacobian = (frames.transpose(0, 2, 1) @ jacobian)[:, list(self.arm.axes)]
+        if self.play is not None:
+            all_of = np.hstack([np.eye(model.nv), self.play])
+            inertia = all_of.T @ inertia @ all_of
+            jacobian, load = jacobian @ all_of, load @ all_of
+        return LinearPoses(linear=self, pose=poses, inertia=inertia, jacobian=jacobian, load=load)
 
-        ``excited`` (B, n) says which joints are excited in each pose; all others are held.
-        """
-        masks = [tuple(row) for row in excited.tolist()]
-        missing: dict[int, dict[tuple[int, tuple[bool, ...]], LinearPose]] = {}
-        for pose, mask in zip(poses, masks, strict=True):
-            if mask not in pose.remembered:
-                missing.setdefault(sum(mask), {})[id(pose), mask] = pose
-        for asked in missing.values():
-            own = [mask for _, mask in asked]
-            answers = self._respond(list(asked.values()), np.array(own))
-            for pose, mask, answer in zip(asked.values(), own, answers, strict=True):
-                pose.remembered[mask] = answer
-        return [pose.remembered[mask] for pose, mask in zip(poses, masks, strict=True)]
+    def gravity_torques(self, poses: Array) -> Array:
+        """Torque that holds each joint against gravity at poses [rad] (B, n) [N·m] (B, n)."""
+        load = np.zeros((len(poses), self.model.nv))
+        for k in self._placed(poses):
+            mujoco.mj_rne(self.model, self._data, 0, load[k])
+        return load[:, self.joint_dofs]
 
-    def _respond(self, poses: Sequence[LinearPose], excited: NDArray[np.bool_]) -> list[Response]:
-        """Responses with equally many joints excited in each pose."""
-        move = self.moving
-        mass = np.array([pose.inertia[np.ix_(move, move)] for pose in poses])
-        count, m = excited.shape[0], int(excited[0].sum())
-        torque = np.zeros((len(move), m, count, len(self.frequency)), dtype=complex)
-        owner, driven = np.nonzero(excited)
-        torque[driven, np.tile(np.arange(m), count), owner] = 1.0
-        answer = solved(self.dynamic_stiffness(mass, excited), torque)
-        answer *= -((2 * np.pi * self.frequency) ** 2)
-        jacobian = np.array([pose.jacobian[:, move] for pose in poses])
-        tool = np.zeros((jacobian.shape[1], *answer.shape[1:]), dtype=complex)
-        for v in range(len(move)):
-            tool += jacobian[:, :, v].T[:, None, :, None] * answer[v]
-        # Contiguous for each pose, so that sums over it do not depend on the others.
-        acceleration = np.ascontiguousarray(answer.transpose(2, 3, 0, 1))
-        tool = np.ascontiguousarray(tool.transpose(2, 3, 0, 1))
-        return [
-            Response(pose=pose, acceleration=own, tool=moved)
-            for pose, own, moved in zip(poses, acceleration, tool, strict=True)
-        ]
+    def _placed(self, poses: Array) -> Iterator[int]:
+        """Put the model into one pose after the other."""
+        model, data = self.model, self._data
+        position = np.tile(model.qpos0, (len(poses), 1))
+        position[:, model.jnt_qposadr[model.dof_jntid[self.joint_dofs]]] = poses
+        qpos = data.qpos
+        for k, own in enumerate(position):
+            qpos[:] = own
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            yield k
 
     def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
         """Force per motion of joints, then bending modes, over the band (v, v, B, K)."""
@@ -343,26 +342,89 @@ class LinearArm:
             stiffness[v, v] += np.where(free, loose[v], held[v])
         return np.asarray(stiffness)
 
-    def _linearise(self, q: Array) -> LinearPose:
-        model, data = self.model, self._data
-        position = data.qpos
-        position[:] = model.qpos0
-        position[model.jnt_qposadr[model.dof_jntid[self.joint_dofs]]] = q
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_makeM(model, data)
-        inertia = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, inertia)
-        load = np.zeros(model.nv)
-        mujoco.mj_rne(model, data, 0, load)  # at rest: gravity alone
-        jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jacSite(model, data, jacobian, None, self.tool)
-        frame = data.site_xmat[self.tool].reshape(3, 3)
-        jacobian = (frame.T @ jacobian)[list(self.arm.axes)]
-        if self.play is not None:
-            all_of = np.hstack([np.eye(model.nv), self.play])
-            inertia, jacobian, load = all_of.T @ inertia @ all_of, jacobian @ all_of, load @ all_of
-        return LinearPose(linear=self, pose=q, inertia=inertia, jacobian=jacobian, load=load)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearPoses:
+    """The linear arm at B poses: arrays as of `LinearPose`, an axis more in front."""
+
+    linear: LinearArm
+    pose: Array
+    inertia: Array
+    jacobian: Array
+    load: Array
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def __getitem__(self, k: int) -> LinearPose:
+        """One of the poses."""
+        return LinearPose(
+            linear=self.linear,
+            pose=self.pose[k],
+            inertia=self.inertia[k],
+            jacobian=self.jacobian[k],
+            load=self.load[k],
+        )
+
+    def some(self, rows: IndexArray) -> LinearPoses:
+        """Some of the poses."""
+        parts = (self.pose, self.inertia, self.jacobian, self.load)
+        pose, inertia, jacobian, load = (part[rows] for part in parts)
+        return LinearPoses(
+            linear=self.linear, pose=pose, inertia=inertia, jacobian=jacobian, load=load
+        )
+
+    @property
+    def gravity_torque(self) -> Array:
+        """Torque that holds each joint against gravity [N·m] (B, n)."""
+        return self.load[:, self.linear.joint_dofs]
+
+    def responses(self, excited: NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray]:
+        """Accelerations and tool accelerations per torque, as of `Response`.
+
+        ``excited`` (B, n) says which joints are excited in each pose, in all equally many, m; all
+        others are held.
+
+        Returns
+        -------
+        ndarray (B, K, v, m)
+        ndarray (B, K, d, m)
+        """
+        lin = self.linear
+        chunk = max(1, _FIT // (len(lin.moving) ** 2 * len(lin.frequency)))
+        found = [
+            self._responses(slice(first, first + chunk), excited[first : first + chunk])
+            for first in range(0, len(self), chunk)
+        ]
+        if len(found) == 1:
+            return found[0]
+        accelerations, tools = zip(*found, strict=True)
+        return np.concatenate(accelerations), np.concatenate(tools)
+
+    def _responses(
+        self, some: slice, excited: NDArray[np.bool_]
+    ) -> tuple[ComplexArray, ComplexArray]:
+        lin, move = self.linear, self.linear.moving
+        mass = self.inertia[some, move[:, None], move]
+        count, m = len(excited), int(excited[0].sum())
+        torque = np.zeros((len(move), m, count, len(lin.frequency)), dtype=complex)
+        owner, driven = np.nonzero(excited)
+        torque[driven, np.tile(np.arange(m), count), owner] = 1.0
+        answer = solved(lin.dynamic_stiffness(mass, excited), torque)
+        answer *= -((2 * np.pi * lin.frequency) ** 2)
+        jacobian = self.jacobian[some][:, :, move]
+        tool = np.zeros((jacobian.shape[1], *answer.shape[1:]), dtype=complex)
+        for v in range(len(move)):
+            tool += jacobian[:, :, v].T[:, None, :, None] * answer[v]
+        # Contiguous for each pose, so that sums over it do not depend on the others.
+        return (
+            np.ascontiguousarray(answer.transpose(2, 3, 0, 1)),
+            np.ascontiguousarray(tool.transpose(2, 3, 0, 1)),
+        )
+
+
+_FIT = 1 << 15
+"""Complex numbers of a chunk's largest array, for the processor's cache."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -396,7 +458,7 @@ class LinearPose:
 
     @cached_property
     def remembered(self) -> dict[tuple[bool, ...], Response]:
-        """Responses so far, by the joints excited; see `LinearArm.responses`."""
+        """Responses so far, by the joints excited."""
         return {}
 
     @property
@@ -420,7 +482,16 @@ class LinearPose:
 
     def response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> Response:
         """Return the frequency response with the given joints excited and all others held."""
-        return self.linear.responses([self], np.array([excited], dtype=bool))[0]
+        mask = tuple(np.asarray(excited, dtype=bool).tolist())
+        if mask not in self.remembered:
+            parts = (self.pose, self.inertia, self.jacobian, self.load)
+            pose, inertia, jacobian, load = (part[None] for part in parts)
+            alone = LinearPoses(
+                linear=self.linear, pose=pose, inertia=inertia, jacobian=jacobian, load=load
+            )
+            acceleration, tool = alone.responses(np.array([mask]))
+            self.remembered[mask] = Response(pose=self, acceleration=acceleration[0], tool=tool[0])
+        return self.remembered[mask]
 
     def open_response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> OpenResponse:
         """Return the answer through every seat, with the given joints excited."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from loose_env.arms.arm import Arm
 from loose_env.errors import InvalidSetting
 from loose_env.io import Checked, NonNegative
+from loose_env.streams import seeded
 from loose_env.typing import Array
 
 _CUT = 3.0  # draws beyond three standard deviations are cut off
@@ -59,14 +62,30 @@ class Mismatch(Checked):
 
     def draw(self, arm: Arm, rng: np.random.Generator) -> MismatchDraw:
         """Draw one true arm."""
-        bodies, joints, n = arm.model.nbody, arm.model.njnt, arm.n
-        sensor = self._accelerometers(rng, 1)[0]
-        # Seeded by the tool's, so that they take nothing from rng and change no later draw.
-        own = np.random.default_rng(sensor.ravel().view(np.uint64))
-        names, ends, centre, deviation = self._layout(bodies, joints, n)
-        drawn = centre + deviation * _normal(rng, len(centre))
-        parts = {name: drawn[a:b] for name, a, b in zip(names, ends[:-1], ends[1:], strict=True)}
-        return MismatchDraw(sensor=sensor, link_sensors=self._accelerometers(own, n), **parts)
+        return self.draw_all(arm, [rng])[0]
+
+    def draw_all(self, arm: Arm, rngs: Sequence[np.random.Generator]) -> list[MismatchDraw]:
+        """Draw a true arm from each of B generators."""
+        n, count = arm.n, len(rngs)
+        sensors = self._accelerometers(_normal(rngs, 15))
+        # Seeded by the tool's, so that they take nothing from rngs and change no later draw.
+        words = sensors.reshape(count, 9).view(np.uint64)
+        if (words >> np.uint64(32)).all():
+            own = seeded(words.view(np.uint32))
+        else:  # numpy leaves out words that are zero
+            own = [np.random.default_rng(row) for row in words]
+        links = self._accelerometers(_normal(own, 15 * n)).reshape(count, n, 3, 3)
+        names, ends, centre, deviation = self._layout(arm.model.nbody, arm.model.njnt, n)
+        drawn = centre + deviation * _normal(rngs, len(centre))
+        spans = [slice(*span) for span in pairwise(ends)]
+        return [
+            MismatchDraw(
+                sensor=sensors[k],
+                link_sensors=links[k],
+                **{name: drawn[k, span] for name, span in zip(names, spans, strict=True)},
+            )
+            for k in range(count)
+        ]
 
     @lru_cache(maxsize=64)  # noqa: B019  (settings are few, small and equal by value)
     def _layout(
@@ -91,9 +110,10 @@ class Mismatch(Checked):
         ends = (0, *np.cumsum(sizes).tolist())
         return names, ends, np.repeat(centre, sizes), np.repeat(deviation, sizes)
 
-    def _accelerometers(self, rng: np.random.Generator, count: int) -> Array:
-        """Draw what some accelerometers make of the true acceleration (count, 3, 3)."""
-        drawn = _normal(rng, count, 15)
+    def _accelerometers(self, variates: Array) -> Array:
+        """What accelerometers make of the true acceleration (A, 3, 3), by 15 variates each."""
+        drawn = variates.reshape(-1, 15)
+        count = len(drawn)
         cross = self.cross_axis * drawn[:, :9].reshape(count, 3, 3)
         cross[:, range(3), range(3)] = self.gain * drawn[:, 9:12]
         mounting = np.zeros((count, 3, 3))
@@ -104,9 +124,12 @@ class Mismatch(Checked):
         return np.asarray((np.eye(3) + cross) @ mounting)
 
 
-def _normal(rng: np.random.Generator, *shape: int) -> Array:
-    """Draw standard normal variates, those beyond the cut set to it."""
-    return np.clip(rng.standard_normal(shape), -_CUT, _CUT)
+def _normal(rngs: Sequence[np.random.Generator], count: int) -> Array:
+    """Draw standard normal variates (B, count), those beyond the cut set to it."""
+    drawn = np.empty((len(rngs), count))
+    for row, rng in zip(drawn, rngs, strict=True):
+        rng.standard_normal(out=row)
+    return np.clip(drawn, -_CUT, _CUT)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,37 +169,6 @@ class MismatchDraw:
         zero = Mismatch().scaled(0.0)
         return zero.draw(arm, np.random.default_rng(0))
 
-    def apply(
-        self,
-        model: mujoco.MjModel,
-        arm: Arm,
-        data: mujoco.MjData,
-        at: MismatchIndices | None = None,
-    ) -> None:
-        """Write the draw into a compiled model of the arm, seat and instruments included.
-
-        The model must be a fresh copy of its template: factors act on what they find.
-        ``data`` is scratch space of the same layout; ``at`` the template's `MismatchIndices`,
-        looked up where they are not given.
-        """
-        if at is None:
-            at = MismatchIndices.of(model, arm)
-        model.body_pos[at.bodies] *= self.length[1:, None]
-        model.body_mass[at.bodies] *= self.mass[1:]
-        model.body_inertia[at.bodies] *= (self.mass[1:] * self.inertia[1:])[:, None]
-        model.site_pos[at.tool] *= self.length[at.tool_body]
-        model.jnt_stiffness[at.joints] *= self.stiffness
-        model.dof_damping[at.dofs] *= self.damping
-        model.dof_armature[at.drives] *= self.rotor
-        rotation = np.zeros(9)
-        quaternion = np.zeros(4)
-        mujoco.mju_euler2Quat(quaternion, np.array([*self.tilt, 0.0]), "xyz")
-        mujoco.mju_quat2Mat(rotation, quaternion)
-        # Tilting the base turns gravity the other way in the base's own frame.
-        gravity = model.opt.gravity
-        gravity[:] = rotation.reshape(3, 3).T @ gravity
-        mujoco.mj_setConst(model, data)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Drift(Checked):
@@ -199,7 +191,7 @@ class Drift(Checked):
 
     def after(self, draw: MismatchDraw, rng: np.random.Generator) -> MismatchDraw:
         """Return the true arm one record later."""
-        steps = _normal(rng, 2, len(draw.joint_zero))
+        steps = _normal([rng], 2 * len(draw.joint_zero)).reshape(2, -1)
         return replace(
             draw,
             joint_zero=draw.joint_zero + np.radians(self.joint_zero) * steps[0],
@@ -238,3 +230,50 @@ class MismatchIndices:
             tool=model.site(arm.tool).id,
             tool_body=int(bare.site(arm.tool).bodyid[0]),
         )
+
+
+def apply_mismatches(
+    models: Sequence[mujoco.MjModel],
+    draws: Sequence[MismatchDraw],
+    indices: Sequence[MismatchIndices],
+) -> None:
+    """Write draws into compiled models of one arm, alike in layout, seat and instruments included.
+
+    Each model must be a fresh copy of its template: factors act on what they find. Call
+    ``mj_setConst`` afterwards.
+    """
+
+    def factors(name: str, at: str) -> None:
+        """Multiply a model's array, at some of its rows, by the factors of the draws."""
+        found = np.array([getattr(model, name) for model in models])
+        rows = np.array([getattr(each, at) for each in indices])
+        own = np.expand_dims(shares[name], tuple(range(2, found.ndim)))
+        found[np.arange(len(models))[:, None], rows] *= own
+        for model, values in zip(models, found, strict=True):
+            getattr(model, name)[:] = values
+
+    def drawn(name: str) -> Array:
+        return np.array([getattr(draw, name) for draw in draws])
+
+    length, mass = drawn("length")[:, 1:], drawn("mass")[:, 1:]
+    shares = {
+        "body_pos": length,
+        "body_mass": mass,
+        "body_inertia": mass * drawn("inertia")[:, 1:],
+        "jnt_stiffness": drawn("stiffness"),
+        "dof_damping": drawn("damping"),
+        "dof_armature": drawn("rotor"),
+    }
+    for name in ("body_pos", "body_mass", "body_inertia"):
+        factors(name, "bodies")
+    factors("jnt_stiffness", "joints")
+    factors("dof_damping", "dofs")
+    factors("dof_armature", "drives")
+    rotation, quaternion = np.zeros(9), np.zeros(4)
+    for model, draw, at in zip(models, draws, indices, strict=True):
+        model.site_pos[at.tool] *= draw.length[at.tool_body]
+        mujoco.mju_euler2Quat(quaternion, np.append(draw.tilt, 0.0), "xyz")
+        mujoco.mju_quat2Mat(rotation, quaternion)
+        # Tilting the base turns gravity the other way in the base's own frame.
+        gravity = model.opt.gravity
+        gravity[:] = rotation.reshape(3, 3).T @ gravity

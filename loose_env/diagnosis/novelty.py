@@ -259,8 +259,8 @@ class NoveltyReference:
         missing = [name for name in wanted if name not in tensors]
         if missing:
             raise InvalidData(
-                f"the reference of the trained kind lacks {missing}; work it out again with "
-                "scripts/agents/train_posterior.py --reference-only"
+                f"the reference of the trained kind lacks {missing}; train it again with "
+                "scripts/agents/train_posterior.py"
             )
         found = {name: np.asarray(values, dtype=float) for name, values in tensors.items()}
         count = sum(name.startswith("scores.") for name in found)
@@ -275,7 +275,7 @@ class NoveltyReference:
             raise InvalidData(
                 f"the reference of the trained kind has {wrong[0]!r} of shape "
                 f"{found[wrong[0]].shape}, not {expected[wrong[0]]}: it belongs to another "
-                "version; work it out again with scripts/agents/train_posterior.py --reference-only"
+                "version; train it again with scripts/agents/train_posterior.py"
             )
         return cls(
             **{name: found[name] for name in ("mean", "scale", "usual", "spread")},

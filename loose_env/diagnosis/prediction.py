@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from loose_env.arms import Arm, LinearArm, LinearPose, Mismatch, Response, link_site
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, SeatDrive, SeatReference
-from loose_env.rig import Measurement
+from loose_env.rig import Measurement, Records
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import (
     Covariances,
@@ -165,38 +165,41 @@ def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Pre
     >>> predict(at, shake, quiet).transmission.round(2).ravel().tolist()
     [0.0, 0.3]
     """
-    return predictions([pose], [excitation], floor)[0]
+    torque = np.array([excitation.torque_rms])
+    answer = pose.response(torque[0] > 0)
+    arm = pose.linear.arm
+    return predictions(arm, torque, floor, answer.acceleration[None], answer.tool[None])[0]
 
 
 def predictions(
-    poses: Sequence[LinearPose], excitations: Sequence[Excitation], floor: SensorFloor
+    arm: Arm,
+    torque_rms: Array,
+    floor: SensorFloor,
+    acceleration: ComplexArray,
+    tool: ComplexArray,
 ) -> Prediction:
     """Predict several records of the nominal, healthy arm, in which equally many joints are on.
 
     Parameters
     ----------
-    poses : sequence of B LinearPose
-        One nominal arm at several poses.
-    excitations : sequence of B Excitation
-        Excitations.
+    arm : Arm
+        The nominal arm.
+    torque_rms : ndarray (B, n)
+        Rms torques [N·m]; at least one in each record is above zero.
     floor : SensorFloor
         Noise of the sensors.
+    acceleration, tool : ndarray (B, K, v, m), (B, K, d, m)
+        The arm's responses, as `LinearPoses.responses` gives them.
 
     Returns
     -------
     Prediction
         Of all records; arrays have a first axis of length B.
     """
-    arm = poses[0].linear.arm
-    levels = np.array([excitation.torque_rms for excitation in excitations])
-    on = levels > 0
-    responses = poses[0].linear.responses(poses, on)
-    joints = np.nonzero(on)[1].reshape(len(poses), -1)
-    torque = np.take_along_axis(levels, joints, axis=1)
+    joints = np.nonzero(torque_rms)[1].reshape(len(torque_rms), -1)
+    torque = np.take_along_axis(torque_rms, joints, axis=1)
     noise = floor.joints(arm)[joints]
-    answers = np.array([answer.acceleration for answer in responses])
-    joint = np.take_along_axis(answers, joints[:, None, :, None], axis=2)
-    tool = np.array([answer.tool for answer in responses])
+    joint = np.take_along_axis(acceleration, joints[:, None, :, None], axis=2)
     # Spectra averaged over the band: joint (B, K, m, m), tool (B, K, d, m).
     count, axes = tool.shape[1:3]
     x, a = joint * torque[:, None, None], tool * torque[:, None, None]
@@ -578,11 +581,13 @@ def statistics_of(measurement: Measurement) -> RecordStatistics:
     >>> statistics_of(measured).transmission.shape
     (2, 2)
     """
-    return statistics_of_all([measurement])[0]
+    if measurement.failure is not None:
+        raise InvalidData(f"the measurement failed: {measurement.failure}")
+    return statistics_of_all(Records.of([measurement]))[0]
 
 
-def statistics_of_all(measurements: Sequence[Measurement]) -> RecordStatistics:
-    """Work out the statistics of B measurements of one arm, alike in length and band.
+def statistics_of_all(records: Records) -> RecordStatistics:
+    """Work out the statistics of B records of one arm.
 
     Equally many joints, one at least, were excited in each; not necessarily the same ones. The
     statistics of a record do not depend on those beside it.
@@ -590,19 +595,18 @@ def statistics_of_all(measurements: Sequence[Measurement]) -> RecordStatistics:
     Raises
     ------
     InvalidData
-        If one of the measurements failed, or nothing moves in it.
+        If nothing moves in one of the records.
     """
-    rate, band = measurements[0].rate, measurements[0].excitation.band
-    raw = np.array([m.tool for m in measurements])
-    cov, spread = _covariances(measurements, bandpass(raw, rate, band))
+    raw, count = np.ascontiguousarray(records.tool), len(records)
+    cov, spread = _covariances(records, bandpass(raw, records.rate, records.band))
     lowest = lowest_coherence_direction_from(cov.x_a)
     instrument = transmission_by_instrument_from(cov.command_x, cov.command_a)
     inertia = apparent_inertia_from(cov.command_x)
     third, fourth = _shape(raw, lowest.direction)
     several: dict[str, Any] = {
-        "pose": np.array([m.pose for m in measurements]),
-        "torque": np.array([m.excitation.torque_rms for m in measurements]),
-        "duration": np.array([m.excitation.duration for m in measurements]),
+        "pose": records.pose,
+        "torque": records.torque_rms,
+        "duration": np.full(count, records.duration),
         "transmission": spread(transmission_from(cov.x_a)),
         "transmission_by_instrument": spread(instrument),
         "joint_rms": spread(np.sqrt(np.diagonal(cov.x_a.xx, axis1=-2, axis2=-1))),
@@ -620,26 +624,25 @@ def statistics_of_all(measurements: Sequence[Measurement]) -> RecordStatistics:
 
 
 def _covariances(
-    measurements: Sequence[Measurement], motion: Array
+    records: Records, motion: Array
 ) -> tuple[RecordCovariances, Callable[[Array], Array]]:
     """Covariances of records in the band with a motion (B, k, N), and `spread`.
 
     That puts the values of the excited joints (B, ..., m) among those of all (B, ..., n).
     """
-    count, n = len(measurements), len(measurements[0].pose)
-    rate, band = measurements[0].rate, measurements[0].excitation.band
-    joints = np.nonzero([m.excited for m in measurements])[1].reshape(count, -1)
-    turned = np.array([m.encoder[own] for m, own in zip(measurements, joints, strict=True)])
-    played = np.array([m.command[own] for m, own in zip(measurements, joints, strict=True)])
+    rate, band, torque = records.rate, records.band, records.torque_rms
+    joints = np.nonzero(torque)[1].reshape(len(torque), -1)
+    rows = np.arange(len(torque))[:, None]
 
     def spread(values: Array) -> Array:
-        wide = np.zeros((*values.shape[:-1], n))
-        at = joints.reshape(count, *[1] * (values.ndim - 2), -1)
+        wide = np.zeros((*values.shape[:-1], torque.shape[1]))
+        at = joints.reshape(len(torque), *[1] * (values.ndim - 2), -1)
         np.put_along_axis(wide, np.broadcast_to(at, values.shape), values, axis=-1)
         return wide
 
-    x = acceleration_from_angle(turned, rate, band)
-    return record_covariances(bandpass(played, rate, band), x, motion), spread
+    x = acceleration_from_angle(records.encoder[rows, joints], rate, band)
+    played = bandpass(records.command[rows, joints], rate, band)
+    return record_covariances(played, x, motion), spread
 
 
 def _shape(tool: Array, direction: Array) -> tuple[Array, Array]:
@@ -684,26 +687,23 @@ def link_axes(arm: Arm, choice: LinkAccelerometers) -> tuple[str, ...]:
     return ("tangent",) if choice.tangential else tuple("xyz"[axis] for axis in arm.axes)
 
 
-def link_readings_of_all(measurements: Sequence[Measurement]) -> LinkReadings:
-    """Statistics of the accelerometers on links in B measurements.
-
-    Alike as for `statistics_of_all`.
+def link_readings_of_all(records: Records) -> LinkReadings:
+    """Statistics of the accelerometers on links in B records; alike as for `statistics_of_all`.
 
     Raises
     ------
     InvalidData
-        If one has none, failed, or nothing moves.
+        If there are none, or nothing moves.
     """
-    signals = [measured.links for measured in measurements if measured.links is not None]
-    if len(signals) < len(measurements):
+    if records.links is None:
         raise InvalidData(
             "the record has no accelerometers on links; set link_accelerometers to False, or "
             "take a rig that carries them"
         )
-    count, (links, axes, _) = len(signals), signals[0].shape
-    rate, band = measurements[0].rate, measurements[0].excitation.band
-    motion = bandpass(np.reshape(signals, (count, links * axes, -1)), rate, band)
-    cov, spread = _covariances(measurements, motion)
+    count, links, axes, _ = records.links.shape
+    signals = records.links.reshape(count, links * axes, -1)
+    motion = bandpass(signals, records.rate, records.band)
+    cov, spread = _covariances(records, motion)
     found = spread(transmission_by_instrument_from(cov.command_x, cov.command_a))
     return LinkReadings(
         transmission_by_instrument=found.reshape(count, links, axes, -1),

@@ -8,11 +8,10 @@ before change nothing.
 
 from __future__ import annotations
 
-import copy
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -21,7 +20,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, Drift, LinearArm, LinearPose, MismatchDraw
+from loose_env.arms import Arm, Drift, LinearArm, MismatchDraw
 from loose_env.diagnosis import (
     NominalLinks,
     SensorFloor,
@@ -32,9 +31,9 @@ from loose_env.diagnosis import (
 )
 from loose_env.envs.faults import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings, difficulty_named
-from loose_env.envs.spaces import Action, ActionLayout, ObservationLayout
+from loose_env.envs.spaces import ActionLayout, ObservationLayout
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.excitation import Excitation, all_at_levels
+from loose_env.excitation import Excitation, torques_at_levels
 from loose_env.faults import (
     KINDS,
     SEVERAL_FAULTS,
@@ -48,49 +47,85 @@ from loose_env.faults import (
     preloaded,
 )
 from loose_env.io import is_finite
-from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
-from loose_env.typing import Array
+from loose_env.rig import (
+    Job,
+    Measurement,
+    Records,
+    ReducedRig,
+    SimulatedRig,
+    SlotRig,
+    Trials,
+)
+from loose_env.streams import streams
+from loose_env.typing import Array, ComplexArray, IndexArray
 
 
 @dataclass(kw_only=True, eq=False)
 class Episode:
-    """The state of one episode."""
+    """Copy of the state of one episode."""
 
     seed: int
     number: int
     fault: Fault
+    mismatch: MismatchDraw
     pose: Array
     slots: NDArray[np.float32]
-    mismatch: MismatchDraw | None = None
-    records: int = 0
-    seconds: float = 0.0
-    levels: int = 0
-    visited: set[bytes] = field(default_factory=set)
-    last: Measurement | None = None
-    ended: bool = False
-    verdict: str | None = None
+    records: int
+    seconds: float
+    levels: int
+    visited: Array
+    """Poses in which a record was taken (records, n)."""
+    last: Measurement | None
+    """The latest record."""
+    ended: bool
+    verdict: str | None
 
     @property
     def measured(self) -> int:
         """Number of records that show something."""
         return int(np.count_nonzero(self.slots[:, 0]))
 
-    def stream(self, kind: int, index: int = 0) -> np.random.Generator:
-        """Return the generator of one kind of draw."""
-        key = (self.number, kind, index)
-        return np.random.Generator(
-            np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=key))
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Result of one step."""
+    """Result of one step of one arm."""
 
     reward: float
     terminated: bool
     truncated: bool
     info: dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Steps:
+    """Results of one step of A arms."""
+
+    rewards: Array
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    told: dict[str, NDArray[Any]]
+    """Entries of the info of each arm whose episode goes on (A, ...)."""
+    ends: dict[int, dict[str, Any]]
+    """Info of each arm whose episode has ended, by its row."""
+
+    def __iter__(self) -> Iterator[Outcome]:
+        return (self[k] for k in range(len(self.rewards)))
+
+    def __getitem__(self, k: int) -> Outcome:
+        """Result of one arm."""
+        info = self.ends.get(k)
+        if info is None:
+            info = {name: _plain(values[k]) for name, values in self.told.items()}
+        return Outcome(
+            reward=float(self.rewards[k]),
+            terminated=bool(self.terminated[k]),
+            truncated=bool(self.truncated[k]),
+            info=info,
+        )
+
+
+def _plain(value: Any) -> Any:
+    return bool(value) if isinstance(value, np.bool_) else value
 
 
 _LIMIT = 1e3  # bound of every channel: signals beyond it are clipped
@@ -120,7 +155,7 @@ def raw_shapes(arm: Arm, settings: DiagnosisSettings) -> dict[str, tuple[int, ..
 
 
 def raw_signals(
-    shapes: Mapping[str, tuple[int, ...]], last: Measurement | None
+    shapes: Mapping[str, tuple[int, ...]], last: tuple[Records, int] | None
 ) -> dict[str, NDArray[np.float32]]:
     """Signals of the latest record, zero where there is none.
 
@@ -128,12 +163,13 @@ def raw_signals(
     commanded pose; the tool in m/s², and so the links where they carry accelerometers.
     """
     signals = {name: np.zeros(shape, dtype=np.float32) for name, shape in shapes.items()}
-    if last is not None and last.failure is None:
+    if last is not None and last[0].failures[last[1]] is None:
+        records, k = last
         channels = {
-            "command": last.command,
-            "encoder": 1e3 * (last.encoder[:, 1:-1] - last.pose[:, None]),
-            "tool": last.tool,
-            "links": last.links,
+            "command": records.command[k],
+            "encoder": 1e3 * (records.encoder[k, :, 1:-1] - records.pose[k, :, None]),
+            "tool": records.tool[k],
+            "links": None if records.links is None else records.links[k],
         }
         for name, signal in signals.items():
             channel = channels[name]
@@ -215,20 +251,6 @@ def _fault(given: Any, arm: Arm) -> Fault | str | None:
     )
 
 
-@dataclass(kw_only=True, eq=False)
-class AskedRecord:
-    """A record that one arm is asked for in a step, and what becomes of it."""
-
-    slot: int
-    episode: Episode
-    action: Action
-    at: LinearPose
-    info: dict[str, Any]
-    share: Array | None = None
-    measurement: Measurement | None = None
-    failure: str | None = None
-
-
 _FAULT, _MISMATCH, _POSE, _RECORD, _DRIFT = range(5)
 """Streams of random draws of an episode."""
 _TOGETHER = 64
@@ -304,8 +326,21 @@ class EpisodeBatch:
         self._nominal_links = None if links is None else NominalLinks(arm, links)
         self._raw = raw_shapes(arm, settings) if settings.raw else {}
         self.divergences: Counter[str] = Counter()
-        self._episodes: list[Episode | None] = [None] * num
         self._levels = np.array([0.0, *arm.levels])
+        self._plain_mismatch = self.difficulty.mismatch
+        # State of the episodes.
+        most, n, layout = settings.max_records, arm.n, self.observations
+        self._seeds, self._numbers = [0] * num, np.zeros(num, dtype=np.intp)
+        self._faults: list[Fault] = [Healthy()] * num
+        self._mismatches: list[MismatchDraw | None] = [None] * num
+        self._last: list[tuple[Records, int] | None] = [None] * num
+        self._verdicts: list[str | None] = [None] * num
+        self._begun, self._ended = np.zeros((2, num), dtype=bool)
+        self._records, self._spent_levels = np.zeros((2, num), dtype=np.intp)
+        self._seconds, self._poses = np.zeros(num), np.zeros((num, n))
+        self._visited, self._visits = np.zeros((num, most, n)), np.zeros(num, dtype=np.intp)
+        self._flat = np.zeros((num, layout.size), dtype=np.float32)
+        self._slots = layout.slots_of(self._flat)
 
     @property
     def space(self) -> spaces.Space[Any]:
@@ -321,54 +356,123 @@ class EpisodeBatch:
 
     def has_episode(self, slot: int) -> bool:
         """Return whether an episode was started in a slot."""
-        return self._episodes[slot] is not None
+        return bool(self._begun[slot])
+
+    def has_ended(self, slot: int) -> bool:
+        """Return whether the episode of a slot has ended."""
+        return bool(self._ended[slot])
 
     def episode(self, slot: int) -> Episode:
-        """Return the latest episode of a slot, running or ended.
+        """Return a copy of the latest episode of a slot, running or ended.
 
         Raises
         ------
         ResetNeeded
             If none was started.
         """
-        episode = self._episodes[slot]
-        if episode is None:
+        self._require_begun([slot])
+        mismatch, last = self._mismatches[slot], self._last[slot]
+        assert mismatch is not None
+        return Episode(
+            seed=self._seeds[slot],
+            number=int(self._numbers[slot]),
+            fault=self._faults[slot],
+            mismatch=mismatch,
+            pose=self._poses[slot].copy(),
+            slots=self._slots[slot].copy(),
+            records=int(self._records[slot]),
+            seconds=float(self._seconds[slot]),
+            levels=int(self._spent_levels[slot]),
+            visited=self._visited[slot, : self._visits[slot]].copy(),
+            last=None if last is None else last[0].measurement(last[1]),
+            ended=bool(self._ended[slot]),
+            verdict=self._verdicts[slot],
+        )
+
+    def _require_begun(self, slots: Sequence[int] | IndexArray) -> None:
+        if not self._begun[slots].all():
             raise ResetNeeded("no episode is running: call reset() first")
-        return episode
 
     def start(
         self, slot: int, *, seed: int, number: int, options: Mapping[str, Any] | None = None
     ) -> dict[str, Any]:
         """Begin an episode in a slot: hide a fault, take a random pose, measure nothing."""
-        return self.begin(slot, self.drawn(seed=seed, number=number, options=options))
+        self.start_all([slot], seeds=[seed], numbers=[number], options=[options])
+        return {"action_mask": self.mask(slot)}
 
-    def drawn(self, *, seed: int, number: int, options: Mapping[str, Any] | None = None) -> Episode:
-        """Draw all that is hidden in an episode, and its first pose."""
-        given = checked_options(options)
-        blank = np.zeros(
-            (self.settings.max_records, len(self.observations.slot_elements)), dtype=np.float32
-        )
-        episode = Episode(
-            seed=seed, number=number, fault=Healthy(), pose=np.zeros(self.arm.n), slots=blank
-        )
-        fault, pose = _fault(given.get("fault"), self.true_arm), given.get("pose")
-        scale = _number("mismatch_scale", given.get("mismatch_scale"), 1.0)
-        share = _number("preload_g", given.get("preload_g"), 0.0)
-        if scale < 0:
-            raise InvalidSetting(f"mismatch_scale is a factor, zero or more; got {scale:g}")
-        rng = episode.stream(_POSE)
-        episode.pose = self.true_arm.random_pose(rng) if pose is None else self._checked(pose)
-        rng = episode.stream(_FAULT)
+    def start_all(
+        self,
+        slots: Sequence[int],
+        *,
+        seeds: Sequence[int],
+        numbers: Sequence[int],
+        options: Sequence[Mapping[str, Any] | None],
+    ) -> None:
+        """Begin episodes in slots; where one is refused, none begins."""
+        given = [checked_options(each) for each in options]
+        arm, rows = self.true_arm, list(range(len(slots)))
+        faults = [_fault(own.get("fault"), arm) for own in given]
+        scales = [_number("mismatch_scale", own.get("mismatch_scale"), 1.0) for own in given]
+        shares = [_number("preload_g", own.get("preload_g"), 0.0) for own in given]
+        for scale in scales:
+            if scale < 0:
+                raise InvalidSetting(f"mismatch_scale is a factor, zero or more; got {scale:g}")
+        fixed = {
+            k: self._checked(given[k]["pose"]) for k in rows if given[k].get("pose") is not None
+        }
+        kinds = (_FAULT, _MISMATCH, _POSE)
+        keys = [(number, kind, 0) for kind in kinds for number in numbers]
+        drawn = streams(list(seeds) * len(kinds), np.array(keys))
+        rngs = [drawn[k * len(slots) : (k + 1) * len(slots)] for k in range(len(kinds))]
+        poses = arm.random_poses(rngs[2])
+        for k, pose in fixed.items():
+            poses[k] = pose
+        hidden = [self._hidden(*each) for each in zip(faults, shares, rngs[0], strict=True)]
+        mismatches: dict[int, MismatchDraw] = {}
+        for scale in set(scales):
+            own = [k for k in rows if scales[k] == scale]
+            # The same stream gives the same draw at every scale, only larger or smaller.
+            scaled = self._plain_mismatch if scale == 1 else self._plain_mismatch.scaled(scale)
+            draws = scaled.draw_all(arm, [rngs[1][k] for k in own])
+            mismatches |= dict(zip(own, draws, strict=True))
+        self._mount(slots, hidden, [mismatches[k] for k in rows])
+        at = np.array(slots, dtype=np.intp)
+        for k, slot in enumerate(slots):
+            self._seeds[slot], self._last[slot], self._verdicts[slot] = seeds[k], None, None
+        self._numbers[at], self._poses[at] = numbers, poses
+        self._records[at] = self._spent_levels[at] = self._visits[at] = 0
+        self._seconds[at], self._slots[at] = 0.0, 0.0
+        self._begun[at], self._ended[at] = True, False
+        self._show_globals(at)
+
+    def _hidden(self, fault: Fault | str | None, share: float, rng: np.random.Generator) -> Fault:
+        """Draw a fault, or take the one that is given."""
         if fault == SEVERAL_FAULTS:
             fault = self.sampler.several(rng)
         elif fault is None or isinstance(fault, str):
             fault = self.sampler.draw(rng, hypothesis=fault)
-        episode.fault = preloaded(self.true_arm, fault, share) if share else fault
-        mismatch = self.difficulty.mismatch
-        # The same stream gives the same draw at every scale, only larger or smaller.
-        scaled = mismatch if scale == 1 else mismatch.scaled(scale)
-        episode.mismatch = scaled.draw(self.true_arm, episode.stream(_MISMATCH))
-        return episode
+        return preloaded(self.true_arm, fault, share) if share else fault
+
+    def _mount(
+        self, slots: Sequence[int], faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]
+    ) -> None:
+        """Put arms on the rig."""
+        if isinstance(self.rig, SlotRig):
+            self.rig.mount_all(np.array(slots, dtype=np.intp), faults, mismatches)
+        else:
+            for each in zip(slots, faults, mismatches, strict=True):
+                self.rig.mount(*each)
+        for slot, fault, mismatch in zip(slots, faults, mismatches, strict=True):
+            self._faults[slot], self._mismatches[slot] = fault, mismatch
+
+    def _show_globals(self, slots: IndexArray) -> None:
+        """Enter pose and what has been spent into the observations."""
+        self._flat[slots, : len(self.observations.global_elements)] = self.observations.globals_of(
+            self._poses[slots],
+            self._records[slots],
+            self._seconds[slots],
+            self._spent_levels[slots],
+        )
 
     def _checked(self, given: Any) -> Array:
         """Check a pose, and turn its hinges into their ranges."""
@@ -386,15 +490,9 @@ class EpisodeBatch:
             )
         return arm.wrap(pose)
 
-    def begin(self, slot: int, episode: Episode) -> dict[str, Any]:
-        """Begin a drawn episode in a slot, and mount its arm on the rig."""
-        self.rig.mount(slot, episode.fault, episode.mismatch)
-        self._episodes[slot] = episode
-        return {"action_mask": self.mask(slot)}
-
     def episode_copy(self, slot: int) -> Episode | None:
         """Copy of a slot's latest episode, None where none was started."""
-        return copy.deepcopy(self._episodes[slot])
+        return self.episode(slot) if self._begun[slot] else None
 
     @cached_property
     def fingerprint(self) -> str:
@@ -418,139 +516,258 @@ class EpisodeBatch:
 
     def restore(self, slot: int, episode: Episode | None) -> None:
         """Put a copy of an episode into a slot, and its arm on the rig."""
-        if episode is not None:
-            self.rig.mount(slot, episode.fault, episode.mismatch)
-        self._episodes[slot] = copy.deepcopy(episode)
+        self._begun[slot] = episode is not None
+        if episode is None:
+            return
+        self._mount([slot], [episode.fault], [episode.mismatch])
+        self._seeds[slot], self._numbers[slot] = episode.seed, episode.number
+        self._verdicts[slot], self._ended[slot] = episode.verdict, episode.ended
+        self._poses[slot], self._slots[slot] = episode.pose, episode.slots
+        self._records[slot], self._seconds[slot] = episode.records, episode.seconds
+        self._spent_levels[slot], self._visits[slot] = episode.levels, len(episode.visited)
+        self._visited[slot, : len(episode.visited)] = episode.visited
+        self._last[slot] = None if episode.last is None else (Records.of([episode.last]), 0)
+        self._show_globals(np.array([slot]))
 
     def mask(self, slot: int) -> NDArray[np.bool_]:
         """Return the allowed choices of a slot's next action."""
-        episode = self.episode(slot)
-        return self.actions.mask(episode.pose, episode.records, episode.measured)
+        found: NDArray[np.bool_] = self.masks([slot])[0]
+        return found
+
+    def masks(self, slots: Sequence[int] | IndexArray) -> NDArray[np.bool_]:
+        """Return the allowed choices of the next actions of A slots (A, sum of choices)."""
+        self._require_begun(slots)
+        at = np.asarray(slots)
+        return self.actions.masks(self._poses[at], self._records[at], self._measured(at))
+
+    def _measured(self, slots: IndexArray) -> IndexArray:
+        """Records of each slot that show something (A,)."""
+        return np.asarray(np.count_nonzero(self._slots[slots, :, 0], axis=1))
 
     def observe(self, slot: int) -> NDArray[np.float32]:
         """Return the flat observation of a slot."""
-        e = self.episode(slot)
-        head = self.observations.globals_of(e.pose, e.records, e.seconds, e.levels)
-        return np.concatenate([head, e.slots.ravel()])
+        self._require_begun([slot])
+        return np.array(self._flat[slot])
 
-    def shown(self, slot: int) -> Any:
-        """Return the observation in the form that the settings ask for, flat or raw."""
-        flat = self.observe(slot)
+    def shown(self, slots: Sequence[int] | IndexArray) -> Any:
+        """Return the observations of A slots, flat or raw as the settings ask for (A, ...)."""
+        self._require_begun(slots)
+        flat = self._flat[np.asarray(slots)]
         if not self.settings.raw:
             return flat
-        return {"statistics": flat, **raw_signals(self._raw, self.episode(slot).last)}
+        several = [raw_signals(self._raw, self._last[slot]) for slot in slots]
+        signals = {name: np.stack([own[name] for own in several]) for name in self._raw}
+        return {"statistics": flat, **signals}
 
-    def step(self, slots: Sequence[int], actions: Sequence[Any]) -> list[Outcome]:
+    def step(self, slots: Sequence[int] | IndexArray, actions: Any) -> Steps:
         """Take one step in each of the given slots; arms that measure do so together."""
-        decoded = [self.actions.decode(action) for action in actions]
-        outcomes: dict[int, Outcome] = {}
-        asked: list[AskedRecord] = []
-        for slot, action in zip(slots, decoded, strict=True):
-            episode = self.episode(slot)
-            if episode.ended:
-                raise ResetNeeded("the episode has ended: call reset() before step()")
-            if self._heard(episode, action):
-                outcomes[slot] = self._end(episode, self.verdicts[action.verdict - 1], {})
-            elif episode.records >= self.settings.max_records:
-                outcomes[slot] = self._end(episode, None, {"out_of_records": True})
-            else:
-                info: dict[str, Any] = {"verdict_ignored": action.verdict > 0}
-                info["move_ignored"] = self._move(episode, action)
-                at = self.nominal.at(episode.pose)
-                asked.append(
-                    AskedRecord(slot=slot, episode=episode, action=action, at=at, info=info)
-                )
-        self._take_records(asked)
-        for each in asked:
-            outcomes[each.slot] = self._enter(each)
-        return [outcomes[slot] for slot in slots]
-
-    def _heard(self, episode: Episode, action: Action) -> bool:
-        """Return whether an action's verdict counts: there is something to base it on."""
-        if action.verdict == self.actions.unsure:
-            return self.actions.allows_unsure(episode.records, episode.measured)
-        last = episode.records >= self.settings.max_records
-        return action.verdict > 0 and (last or episode.measured > 0)
-
-    def _take_records(self, asked: Sequence[AskedRecord]) -> None:
-        """Excite and measure all arms that ask for a record, and work out what they show."""
-        if not asked:
-            return
-        for each in asked:
-            self._drift(each.slot, each.episode)
-        excitations, shares = all_at_levels(
-            [each.at for each in asked],
-            self._levels[np.array([each.action.levels for each in asked])],
-            durations=[each.action.duration for each in asked],
+        at, action = np.asarray(slots, dtype=np.intp), self.actions.decode_all(actions)
+        if self._ended[at].any() or not self._begun[at].all():
+            raise ResetNeeded(
+                "the episode has ended, or none has begun: call reset() before step()"
+            )
+        verdicts: Any = action.verdict
+        over, measured = self._records[at] >= self.settings.max_records, self._measured(at)
+        unsure = self.actions.allows_unsure(self._records[at], measured)
+        said = np.where(verdicts == self.actions.unsure, unsure, over | (measured > 0))
+        said &= verdicts > 0
+        rewards, ends = np.zeros(len(at)), {}
+        for k in np.flatnonzero(said | over).tolist():
+            named = self.verdicts[verdicts[k] - 1] if said[k] else None
+            ends[k] = self._end(int(at[k]), named)
+            prices, truth = self.settings.prices, ends[k]["fault"]
+            rewards[k] = prices.wrong if named is None else prices.verdict(named, truth)
+        terminated, truncated = said | over, np.zeros(len(at), dtype=bool)
+        rows = np.flatnonzero(~terminated)
+        told: dict[str, NDArray[Any]] = {}
+        if len(rows):
+            own = at[rows]
+            durations: Any = action.duration
+            ignored = self._move(own, action.moves[rows])
+            share, taken, failures = self._take(own, action.levels[rows], durations[rows])
+            prices = self.settings.prices
+            moved = ((action.moves[rows] != self.actions.stay) & ~ignored).sum(axis=1)
+            levels = np.where(taken, action.levels[rows].sum(axis=1), 0)
+            seconds = np.where(taken, durations[rows], 0.0)
+            price = prices.record + prices.move * moved
+            rewards[rows] = -(price + (prices.second * seconds + prices.level * levels))
+            self._seconds[own] += seconds
+            self._spent_levels[own] += levels
+            self._visited[own[taken], self._visits[own[taken]]] = self._poses[own[taken]]
+            self._visits[own[taken]] += 1
+            self._records[own] += 1
+            self._show_globals(own)
+            told = {
+                "verdict_ignored": verdicts > 0,
+                "move_ignored": _spread(ignored, rows, len(at)),
+                "level_share": _spread(share, rows, len(at)),
+            }
+            for k, failure in failures.items():
+                row, slot = int(rows[k]), int(own[k])
+                self.divergences[self._faults[slot].kind] += 1
+                self._ended[slot] = truncated[row] = True
+                shown = {name: _plain(values[row]) for name, values in told.items()}
+                ends[row] = shown | {"failure": failure} | self._truth(slot, None)
+            if self.settings.raw:
+                last = np.full(len(at), None, dtype=object)
+                for k in np.flatnonzero(taken).tolist():
+                    latest = self._last[own[k]]
+                    if latest is not None:
+                        found = latest[0].measurement(latest[1])
+                        last[rows[k]] = RawMeasurement(**vars(found))
+                told["measurement"] = last
+            told["action_mask"] = self.masks(at)
+        return Steps(
+            rewards=rewards, terminated=terminated, truncated=truncated, told=told, ends=ends
         )
-        jobs, played = [], []
-        for each, excitation, share in zip(asked, excitations, shares, strict=True):
-            each.share = each.info["level_share"] = share
-            if any(excitation.excited):  # not where gravity leaves a drive no torque
-                jobs.append(self._job(each.slot, each.episode, excitation))
-                played.append(each)
-        measured = self._measured(jobs)
-        self._write((played[k], measurement) for k, measurement in measured)
 
-    def _write(self, measured: Iterable[tuple[AskedRecord, Measurement]]) -> None:
-        """Write records as they are measured, those of one form together."""
-        alike: dict[tuple[object, ...], list[AskedRecord]] = {}
-        for asked, measurement in measured:
-            asked.measurement, asked.failure = measurement, measurement.failure
-            if measurement.failure is None:
-                key = (measurement.tool.shape[1], int(measurement.excited.sum()))
-                alike.setdefault(key, []).append(asked)
-                if len(alike[key]) == _TOGETHER:
-                    self._show(alike.pop(key))
-        for members in alike.values():
-            self._show(members)
+    def _move(self, slots: IndexArray, moves: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Move joints; one whose move leaves its range stays. Return which stayed (A, n)."""
+        poses, joints = self._poses[slots], np.arange(self.arm.n)
+        fits = np.take_along_axis(self.actions.allowed_moves(poses), moves[..., None], 2)[..., 0]
+        step = np.where(fits, self.actions.steps[joints, moves], 0.0)
+        # Rounded to a nanoradian, or nanometre, so that going there and back is the same pose.
+        self._poses[slots] = np.round(self.arm.wrap(poses + step), 9)
+        return ~fits
 
-    def _show(self, asked: Sequence[AskedRecord]) -> None:
-        """Fill the slots of records; one that makes no statistics is marked as failed."""
-        try:
-            self._fill_slots(asked)
-        except InvalidData as error:
-            if len(asked) == 1:
-                asked[0].failure = f"the readings make no statistics: {error}"
+    def _take(
+        self, slots: IndexArray, levels: NDArray[np.intp], durations: Array
+    ) -> tuple[Array, NDArray[np.bool_], dict[int, str]]:
+        """Excite and measure arms, and enter what they show into their slots.
+
+        Returns the share of each level that torque limits allow, which arms had any torque left
+        for a record, and why the records of some failed, by their row.
+        """
+        self._drift(slots)
+        torque, share, predicted = self._planned(slots, levels)
+        taken = np.asarray((torque > 0).any(axis=1))  # not where gravity leaves a drive no torque
+        for slot in slots:
+            self._last[slot] = None
+        failures: dict[int, str] = {}
+        excited = np.count_nonzero(torque, axis=1)
+
+        def enter(rows: IndexArray, records: Records) -> None:
+            """Enter records alike in length and number of excited joints."""
+            try:
+                found = self._slots_of(levels[rows], share[rows], records, predicted[rows])
+            except InvalidData as error:
+                if len(rows) == 1:
+                    failures[int(rows[0])] = f"the readings make no statistics: {error}"
+                    return
+                for k, row in enumerate(rows):
+                    enter(np.array([row]), records.some(np.array([k])))
                 return
-            for each in asked:
-                self._show([each])
+            own = slots[rows]
+            self._slots[own, self._records[own]] = found
 
-    def _fill_slots(self, asked: Sequence[AskedRecord]) -> None:
-        """Enter records, alike in length and in the number of excited joints, into their slots."""
-        measured = [each.measurement for each in asked if each.measurement is not None]
+        for rows, records in self._measure(slots, torque, durations, np.flatnonzero(taken)):
+            for k, row in enumerate(rows.tolist()):
+                self._last[slots[row]] = (records, k)
+                failure = records.failures[k]
+                if failure is not None:
+                    failures[row] = failure
+            good = np.array([failure is None for failure in records.failures])
+            for m in np.unique(excited[rows]).tolist():
+                chosen = np.flatnonzero(good & (excited[rows] == m))
+                if len(chosen):
+                    enter(rows[chosen], records.some(chosen))
+        return share, taken, failures
+
+    def _planned(self, slots: IndexArray, levels: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+        """Torques for levels (A, n), shares of the levels allowed, and predicted elements."""
+        linear, arm, wanted = self.nominal, self.arm, self._levels[levels]
+        torque, share = np.zeros(wanted.shape), np.ones(wanted.shape)
+        predicted = np.zeros((len(slots), self.observations.predicted_count))
+
+        def predict(rows: IndexArray, answer: tuple[ComplexArray, ComplexArray]) -> None:
+            found = predictions(arm, torque[rows], self.floor, *answer)
+            predicted[rows] = self.observations.predicted(torque[rows], found)
+
+        for rows in _groups(np.count_nonzero(levels, axis=1)):
+            at, on = linear.at_all(self._poses[slots[rows]]), levels[rows] > 0
+            answer = at.responses(on)
+            found = torques_at_levels(arm, wanted[rows], at.gravity_torque, *answer)
+            torque[rows], share[rows] = found
+            driven = torque[rows] > 0
+            if np.array_equal(driven, on):
+                predict(rows, answer)
+                continue
+            for some in _groups(np.count_nonzero(driven, axis=1)):  # held otherwise than asked for
+                if driven[some[0]].any():
+                    predict(rows[some], at.some(some).responses(driven[some]))
+        return torque, share, predicted
+
+    def _slots_of(
+        self, levels: NDArray[np.intp], share: Array, records: Records, predicted: Array
+    ) -> NDArray[np.float32]:
+        """Slots of records alike in length and number of excited joints."""
         links = expected = None
         if self._nominal_links is not None:
-            links = link_readings_of_all(measured)
+            links = link_readings_of_all(records)
             expected = np.array(
-                [self._nominal_links.transmission(m.pose, m.excited) for m in measured]
+                [
+                    self._nominal_links.transmission(pose, torque > 0)
+                    for pose, torque in zip(records.pose, records.torque_rms, strict=True)
+                ]
             )
-        rows = self.observations.slots_for(
-            np.array([each.action.levels for each in asked]),
-            np.array([each.share for each in asked]),
-            statistics_of_all(measured),
-            predictions([each.at for each in asked], [m.excitation for m in measured], self.floor),
+        return self.observations.slots_for(
+            levels,
+            share,
+            statistics_of_all(records),
+            predicted,
             links=links,
             nominal_links=expected,
         )
-        for each, row in zip(asked, rows, strict=True):
-            each.episode.slots[each.episode.records] = row
 
-    def _drift(self, slot: int, episode: Episode) -> None:
-        """Let the true arm drift since the record before, if there was one and it does."""
-        if self.settings.drift == Drift() or not episode.records or episode.mismatch is None:
+    def _drift(self, slots: IndexArray) -> None:
+        """Let true arms drift since the record before, if there was one and they do."""
+        going = slots[self._records[slots] > 0]
+        if self.settings.drift == Drift() or not len(going):
             return
-        rng = episode.stream(_DRIFT, episode.records)
-        episode.mismatch = self.settings.drift.after(episode.mismatch, rng)
-        self.rig.mount(slot, episode.fault, episode.mismatch)
+        rngs, after = self._streams(going, _DRIFT), []
+        for slot, rng in zip(going, rngs, strict=True):
+            before = self._mismatches[slot]
+            assert before is not None
+            after.append(self.settings.drift.after(before, rng))
+        self._mount(going.tolist(), [self._faults[slot] for slot in going], after)
 
-    def _measured(self, jobs: Sequence[Job]) -> Iterable[tuple[int, Measurement]]:
-        """Measure; a simulated rig gives each record out while it works on the next ones."""
-        if not jobs:
-            return ()
-        if isinstance(self.rig, (SimulatedRig, ReducedRig)):
-            return self.rig.measure_each(jobs)
-        return enumerate(self.rig.measure_many(jobs))
+    def _streams(self, slots: IndexArray, kind: int) -> list[np.random.Generator]:
+        """Generators of one kind of draw for the next record of each slot."""
+        key = [self._numbers[slots], np.full(len(slots), kind), self._records[slots]]
+        return streams([self._seeds[slot] for slot in slots], np.column_stack(key))
+
+    def _measure(
+        self, slots: IndexArray, torque: Array, durations: Array, rows: IndexArray
+    ) -> Iterator[tuple[IndexArray, Records]]:
+        """Measure some of the arms; yield records of one length with their rows.
+
+        A simulated rig gives records out while it works on the next ones.
+        """
+        if not len(rows):
+            return
+        rngs = dict(zip(rows.tolist(), self._streams(slots[rows], _RECORD), strict=True))
+        # Those of as many excited joints together: so their statistics are worked out.
+        order = rows[np.argsort(np.count_nonzero(torque[rows], axis=1), kind="stable")]
+        members = [order[durations[order] == length] for length in dict.fromkeys(durations[rows])]
+        asked = [
+            Trials(
+                slots=slots[own],
+                poses=self._poses[slots[own]],
+                torque_rms=torque[own],
+                shaker_rms=np.zeros(len(own)),
+                duration=float(durations[own[0]]),
+                band=self.arm.band,
+                rngs=[rngs[k] for k in own.tolist()],
+            )
+            for own in members
+        ]
+        if isinstance(self.rig, SlotRig):
+            for which, some, records in self.rig.record(asked):
+                yield members[which][some], records
+            return
+        for own, trials in zip(members, asked, strict=True):
+            for some, records in measured_by(self.rig, trials):
+                yield own[some], records
 
     def simulate(
         self,
@@ -570,73 +787,59 @@ class EpisodeBatch:
         rig.mount(0, fault, draw)
         return rig.measure(pose, excitation, rng=rng)
 
-    def _job(self, slot: int, episode: Episode, excitation: Excitation) -> Job:
-        return Job(
-            slot=slot,
-            pose=episode.pose,
-            excitation=excitation,
-            rng=episode.stream(_RECORD, episode.records),
-        )
+    def _end(self, slot: int, named: str | None) -> dict[str, Any]:
+        """End an episode by naming a hypothesis, or None by running out of records."""
+        self._ended[slot], self._verdicts[slot] = True, named
+        return ({"out_of_records": True} if named is None else {}) | self._truth(slot, named)
 
-    def _move(self, episode: Episode, action: Action) -> NDArray[np.bool_]:
-        """Move the joints; a joint whose move leaves its range stays. Return which stayed."""
-        allowed = self.actions.allowed_moves(episode.pose)
-        fits = allowed[np.arange(self.arm.n), action.moves]
-        step = np.where(fits, self.actions.steps[np.arange(self.arm.n), action.moves], 0.0)
-        # Rounded to a nanoradian, or nanometre, so that going there and back is the same pose.
-        episode.pose = np.round(self.arm.wrap(episode.pose + step), 9)
-        return ~fits
-
-    def _enter(self, asked: AskedRecord) -> Outcome:
-        """Enter a record into the episode; without excitation there is none."""
-        episode, action, info = asked.episode, asked.action, asked.info
-        measurement, failure = asked.measurement, asked.failure
-        prices = self.settings.prices
-        moved = (action.moves != self.actions.stay) & ~info["move_ignored"]
-        price = prices.record + prices.move * int(moved.sum())
-        if measurement is not None:
-            levels = int(action.levels.sum())
-            price += prices.second * action.duration + prices.level * levels
-            episode.seconds += action.duration
-            episode.levels += levels
-            episode.visited.add(episode.pose.tobytes())
-        episode.last = measurement
-        episode.records += 1
-        if failure is not None:
-            self.divergences[episode.fault.kind] += 1
-            episode.ended = True
-            info |= {"failure": failure} | self._truth(episode, None)
-            return Outcome(reward=-price, terminated=False, truncated=True, info=info)
-        if self.settings.raw:
-            info["measurement"] = (
-                None if measurement is None else RawMeasurement(**vars(measurement))
-            )
-        info["action_mask"] = self.mask(asked.slot)
-        return Outcome(reward=-price, terminated=False, truncated=False, info=info)
-
-    def _end(self, episode: Episode, named: str | None, info: dict[str, Any]) -> Outcome:
-        truth = episode.fault.hypothesis
-        prices = self.settings.prices
-        reward = prices.wrong if named is None else prices.verdict(named, truth)
-        episode.ended, episode.verdict = True, named
-        return Outcome(
-            reward=reward, terminated=True, truncated=False, info=info | self._truth(episode, named)
-        )
-
-    def _truth(self, episode: Episode, named: str | None) -> dict[str, Any]:
-        truth = episode.fault.hypothesis
-        right_place = named not in (None, UNSURE) and place_of(named) in _places(episode.fault)
+    def _truth(self, slot: int, named: str | None) -> dict[str, Any]:
+        fault = self._faults[slot]
+        truth = fault.hypothesis
+        right_place = named not in (None, UNSURE) and place_of(named) in _places(fault)
         return {
             "fault": truth,
-            "fault_figures": episode.fault,
+            "fault_figures": fault,
             "verdict": named,
             "is_success": named == truth,
             "link_success": right_place,
-            "poses": len(episode.visited),
-            "records": episode.records,
-            "seconds": episode.seconds,
-            "action_mask": self.actions.mask(episode.pose, episode.records, episode.measured),
+            "poses": len(np.unique(self._visited[slot, : self._visits[slot]], axis=0)),
+            "records": int(self._records[slot]),
+            "seconds": float(self._seconds[slot]),
+            "action_mask": self.mask(slot),
         }
+
+
+def _spread(values: NDArray[Any], rows: IndexArray, count: int) -> NDArray[Any]:
+    """Values of some rows among those of all, zero for the others."""
+    wide = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
+    wide[rows] = values
+    return wide
+
+
+def _groups(keys: NDArray[np.intp]) -> Iterator[IndexArray]:
+    """Rows of equal keys, few enough for the processor's cache."""
+    for key in np.unique(keys):
+        rows = np.flatnonzero(keys == key)
+        yield from (rows[k : k + _TOGETHER] for k in range(0, len(rows), _TOGETHER))
+
+
+def measured_by(rig: BatchRig, trials: Trials) -> Iterator[tuple[IndexArray, Records]]:
+    """Take measurements on a rig that takes them one by one."""
+    jobs = [
+        Job(
+            slot=int(slot),
+            pose=trials.poses[k],
+            excitation=Excitation(
+                torque_rms=tuple(trials.torque_rms[k].tolist()),
+                duration=trials.duration,
+                band=trials.band,
+            ),
+            rng=trials.rngs[k],
+        )
+        for k, slot in enumerate(trials.slots)
+    ]
+    for k, measurement in enumerate(rig.measure_many(jobs)):
+        yield np.array([k]), Records.of([measurement])
 
 
 def _places(fault: Fault) -> set[int | None]:

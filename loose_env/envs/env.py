@@ -218,22 +218,26 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         self._seed, self._number = root, number
         if self.render_mode == "human":
             self.render()
-        return self.batch.shown(0), info
+        return self._shown(), info
 
     def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, excite and measure; or give a verdict."""
-        if not self.batch.has_episode(0) or self.batch.episode(0).ended:
+        if not self.batch.has_episode(0) or self.batch.has_ended(0):
             raise ResetNeeded("no episode is running: call reset() before step()")
         outcome = self.batch.step([0], [action])[0]
         if self.render_mode == "human":
             self.render()
         return (
-            self.batch.shown(0),
+            self._shown(),
             outcome.reward,
             outcome.terminated,
             outcome.truncated,
             outcome.info,
         )
+
+    def _shown(self) -> Any:
+        shown = self.batch.shown([0])
+        return {key: part[0] for key, part in shown.items()} if self.settings.raw else shown[0]
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next action, in the form MaskablePPO takes."""

@@ -96,7 +96,7 @@ class JointPose:
 
 @dataclass(frozen=True, kw_only=True)
 class Action:
-    """A decoded action."""
+    """A decoded action; of several, every array has an axis more in front."""
 
     moves: NDArray[np.intp]
     """Index into the moves, one for each joint (n,)."""
@@ -166,6 +166,8 @@ class ActionLayout:
             + [level_choices] * self.most_excited
             + [len(settings.durations), 2 + hypotheses]
         )
+        self._options = int(self.nvec.sum())
+        self._move_options = int(self.nvec[: self.most_moved].sum())
 
     @property
     def unsure(self) -> int:
@@ -198,20 +200,33 @@ class ActionLayout:
         >>> layout.decode([2, 2, 2, 5, 0, 0]).levels.tolist()
         [0, 2, 0]
         """
-        form = (
-            f"an action ({self.most_moved} for moves, {self.most_excited} for levels of "
-            f"{self.arm.n} joints, a record length, a verdict)"
-        )
-        whole_numbers = checked_indices(form, action, self.nvec)
-        levels = self._levels_of(whole_numbers[self.excitation])
-        if not levels.any():
-            levels[-1] = len(self.arm.levels)
+        found: Any = self.decode_all([action])
         return Action(
-            moves=self._moves_of(whole_numbers[: self.most_moved]),
-            levels=levels,
-            duration=self.settings.durations[int(whole_numbers[-2])],
-            verdict=int(whole_numbers[-1]),
+            moves=found.moves[0],
+            levels=found.levels[0],
+            duration=float(found.duration[0]),
+            verdict=int(found.verdict[0]),
         )
+
+    def decode_all(self, actions: Any) -> Action:
+        """Check A actions and take them apart; as `decode`."""
+        given = np.asarray(actions) if isinstance(actions, np.ndarray) else None
+        if given is None or given.dtype.kind not in "iu" or given.shape[1:] != self.nvec.shape:
+            form = (
+                f"an action ({self.most_moved} for moves, {self.most_excited} for levels of "
+                f"{self.arm.n} joints, a record length, a verdict)"
+            )
+            rows = [checked_indices(form, action, self.nvec) for action in actions]
+            given = np.reshape(rows, (-1, len(self.nvec)))
+        elif ((given < 0) | (given >= self.nvec)).any():
+            return self.decode_all(list(given))  # says which entry is wrong
+        whole_numbers = given.astype(np.intp, copy=False)
+        levels = self._levels_of(whole_numbers[:, self.excitation])
+        levels[~levels.any(axis=1), -1] = len(self.arm.levels)
+        durations: Any = np.array(self.settings.durations)[whole_numbers[:, -2]]
+        verdicts: Any = whole_numbers[:, -1]
+        moves = self._moves_of(whole_numbers[:, : self.most_moved])
+        return Action(moves=moves, levels=levels, duration=durations, verdict=verdicts)
 
     @property
     def excitation(self) -> slice:
@@ -265,24 +280,27 @@ class ActionLayout:
         return np.array(entries[::-1], dtype=np.int64)
 
     def _moves_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Move of each joint (n,)."""
+        """Move of each joint (A, n)."""
         if not self._few_moved:
             return entries
-        moves = np.full(self.arm.n, self.stay, dtype=np.intp)
-        for entry in entries[entries > 0]:
-            joint, k = divmod(int(entry) - 1, len(self._others))
-            if moves[joint] == self.stay:
-                moves[joint] = self._others[k]
+        moves = np.full((len(entries), self.arm.n), self.stay, dtype=np.intp)
+        for entry in entries.T:
+            joint, k = np.divmod(entry - 1, len(self._others))
+            rows = np.flatnonzero(entry > 0)
+            rows = rows[moves[rows, joint[rows]] == self.stay]
+            moves[rows, joint[rows]] = self._others[k[rows]]
         return moves
 
     def _levels_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Level of each joint (n,)."""
+        """Level of each joint (A, n)."""
         if not self._few_excited:
-            return entries
-        levels = np.zeros(self.arm.n, dtype=np.intp)
-        for entry in entries[entries > 0]:
-            joint, k = divmod(int(entry) - 1, len(self.arm.levels))
-            levels[joint] = max(levels[joint], k + 1)
+            return entries.copy()
+        levels = np.zeros((len(entries), self.arm.n), dtype=np.intp)
+        for entry in entries.T:
+            joint, k = np.divmod(entry - 1, len(self.arm.levels))
+            rows = np.flatnonzero(entry > 0)
+            at = joint[rows]
+            levels[rows, at] = np.maximum(levels[rows, at], k[rows] + 1)
         return levels
 
     def encode(
@@ -348,10 +366,10 @@ class ActionLayout:
         return np.append(levels, first[-2] + int(np.argmax(self.settings.durations)))
 
     def allowed_moves(self, pose: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return the moves that keep each joint within its range (n, moves)."""
-        target = pose[:, None] + self.steps
+        """Return the moves that keep each joint of poses (..., n) in its range (..., n, moves)."""
+        target = pose[..., None] + self.steps
         allowed = (target >= self._low) & (target <= self._high)
-        allowed[:, self.stay] = True
+        allowed[..., self.stay] = True
         return np.asarray(allowed)
 
     def few_moves(self, moves: NDArray[np.intp], rng: np.random.Generator) -> NDArray[np.intp]:
@@ -364,11 +382,11 @@ class ActionLayout:
         rank = np.argsort(np.argsort(rng.random(moves.shape), axis=-1), axis=-1)
         return np.where(rank < self.most_moved, moves, self.stay)
 
-    def allows_unsure(self, records: int, measured: int) -> bool:
+    def allows_unsure(self, records: Any, measured: Any) -> Any:
         """Return whether "unsure" may be said after so many records, so many of them measured."""
         settings = self.settings
-        enough = measured >= settings.unsure_after or records >= settings.max_records
-        return measured > 0 and enough
+        enough = (measured >= settings.unsure_after) | (records >= settings.max_records)
+        return (measured > 0) & enough
 
     def mask(self, pose: NDArray[np.float64], records: int, measured: int) -> NDArray[np.bool_]:
         """Allowed choices of all entries, one after the other, as MaskablePPO takes them.
@@ -380,21 +398,28 @@ class ActionLayout:
         records, measured : int
             Records taken, and those among them that show something.
         """
-        verdicts = self.hypotheses + 1
+        found = self.masks(pose[None], np.array([records]), np.array([measured]))
+        return np.asarray(found[0])
+
+    def masks(
+        self, poses: Array, records: NDArray[np.intp], measured: NDArray[np.intp]
+    ) -> NDArray[np.bool_]:
+        """Allowed choices of A actions (A, sum of choices); as `mask`."""
+        verdicts, count = self.hypotheses + 1, len(poses)
         last = records >= self.settings.max_records
-        mask = np.ones(int(self.nvec.sum()), dtype=bool)
-        moves = int(self.nvec[: self.most_moved].sum())
-        allowed = self.allowed_moves(pose)
+        mask = np.ones((count, self._options), dtype=bool)
+        moves, allowed = self._move_options, self.allowed_moves(poses)
         if self._few_moved:
-            entry = np.concatenate([[True], allowed[:, self._others].ravel()])
-            mask[:moves] = np.tile(entry, self.most_moved)
+            entry = np.ones((count, moves // self.most_moved), dtype=bool)
+            entry[:, 1:] = allowed[..., self._others].reshape(count, -1)
+            mask[:, :moves] = np.tile(entry, self.most_moved)
         else:
-            mask[:moves] = allowed.ravel()
+            mask[:, :moves] = allowed.reshape(count, -1)
         if self._few_excited:
-            mask[moves] = False  # a record without excitation shows nothing
-        mask[-verdicts - 1] = not last
-        mask[-verdicts:-1] = last or measured > 0
-        mask[-1] = self.allows_unsure(records, measured)
+            mask[:, moves] = False  # a record without excitation shows nothing
+        mask[:, -verdicts - 1] = ~last
+        mask[:, -verdicts:-1] = (last | (measured > 0))[:, None]
+        mask[:, -1] = self.allows_unsure(records, measured)
         return mask
 
 
@@ -583,6 +608,9 @@ class ObservationLayout(RecordLayout):
         self._global_scaling = _Scaling(self.global_elements)
         self._slot_scaling = _Scaling(self.slot_elements)
         self._slot_index = _spans(self.slot_elements)
+        predicted = [e for e in self.slot_elements if e.name.startswith("nominal_")]
+        self.predicted_count = sum(not e.name.startswith("nominal_link_") for e in predicted)
+        """Elements of a slot that `predicted` gives."""
         self._global_index = _spans(self.global_elements)
 
     @property
@@ -603,32 +631,21 @@ class ObservationLayout(RecordLayout):
         return (*self.global_elements, *slots)
 
     def globals_of(
-        self, pose: Array, records: int, seconds: float, levels: int
+        self, poses: Array, records: NDArray[np.intp], seconds: Array, levels: NDArray[np.intp]
     ) -> NDArray[np.float32]:
-        """Scale the global elements."""
+        """Scale the global elements of A episodes (A, globals)."""
         most = self.settings.max_records
         spent = [records / most, seconds, levels, (most - records) / most]
-        values = np.concatenate([*self._joint_pose.numbers(pose), spent])
-        return self._global_scaling.forward(values)
+        values = [*self._joint_pose.numbers(poses), np.column_stack(spent)]
+        return self._global_scaling.forward(np.concatenate(values, axis=1))
 
-    def slots_for(
-        self,
-        levels: NDArray[np.intp],
-        share: Array,
-        record: RecordStatistics,
-        nominal: Prediction,
-        *,
-        links: LinkReadings | None = None,
-        nominal_links: Array | None = None,
-    ) -> NDArray[np.float32]:
-        """Scale the elements of B records (B, slot size).
+    def predicted(self, torque_rms: Array, nominal: Prediction) -> Array:
+        """Elements that tell what the nominal arm would show, not yet scaled (B, elements).
 
-        From their levels (B, n), the shares of these that torque limits allow (B, n), statistics
-        and the same as predicted of the nominal arm; where accelerometers stand on links, also
-        what these measured and would show on the nominal arm (B, L, a, n).
+        From the rms torques of B records (B, n) and the prediction.
         """
-        count, n = levels.shape
-        joints = np.nonzero(record.torque > 0)[1].reshape(count, -1)
+        count, n = torque_rms.shape
+        joints = np.nonzero(torque_rms)[1].reshape(count, -1)
 
         def spread(values: Array) -> Array:
             """Values of the excited joints among those of all (B, ..., n)."""
@@ -637,10 +654,38 @@ class ObservationLayout(RecordLayout):
             np.put_along_axis(wide, np.broadcast_to(at, values.shape), values, axis=-1)
             return wide
 
+        values = [
+            spread(nominal.transmission).mT,
+            spread(nominal.transmission_by_instrument).mT,
+            spread(np.sqrt(np.diagonal(nominal.joint, axis1=-2, axis2=-1))),
+            spread(nominal.inertia),
+            *_covariance_numbers(nominal.tool),
+            _axial_numbers(nominal.lowest_direction),
+            np.column_stack([nominal.lowest_coherence, nominal.maximum_correlation]),
+        ]
+        return np.concatenate([np.reshape(each, (count, -1)) for each in values], axis=1)
+
+    def slots_for(
+        self,
+        levels: NDArray[np.intp],
+        share: Array,
+        record: RecordStatistics,
+        predicted: Array,
+        *,
+        links: LinkReadings | None = None,
+        nominal_links: Array | None = None,
+    ) -> NDArray[np.float32]:
+        """Scale the elements of B records (B, slot size).
+
+        From their levels (B, n), the shares of these that torque limits allow (B, n), statistics
+        and the elements that are `predicted`; where accelerometers stand on links, also what these
+        measured and would show on the nominal arm (B, L, a, n).
+        """
+        count = len(levels)
+
         def numbers(*values: ArrayLike) -> Array:
             return np.column_stack(values)
 
-        nominal_rms = np.sqrt(np.diagonal(nominal.joint, axis1=-2, axis2=-1))
         values = [
             np.ones((count, 1)),
             *self._joint_pose.numbers(record.pose),
@@ -658,13 +703,7 @@ class ObservationLayout(RecordLayout):
             record.skewness,
             record.kurtosis,
             numbers(record.lowest_skewness, record.lowest_kurtosis),
-            spread(nominal.transmission).mT,
-            spread(nominal.transmission_by_instrument).mT,
-            spread(nominal_rms),
-            spread(nominal.inertia),
-            *_covariance_numbers(nominal.tool),
-            _axial_numbers(nominal.lowest_direction),
-            numbers(nominal.lowest_coherence, nominal.maximum_correlation),
+            predicted,
         ]
         if links is not None and nominal_links is not None:
             values += [links.transmission_by_instrument, nominal_links, links.rms]

@@ -214,6 +214,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         self.single_observation_space = self.batch.space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._all = np.arange(self.num_envs)
         self._seeds: list[int | None] = [None] * self.num_envs
         self._numbers = [-1] * self.num_envs
         self._ended = np.zeros(self.num_envs, dtype=bool)
@@ -240,16 +241,12 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         own = own_options(given.pop("env_options", None), self.num_envs)
         if not all(self.batch.has_episode(int(i)) for i in np.flatnonzero(~chosen)):
             raise ResetNeeded("the first reset() begins all episodes: give it no reset_mask")
-        seeds = checked_seeds(seed, self.num_envs)
-        drawn: dict[int, Episode] = {}
-        for i in np.flatnonzero(chosen).tolist():
-            drawn[i] = self._drawn(i, seeds[i], {**given, **own[i]})
-        # only now: a refused reset leaves the sequence of episodes as it was
-        infos: dict[str, Any] = {}
-        for i, episode in drawn.items():
-            infos = self._add_info(infos, self._begin(i, episode), i)
-            self._ended[i] = False
-        return self._observe(), infos
+        self._begin(
+            np.flatnonzero(chosen),
+            checked_seeds(seed, self.num_envs),
+            [given | dict(o) for o in own],
+        )
+        return self.batch.shown(self._all), self._begun_infos(chosen)
 
     def step(
         self, actions: Any
@@ -266,38 +263,68 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
             )
         if not all(self.batch.has_episode(i) for i in range(self.num_envs)):
             raise ResetNeeded("no episodes are running: call reset() before step()")
-        over = self._ended.copy()
+        over, same_step = self._ended.copy(), self.autoreset_mode is AutoresetMode.SAME_STEP
         if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
             raise ResetNeeded(
                 f"the episodes of environments {np.flatnonzero(over).tolist()} have ended and "
                 "autoreset is disabled: call reset(options={'reset_mask': ended}) before step()"
             )
-        going = [int(i) for i in np.flatnonzero(~over)]
-        rewards = np.zeros(self.num_envs)
-        terminated, truncated = np.zeros((2, self.num_envs), dtype=bool)
-        infos: dict[str, Any] = {}
-        for i, outcome in zip(going, self.batch.step(going, list(rows[going])), strict=True):
-            info = outcome.info
-            rewards[i] = outcome.reward
-            terminated[i], truncated[i] = outcome.terminated, outcome.truncated
-            if outcome.terminated or outcome.truncated:
-                if self.autoreset_mode is AutoresetMode.SAME_STEP:
-                    final = {"final_obs": self.batch.shown(i), "final_info": info}
-                    infos = self._add_info(infos, final, i)
-                    info = self._begin(i, self._drawn(i, None, {}))
-                else:
-                    self._ended[i] = True
+        going, infos = np.flatnonzero(~over), {}
+        found = self.batch.step(going, rows[going])
+        rewards, (terminated, truncated) = (
+            np.zeros(n := self.num_envs),
+            np.zeros((2, n), dtype=bool),
+        )
+        rewards[going] = found.rewards
+        terminated[going], truncated[going] = found.terminated, found.truncated
+        went_on = ~over & ~terminated & ~truncated
+        if went_on.any():
+            for name, values in found.told.items():
+                infos[name] = np.zeros((n, *values.shape[1:]), dtype=values.dtype)
+                infos[name][went_on] = values[went_on[going]]
+                infos[f"_{name}"] = went_on.copy()
+        ended = {int(going[k]): info for k, info in found.ends.items()}
+        finals = self.batch.shown(list(ended)) if ended and same_step else None
+        for k, (i, info) in enumerate(ended.items()):
+            if finals is None:
+                self._ended[i] = True
+            else:
+                info = {"final_obs": _row(finals, k), "final_info": info}
             infos = self._add_info(infos, info, i)
-        for fresh in np.flatnonzero(over):
-            infos = self._add_info(
-                infos, self._begin(int(fresh), self._drawn(int(fresh), None, {})), int(fresh)
-            )
-            self._ended[fresh] = False
-        return self._observe(), rewards, terminated, truncated, infos
+        fresh = np.array(list(ended), dtype=np.intp) if same_step else np.flatnonzero(over)
+        self._begin(fresh, [None] * n, [{}] * n)
+        masks = self._begun_infos(np.ones(n, dtype=bool))
+        return self.batch.shown(self._all), rewards, terminated, truncated, infos | masks
+
+    def _begin(
+        self,
+        chosen: NDArray[np.intp],
+        seeds: Sequence[int | None],
+        options: Sequence[Mapping[str, Any]],
+    ) -> None:
+        """Begin the first episodes of root seeds, or the next ones of the environments' own."""
+        if not len(chosen):
+            return
+        fresh = [seeds[i] is not None for i in chosen]
+        numbers = [0 if new else self._numbers[i] + 1 for i, new in zip(chosen, fresh, strict=True)]
+        roots = [
+            new_seed() if root is None else root
+            for root in (seeds[i] if seeds[i] is not None else self._seeds[i] for i in chosen)
+        ]
+        own = [options[i] for i in chosen]
+        self.batch.start_all(chosen.tolist(), seeds=roots, numbers=numbers, options=own)
+        # only now: a refused reset leaves the sequence of episodes as it was
+        for i, root, number in zip(chosen, roots, numbers, strict=True):
+            self._seeds[i], self._numbers[i], self._ended[i] = root, number, False
+
+    def _begun_infos(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+        """Infos of the environments chosen: what their next actions may be."""
+        masks = np.where(chosen[:, None], self.batch.masks(self._all), False)
+        return {"action_mask": masks, "_action_mask": chosen.copy()}
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next actions (num_envs, sum of choices)."""
-        return np.array([self.batch.mask(i) for i in range(self.num_envs)])
+        return self.batch.masks(self._all)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of every environment, or get an attribute, as a tuple of results.
@@ -385,21 +412,9 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._ended = np.array(state.ended, dtype=bool)
 
-    def _drawn(self, i: int, seed: int | None, options: dict[str, Any]) -> Episode:
-        """Draw the first episode of a root seed, or the next one of an environment's own."""
-        number = 0 if seed is not None else self._numbers[i] + 1
-        root = seed if seed is not None else self._seeds[i]
-        root = new_seed() if root is None else root
-        return self.batch.drawn(seed=root, number=number, options=options)
 
-    def _begin(self, i: int, episode: Episode) -> dict[str, Any]:
-        """Begin a drawn episode in an environment."""
-        info = self.batch.begin(i, episode)
-        self._seeds[i], self._numbers[i] = episode.seed, episode.number
-        return info
-
-    def _observe(self) -> Any:
-        singles = [self.batch.shown(i) for i in range(self.num_envs)]
-        if not self.settings.raw:
-            return np.stack(singles)
-        return {key: np.stack([s[key] for s in singles]) for key in singles[0]}
+def _row(observations: Any, k: int) -> Any:
+    """One of several observations, flat or raw."""
+    if isinstance(observations, dict):
+        return {key: part[k] for key, part in observations.items()}
+    return observations[k]

@@ -445,8 +445,8 @@ def set_seat(
 ) -> None:
     """Write a fault's parameters into a compiled model that has its seat.
 
-    Call it after every change of masses, once ``mj_setConst`` has run: the stops are scaled
-    with the seat's inverse weight, that along the fault's direction. ``data`` is scratch space of
+    Call it after every change of masses: the stops are scaled with the seat's inverse weight, that
+    along the fault's direction, for which ``mj_setConst`` is run here. ``data`` is scratch space of
     the model's layout, made anew if it is not given; ``seat`` are the model's `seat_indices`,
     looked up if they are not given.
 
@@ -465,22 +465,20 @@ def set_seat(
             f"{fault.hypothesis} has {len(parts)} loose degrees of freedom, the model's seat has "
             f"{len(seat)}; take the seats that part_seats names"
         )
-    placed = False
     for at, part in zip(seat, parts, strict=True):
-        placed |= _place(model, at, part)
-    if placed:
-        # The inverse weight follows the axis.
-        mujoco.mj_setConst(model, mujoco.MjData(model) if data is None else data)
+        _place(model, at, part)
+    # The inverse weight follows the axis.
+    mujoco.mj_setConst(model, mujoco.MjData(model) if data is None else data)
     for at, part in zip(seat, parts, strict=True):
         _set_part(model, at, part)
     if len(parts) > 1 and not isinstance(fault, Healthy):
         _require_slow_together(model, seat, fault, data)
 
 
-def _place(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> bool:
-    """Orient a seat along the fault's direction; return whether anything changed."""
+def _place(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> None:
+    """Orient a seat along the fault's direction."""
     if isinstance(part, (Healthy, Backlash)):
-        return False
+        return
     seat = at.joint
     hinge = isinstance(part, RotationalLooseness)
     if model.jnt_type[seat] != (_HINGE if hinge else _SLIDE):
@@ -493,7 +491,6 @@ def _place(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> bool:
         model.jnt_pos[seat] = part.pivot
     else:
         model.jnt_axis[seat] = unit(part.direction)
-    return True
 
 
 def _set_part(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> None:

@@ -8,7 +8,7 @@ from loose_env.gap.bank import VISIBLE, MotionBank, Shape, motion_bank
 from loose_env.gap.belief import Belief, BeliefSettings, HypothesisSet, Outlook, outlook
 from loose_env.gap.core.find import Answer, find_gap
 from loose_env.gap.core.residual import Correlation, Played
-from loose_env.gap.core.tolerances import Tolerances
+from loose_env.gap.core.tolerances import GapSettings, Tolerances
 from loose_env.gap.explain import (
     GapSolution,
     check_gap,
@@ -17,7 +17,6 @@ from loose_env.gap.explain import (
     solve_gap,
     write_gap,
 )
-from loose_env.gap.joined_runs import join_recordings, note_source, read_source
 from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
 from loose_env.gap.model.effects.catalogue import effect_class, read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -38,7 +37,6 @@ from loose_env.gap.next_motion import (
     read_next_motion,
     write_next_motion,
 )
-from loose_env.gap.output.advice import effect_words, how_to_see, how_to_separate, kind_words
 from loose_env.gap.output.corrected_model import write_model
 from loose_env.gap.output.export import (
     TARGETS,
@@ -59,11 +57,15 @@ from loose_env.gap.output.result import (
     ResidualTest,
     TolerancePull,
     VisibleEffect,
+    effect_words,
+    how_to_see,
+    how_to_separate,
+    kind_words,
     read_result,
 )
+from loose_env.gap.runs import join_recordings, note_source, read_source
 from loose_env.gap.servo_arm import ServoArm, read_servo_arm
 from loose_env.gap.session import GapSession
-from loose_env.gap.settings import GapSettings
 
 __all__ = [
     "NEXT_MOTION",

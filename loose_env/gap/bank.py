@@ -61,10 +61,8 @@ _CONTACTS = ("sliding 0.2%", "sliding 1%", "sliding 4%", "presliding 0.2%")
 """Ways in which dry friction turns at a reversal."""
 _BAND_HZ = 20.0
 """End of the band in which a motion and its forces are compared [Hz]: that of the fastest chirp."""
-_FINER = 8
-"""Points on which commands act between two steps of a simulation."""
-_STEP = 1e-3
-"""Relative step of derivatives by nominal parameters."""
+_FINER = 8  # points on which commands act between two steps of a simulation
+_STEP = 1e-3  # relative step of derivatives by nominal parameters
 VISIBLE = (12.0, 160.0)
 """Visibility that a candidate must reach, and the largest that is considered [noise sd]."""
 _INDISTINGUISHABLE_Z = 2.0
@@ -72,8 +70,7 @@ _INDISTINGUISHABLE_Z = 2.0
 Form = Literal["commands", "torques", "sampled"]
 """What a balance compares the needed forces with: those of the nominal drives for the commands,
 measured torques, or those of the nominal drives for commands as they act at the samples."""
-_FORMAT = "gap evidence 1"
-"""Version of what is stored; a change of the computation changes it."""
+_FORMAT = "gap evidence 1"  # version of what is stored; a change of the computation changes it
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
 
@@ -110,18 +107,12 @@ class Shape:
 class MotionEvidence:
     """Whitened columns along one motion: nominal parameters first, then all shapes."""
 
-    rows: NDArray[np.float32]
-    """Columns in noise standard deviations (R, V)."""
-    nominal: Array
-    """Residuals of the nominal model by commands and by torques (2, T, J) [N·m, N]."""
-    window: Array
-    """Taper and weight of the samples by form (2, T, J)."""
-    scale: Array
-    """One over the noise by form (2, F, J)."""
-    seconds: float
-    """Machine time [s]."""
-    wear: float
-    """Integral of the squared torque shares [s]."""
+    rows: NDArray[np.float32]  # Columns in noise standard deviations (R, V)
+    nominal: Array  # Residuals of the nominal model by commands and by torques (2, T, J) [N·m, N]
+    window: Array  # Taper and weight of the samples by form (2, T, J)
+    scale: Array  # One over the noise by form (2, F, J)
+    seconds: float  # Machine time [s]
+    wear: float  # Integral of the squared torque shares [s]
 
     @cached_property
     def _basis(self) -> NDArray[np.float32]:
@@ -233,13 +224,7 @@ class MotionBank:
         return np.array([found.wear for found in self.evidence])
 
     def index_of(self, motion: Motion) -> int:
-        """Index of a motion in the library.
-
-        Raises
-        ------
-        InvalidData
-            If it is not in it.
-        """
+        """Index of a motion in the library; InvalidData if it is not in it."""
         if motion not in self.library:
             raise InvalidData(f"{motion.description} is not in the library of this bank")
         return self.library.index(motion)
@@ -394,17 +379,7 @@ def _axes_of(
 
 
 class Along:
-    """Columns and residuals along a motion that was read, by commands and by torques.
-
-    Parameters
-    ----------
-    arm : ServoArm
-        The arm.
-    motion : Motion
-        Its motion.
-    readings : ndarray (n, 2 J)
-        Positions and torques.
-    """
+    """Columns and residuals along a motion whose readings (n, 2 J) are positions and torques."""
 
     def __init__(self, arm: ServoArm, motion: Motion, readings: Array) -> None:
         self.arm, self.commands = arm, motion.commands(arm)

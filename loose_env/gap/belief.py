@@ -38,12 +38,9 @@ _CANDIDATES, _SETS, _ESTIMATED = 3000, 40, 8
 _OPEN, _SAMPLES, _LEAST = 16, 32, 1e-3
 """Sets that count as open at most, readings drawn from the prediction of each, and the probability
 of an open set over that of the most probable one, at least."""
-_DIRECTIONS = 100
-"""Directions over which the error of the columns spreads."""
-_MISSED = Tolerances().law
-"""Share of its force that the law of an effect misses."""
-_OUT = 2.0
-"""Standard deviations by which an estimate may lie beyond its bounds."""
+_DIRECTIONS = 100  # directions over which the error of the columns spreads
+_MISSED = Tolerances().law  # share of its force that the law of an effect misses
+_OUT = 2.0  # standard deviations by which an estimate may lie beyond its bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,14 +85,10 @@ class BeliefSettings(Checked):
 class EffectEstimate:
     """An effect with its parameters."""
 
-    name: str
-    """Kind and location."""
-    values: tuple[float, ...]
-    """Posterior means of its parameters."""
-    low: tuple[float, ...]
-    """Lower ends of the 95 % intervals."""
-    high: tuple[float, ...]
-    """Upper ends."""
+    name: str  # Kind and location
+    values: tuple[float, ...]  # Posterior means of its parameters
+    low: tuple[float, ...]  # Lower ends of the 95 % intervals
+    high: tuple[float, ...]  # Upper ends
 
 
 @dataclass(frozen=True)
@@ -115,16 +108,12 @@ class HypothesisSet:
 class Posterior:
     """Posterior over sets of effects."""
 
-    sets: tuple[HypothesisSet, ...]
-    """By decreasing probability."""
-    marginal: Array
-    """Probability that each candidate is among the missing effects (names,)."""
+    sets: tuple[HypothesisSet, ...]  # By decreasing probability
+    marginal: Array  # Probability that each candidate is among the missing effects (names,)
     log_evidence: Array
     """Log evidence of each candidate alone against none, its best shape [nats] (names,)."""
-    size: Array
-    """Log10 of each candidate's visibility, alone (names,)."""
-    size_sd: Array
-    """Its standard deviation (names,)."""
+    size: Array  # Log10 of each candidate's visibility, alone (names,)
+    size_sd: Array  # Its standard deviation (names,)
     misfit: float
     """χ² of the best hypothesis over its degrees of freedom, 1 where that is no more than chance;
     variances of the parameters are multiplied by it (Birge ratio)."""
@@ -223,14 +212,10 @@ class Products:
     """Products of all columns and residuals of the measured motions."""
 
     bank: MotionBank
-    gram: Array
-    """Of the columns (V, V)."""
-    right: Array
-    """With the residuals (V,)."""
-    power: float
-    """Of the residuals."""
-    dof: int
-    """Numbers in all residuals."""
+    gram: Array  # Of the columns (V, V)
+    right: Array  # With the residuals (V,)
+    power: float  # Of the residuals
+    dof: int  # Numbers in all residuals
 
     def fit(self, own: Sequence[int] = ()) -> _Fit:
         """Nominal parameters, then the columns of some shapes."""

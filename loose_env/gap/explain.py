@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import softmax
 
 from loose_env.doctor import Finding as Preflight
-from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms
+from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms, places_of
 from loose_env.gap.core.exact import LARGE
 from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
@@ -29,12 +29,12 @@ from loose_env.gap.core.residual import (
     responses,
     simulated,
 )
-from loose_env.gap.core.selection import Selection, SetFit, neighbours
+from loose_env.gap.core.selection import Selection, SetFit
+from loose_env.gap.core.tolerances import GapSettings
 from loose_env.gap.model.effects.inertia import payload_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import naming_notes
 from loose_env.gap.next_motion import NEXT_MOTION, NextMotion, write_next_motion
-from loose_env.gap.output.advice import how_to_see, how_to_separate
 from loose_env.gap.output.corrected_model import correction_code, model_notes, write_model
 from loose_env.gap.output.result import (
     ChannelVerdict,
@@ -46,9 +46,10 @@ from loose_env.gap.output.result import (
     RankedSet,
     TolerancePull,
     Verdict,
+    how_to_see,
+    how_to_separate,
 )
 from loose_env.gap.runs import measured_runs
-from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording, Run
 from loose_env.typing import Array
 
@@ -56,8 +57,7 @@ PULLED = 2.0
 """Standard deviations from which the pull of a tolerance is told: 1 in 20 by chance."""
 FIGURES = 4
 """Channels of which a report draws figures of one sort."""
-_RANKED = 20
-"""Sets of effects that a result lists."""
+_RANKED = 20  # sets of effects that a result lists
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -319,6 +319,7 @@ def named_effect(found: Finding) -> NamedEffect:
         probability=found.probability,
         z=found.z,
         held_out_gain={"run": found.by_run, "stretch": found.by_stretch},
+        doubt=found.doubt,
     )
 
 
@@ -328,9 +329,9 @@ def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
     machine = evidence.balance.machine
     known = [f.term.name for f in decision.findings] + [(k, w) for _, k, w in decision.rivals]
     found = []
-    for number, own in enumerate(decision.joints):
-        near = neighbours(machine, own.joint.removeprefix("sensor.").split(".")[0])
-        effects = [n for n in known if n[0] in own.effects and n[1] in near]
+    for number, (own, channel) in enumerate(zip(decision.joints, evidence.channels, strict=True)):
+        places = places_of(evidence.balance, channel.joint)
+        effects = [n for n in known if n[0] in own.effects and n[1] in places]
         before, after = gap.by_channel[own.joint]
         found.append(
             ChannelVerdict(

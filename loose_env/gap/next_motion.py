@@ -57,26 +57,17 @@ NOTHING = "nothing"
 """What an effect is told from that may not be there."""
 DECIDED = 5.0
 """Log evidence from which a pair is decided [nats]: very strong (Kass and Raftery 1995)."""
-_LEAST = 2.0
-"""Gain of a pair below which no motion tells the two apart [nats]."""
+_LEAST = 2.0  # gain of a pair below which no motion tells the two apart [nats]
 _NARROWED = 0.7
 """Share of an interval above which a motion tells no more than the same runs once more."""
-_SHAPES = 3
-"""Shapes in which a rival is tried."""
-_STANDS = 0.05
-"""Speed of a joint in a run over that in the fastest one, below which it stands."""
-_MEMORY = 40_000_000
-"""Numbers of columns that are held at a time, 320 MB."""
-_TRIES = 8
-"""Sizes in which a motion of the library is tried."""
-_REPEATS = 2
-"""How often a motion is recorded: each of the runs is held out in turn."""
-_CONTROL_HZ = 3.0
-"""Bandwidth of the controller that is assumed where the model has no servo [Hz]."""
-_SETTLE_S = 0.5
-"""How long a servo holds the first pose before a motion [s]."""
-_SEED = 7
-"""Seed of the sensors' noise."""
+_SHAPES = 3  # shapes in which a rival is tried
+_STANDS = 0.05  # speed of a joint in a run over that in the fastest one, below which it stands
+_MEMORY = 40_000_000  # numbers of columns that are held at a time, 320 MB
+_TRIES = 8  # sizes in which a motion of the library is tried
+_REPEATS = 2  # how often a motion is recorded: each of the runs is held out in turn
+_CONTROL_HZ = 3.0  # bandwidth of the controller that is assumed where the model has no servo [Hz]
+_SETTLE_S = 0.5  # how long a servo holds the first pose before a motion [s]
+_SEED = 7  # seed of the sensors' noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,8 +179,7 @@ class _Gains:
 
     pairs: tuple[PairGain, ...] = ()
     narrowed: tuple[Narrowing, ...] = ()
-    nats: float = 0.0
-    """Fall of half the log determinant of the covariance of the named effects."""
+    nats: float = 0.0  # Fall of half the log determinant of the covariance of the named effects
 
     @property
     def value(self) -> float:
@@ -211,8 +201,7 @@ class Side:
     """One member of a pair: the effect as it was fitted, and the shapes in which it is fitted."""
 
     term: Term
-    coefficients: Array
-    """Of its columns."""
+    coefficients: Array  # Of its columns
     shapes: tuple[Term, ...]
 
     @property
@@ -225,14 +214,10 @@ class Side:
 class OpenPair:
     """Two sets of effects that the runs do not tell apart, which differ in one member."""
 
-    effect: Side | None
-    """The effect of the answer; None for one that may be beside it."""
-    rival: Side
-    """What may be there."""
-    others: Set
-    """Effects that both sets have."""
-    nats: float
-    """Log evidence of the first over the second so far."""
+    effect: Side | None  # The effect of the answer; None for one that may be beside it
+    rival: Side  # What may be there
+    others: Set  # Effects that both sets have
+    nats: float  # Log evidence of the first over the second so far
 
 
 def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
@@ -397,8 +382,7 @@ class _Asked:
     """Effects in question in the evidence of recorded and planned runs."""
 
     evidence: Evidence
-    columns: Mapping[int, tuple[int, ...]]
-    """Columns of each term that shows, by its identity."""
+    columns: Mapping[int, tuple[int, ...]]  # Columns of each term that shows, by its identity
 
     def of(self, terms: Sequence[Term]) -> IndexArray:
         """Columns of some effects."""

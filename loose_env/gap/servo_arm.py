@@ -27,10 +27,8 @@ SLIDE = 0.2
 """Limits of slides over those of hinges: metres for radians."""
 _OVERSHOOT = 1.25
 """Speed of the machine over the limit of its commands: a servo overshoots after a step."""
-_ROOM = 1e-6
-"""Rounding that a limit does not count."""
-_TORQUE_SHARE = 0.8
-"""Share of a torque limit that a motion may take in the nominal model."""
+_ROOM = 1e-6  # rounding that a limit does not count
+_TORQUE_SHARE = 0.8  # share of a torque limit that a motion may take in the nominal model
 _STABLE = 1.0
 """Largest rate of a rotor's damping times the time step: of Runge-Kutta's 2.8 the damping of the
 stiffest spring takes as much again, and effects add to the joint's."""
@@ -40,24 +38,15 @@ stiffest spring takes as much again, and effects add to the joint's."""
 class PlannedMotion:
     """A motion as it is given to a machine and as its model answers."""
 
-    desired: Array
-    """Desired joint positions [rad, m] (T, joints)."""
-    interval: float
-    """Interval of the samples [s]."""
-    controls: Array
-    """Commands of the actuators, in their own units (T, actuators)."""
-    position: Array
-    """Joint positions of the model [rad, m] (T, joints)."""
-    speed: Array
-    """Joint speeds of the model [rad/s, m/s] (T, joints)."""
-    torque: Array
-    """Torque of the drives on the joints [N·m, N] (T, joints)."""
-    readings: Array
-    """Readings of all sensors of the model (T, sensordata)."""
-    contacts: tuple[tuple[str, str], ...]
-    """Pairs of bodies that touch and do not at the beginning."""
-    saturated: tuple[str, ...]
-    """Actuators that reach the range of their force."""
+    desired: Array  # Desired joint positions [rad, m] (T, joints)
+    interval: float  # Interval of the samples [s]
+    controls: Array  # Commands of the actuators, in their own units (T, actuators)
+    position: Array  # Joint positions of the model [rad, m] (T, joints)
+    speed: Array  # Joint speeds of the model [rad/s, m/s] (T, joints)
+    torque: Array  # Torque of the drives on the joints [N·m, N] (T, joints)
+    readings: Array  # Readings of all sensors of the model (T, sensordata)
+    contacts: tuple[tuple[str, str], ...]  # Pairs of bodies that touch and do not at the beginning
+    saturated: tuple[str, ...]  # Actuators that reach the range of their force
 
     @property
     def time(self) -> Array:
@@ -69,24 +58,15 @@ class PlannedMotion:
 class MotionLimits:
     """Limits of the joints, with where they come from."""
 
-    joints: tuple[str, ...]
-    """Names of the joints."""
-    turning: NDArray[np.bool_]
-    """Whether each of them is a hinge (joints,)."""
-    rate: float
-    """Sample rate [1/s]."""
-    home: Array
-    """Pose in which motions begin and end [rad, m] (joints,)."""
-    low: Array
-    """Lowest positions [rad, m] (joints,)."""
-    high: Array
-    """Highest positions [rad, m] (joints,)."""
-    speed: Array
-    """Largest speeds [rad/s, m/s] (joints,)."""
-    torque: Array
-    """Largest torques of the drives [N·m, N] (joints,), infinite where none is known."""
-    sources: tuple[str, str, str]
-    """Where those of position, speed and torque come from."""
+    joints: tuple[str, ...]  # Names of the joints
+    turning: NDArray[np.bool_]  # Whether each of them is a hinge (joints,)
+    rate: float  # Sample rate [1/s]
+    home: Array  # Pose in which motions begin and end [rad, m] (joints,)
+    low: Array  # Lowest positions [rad, m] (joints,)
+    high: Array  # Highest positions [rad, m] (joints,)
+    speed: Array  # Largest speeds [rad/s, m/s] (joints,)
+    torque: Array  # Largest torques of the drives [N·m, N] (joints,), infinite where none is known
+    sources: tuple[str, str, str]  # Where those of position, speed and torque come from
 
     @property
     def unit(self) -> Array:

@@ -15,12 +15,12 @@ from loose_env.gap.core.decision import Finding, decide
 from loose_env.gap.core.evidence import append
 from loose_env.gap.core.find import evidence_of, silent
 from loose_env.gap.core.selection import SetFit
+from loose_env.gap.core.tolerances import GapSettings
 from loose_env.gap.explain import named_effect, pooled_rms
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import effect_class
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.output.corrected_model import correction_code, write_model
-from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording
 from loose_env.typing import Array
 
@@ -53,28 +53,21 @@ class TriedEffect:
         """Whether a comparison would name it: probable, no interval across zero, held-out gain."""
         return self.finding.named
 
-    def _rows(self) -> list[tuple[str, str]]:
-        """What a reader sees: names and values."""
-        effect, found = named_effect(self.finding), self.finding
-        return [
-            *((name, effect.value_in_words(name)) for name in effect.parameters),
-            ("residual on held-out data", f"{self.before:.2f} before, {self.after:.2f}"),
-            (
-                "rise of twice the held-out log likelihood",
-                f"{found.by_run:.0f} by run, {found.by_stretch:.0f} by stretch",
-            ),
-            ("accepted", "yes" if self.accepted else "no"),
-        ]
-
     def __str__(self) -> str:
         """Format as one line."""
-        return f"{self.effect!r}: " + "; ".join(f"{name} {value}" for name, value in self._rows())
+        found = named_effect(self.finding)
+        gains = ", ".join(f"{gain:.0f} by {way}" for way, gain in found.held_out_gain.items())
+        words = [
+            *(f"{name} {found.value_in_words(name)}" for name in found.parameters),
+            f"residual on held-out data {self.before:.2f} before, {self.after:.2f}",
+            f"rise of twice the held-out log likelihood {gains}",
+            f"not accepted: {found.doubt}" if found.doubt else "accepted",
+        ]
+        return f"{self.effect!r}: {'; '.join(words)}"
 
     def _repr_html_(self) -> str:
-        """Return a short table, as notebooks show it."""
-        lines = [f"<tr><th>{escape(repr(self.effect))}</th><th></th></tr>"]
-        lines += [f"<tr><td>{escape(a)}</td><td>{escape(b)}</td></tr>" for a, b in self._rows()]
-        return f"<table>{''.join(lines)}</table>"
+        """Return it for notebooks."""
+        return f"<p>{escape(str(self))}</p>"
 
 
 class GapSession:
@@ -113,6 +106,7 @@ class GapSession:
         with silent():
             self.selection = evidence_of(recording, settings or GapSettings(), say)
             self.fit = self.selection.solve(())
+        self.balance = self.selection.evidence.balance
         self.tried: tuple[TriedEffect, ...] = ()
         """Effects that were added."""
 
@@ -155,12 +149,8 @@ class GapSession:
             best = min(fits, key=lambda f: (not f.allowed, f.total))
             found = decide(self.selection, best).findings
             finding = next(f for f in found if f.term not in self.fit.terms)
-            return TriedEffect(
-                finding=finding,
-                before=self.held_out,
-                after=pooled_rms(self.selection, best),
-                fit=best,
-            )
+            after = pooled_rms(self.selection, best)
+            return TriedEffect(finding=finding, before=self.held_out, after=after, fit=best)
 
     def add(self, tried: TriedEffect) -> None:
         """Add an effect that was tried.
@@ -178,27 +168,19 @@ class GapSession:
         self.say(f"{tried.effect!r} added: {tried.after:.2f} on held-out data")
 
     def residual_force(self, joint: str) -> Array:
-        """Force that the nominal model lacks at a joint along the motion [N·m, N] (T,).
-
-        `motion` has position, speed and acceleration at the same samples.
+        """Force that the nominal model lacks at a joint along its `motion` [N·m, N] (T,).
 
         Raises
         ------
         UnknownName
             If the model has no such joint.
         """
-        balance = self.selection.evidence.balance
-        if joint not in balance.machine.joints:
-            raise UnknownName(
-                f"the model has no joint {joint!r}; it has {', '.join(balance.machine.joints)}"
-            )
-        return np.asarray(balance.residual[:, balance.machine.joint_number(joint)])
+        return np.asarray(self.balance.residual[:, self._number(joint)])
 
     def motion(self, joint: str) -> tuple[Array, Array, Array]:
         """Position, speed and acceleration of a joint, all runs one after the other (T,) each."""
-        balance = self.selection.evidence.balance
-        k = balance.machine.joint_number(joint)
-        return balance.position[:, k], balance.speed[:, k], balance.acceleration[:, k]
+        k, own = self._number(joint), self.balance
+        return own.position[:, k], own.speed[:, k], own.acceleration[:, k]
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -220,31 +202,32 @@ class GapSession:
         InvalidData
             If it does not compile.
         """
-        machine = self.selection.evidence.balance.machine
         source = self.recording.model_path
-        return write_model(Path(path), machine, self.hypothesis, source=source)
+        return write_model(Path(path), self.balance.machine, self.hypothesis, source=source)
+
+    def _number(self, joint: str) -> int:
+        names = self.balance.machine.joints
+        if joint not in names:
+            raise UnknownName(f"the model has no joint {joint!r}; it has {', '.join(names)}")
+        return names.index(joint)
 
     def _terms(self, effect: Effect) -> list[Term]:
         """Terms of one effect: those of the evidence, else new ones."""
         evidence = self.selection.evidence
         known = [t for t in evidence.terms if t.name == (effect.kind, effect.where)]
         known = [t for t in known if type(t.effect) is type(effect)]
-        if known or not shows(evidence.balance, effect):
+        if known or not shows(self.balance, effect):
             return known
-        found = [
-            term
-            for axes, law in shapes(evidence.balance, effect)
-            for term in terms_of(evidence.balance, effect, axes, law)
-        ]
-        for term in found:
-            append(evidence, term)
+        forms = shapes(self.balance, effect)
+        found = [t for axes, law in forms for t in terms_of(self.balance, effect, axes, law)]
+        append(evidence, *found)
         for name in ("_places", "_shapes"):  # counted anew with what was added
             self.selection.__dict__.pop(name, None)
         return found
 
     def _forms(self, effect: Effect | type[Effect] | str, where: str | None) -> list[Effect]:
         """Instances of an effect at a location, in every variant."""
-        machine = self.selection.evidence.balance.machine
+        machine = self.balance.machine
         if isinstance(effect, Effect):
             if where is not None:
                 raise InvalidSetting(f"{effect!r} has a location already; leave out {where!r}")

@@ -18,6 +18,8 @@ from loose_env.typing import Array, ComplexArray, IndexArray
 
 BOLTS, GEARS = "structural_looseness", "backlash"
 """Kinds of place that can be loose: the seat of a link on its joint; the teeth of a joint."""
+ROCKS = 12
+"""Axes in its plate about which the base may rock that are tried: 15 degrees apart."""
 _TURN = 2 * np.pi
 
 
@@ -48,13 +50,21 @@ class PoseModel:
     """Torque that each joint carries at rest (n,) [N·m, N]."""
     frames: Array
     """Turns link frames into the tool's (n, 3, 3)."""
+    rocked: Array
+    """Moment on the base about each axis of its plate by joint acceleration (ROCKS, n) [kg·m²]."""
+    moment: Array
+    """The same at rest (ROCKS,) [N·m]."""
+    bulk: Array
+    """Inertia of the whole arm about each (ROCKS,) [kg·m²]."""
+    swung: Array
+    """Acceleration of the tool by angular acceleration about each, tool frame (ROCKS, 3)."""
 
     def tilt(self, acceleration: ComplexArray, hertz: Array) -> ComplexArray:
         """Gravity that turns through the sensor (k, 3), by lines of joint acceleration (k, n)."""
         angle = -acceleration / (_TURN * hertz[:, None]) ** 2
         return np.cross(self.up[None], angle @ self.turning.T)
 
-    def throws(self, stiffening: Array) -> tuple[Array, Array, Array]:
+    def throws(self, stiffening: Array) -> tuple[Array, Array, Array, Array]:
         """Motion of the tool by a force pair within the arm, above the modes of its gears.
 
         Parameters
@@ -69,15 +79,21 @@ class PoseModel:
             Acceleration of the tool by unit force across each seat (n, 3, 3), tool by link frame.
         stiff : ndarray
             Force by unit acceleration of each seat's opening, link frame (n, 3, 3) [kg].
-        joints : ndarray
-            Acceleration of the tool by unit torque pair in each joint (n, 3).
+        turns : ndarray
+            Acceleration of the tool by unit torque pair in each joint, and about each axis of the
+            base (n + ROCKS, 3).
+        free : ndarray
+            Inertia that such a torque accelerates (n + ROCKS,) [kg·m², kg].
         """
         inverse = np.linalg.inv(self.inertia + np.diag(stiffening))
         seats, stiff = [], []
         for frame, carried, mass in zip(self.frames, self.carried, self.mass, strict=True):
             seats.append(frame - self.jacobian @ inverse @ carried.T)
             stiff.append(mass * np.eye(3) - carried @ inverse @ carried.T)
-        return np.array(seats), np.array(stiff), (self.jacobian @ inverse).T
+        base = self.bulk - np.einsum("ki,ij,kj->k", self.rocked, inverse, self.rocked)
+        swings = (self.swung - self.rocked @ (self.jacobian @ inverse).T) / base[:, None]
+        turns = np.vstack([(self.jacobian @ inverse).T, swings])
+        return np.array(seats), np.array(stiff), turns, np.r_[1 / np.diag(inverse), base]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,11 +124,18 @@ class SuspectArm:
 
     @property
     def places(self) -> tuple[str, ...]:
-        """Names of all places that can be loose: seats of the links, then teeth of the joints."""
+        """Names of all places that can be loose: seats of links, teeth of joints, the base."""
         return (
             *(place_name(BOLTS, link) for link in self.links),
             *(place_name(GEARS, joint) for joint in self.joints),
+            place_name(BOLTS, self.base),
         )
+
+    @cached_property
+    def base(self) -> str:
+        """Body that carries the first link and is bolted to the ground."""
+        parent = int(self.model.body_parentid[self.model.body(self.links[0]).id])
+        return self.model.body(parent).name if parent else "base"
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -178,6 +201,7 @@ class SuspectArm:
             mass.append(total)
             weight.append(-total * turned.T @ gravity)
             frames.append(tool.T @ turned)
+        rocked, moment, bulk, swung = self._rocking(data, data.site_xpos[site], gravity)
         return PoseModel(
             inertia=inertia,
             jacobian=tool.T @ move[:, dofs],
@@ -188,7 +212,33 @@ class SuspectArm:
             weight=np.array(weight),
             torque=np.array(data.qfrc_bias[dofs]),
             frames=np.array(frames),
+            rocked=rocked,
+            moment=moment,
+            bulk=bulk,
+            swung=swung @ tool,
         )
+
+    def _rocking(
+        self, data: mujoco.MjData, site: Array, gravity: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Moment by joint acceleration and at rest, inertia, and swing of the tool by each axis."""
+        m, first = self.model, self.model.body(self.links[0]).id
+        base = int(m.body_parentid[first])
+        origin = data.xpos[base if base else first]
+        angle = np.pi * np.arange(ROCKS) / ROCKS
+        plate = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+        axes = plate @ data.xmat[base].reshape(3, 3).T
+        move, turn = np.zeros((3, m.nv)), np.zeros((3, m.nv))
+        by, moment, bulk = np.zeros((3, m.nv)), np.zeros(3), np.zeros((3, 3))
+        for b in np.flatnonzero(carried_bodies(m, base if base else first)):
+            mujoco.mj_jacBodyCom(m, data, move, turn, int(b))
+            arm, own = data.xipos[b] - origin, data.ximat[b].reshape(3, 3)
+            spin = own @ np.diag(m.body_inertia[b]) @ own.T
+            by += m.body_mass[b] * np.cross(arm, move, axisb=0, axisc=0) + spin @ turn
+            moment -= m.body_mass[b] * np.cross(arm, gravity)
+            bulk += m.body_mass[b] * (arm @ arm * np.eye(3) - np.outer(arm, arm)) + spin
+        inertia = np.einsum("ka,ab,kb->k", axes, bulk, axes)
+        return axes @ by[:, self.dofs], axes @ moment, inertia, np.cross(axes, site - origin)
 
 
 def read_arm(

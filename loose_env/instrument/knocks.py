@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from loose_env.instrument.arm import PoseModel
+from loose_env.instrument.arm import ROCKS, PoseModel
 from loose_env.typing import Array
 
 DIRECTIONS = 240
@@ -37,8 +37,9 @@ class Loads:
 
     seats: Array
     """Force of each seat on all beyond it, link frame (n, GRID, 3) [N]."""
-    teeth: Array
-    """Torque of each joint's teeth (n, GRID) [N·m, N]."""
+    turning: Array
+    """Torque of each joint's teeth, and on the base about each of its axes (n + ROCKS, GRID)
+    [N·m, N]."""
     mass: Array
     """Mass beyond each seat (n,) [kg]."""
     throws: Array
@@ -46,9 +47,9 @@ class Loads:
     stiff: Array
     """Force by unit acceleration of each seat's opening (n, 3, 3) [kg]."""
     turns: Array
-    """Acceleration of the tool by unit torque in each joint (n, 3)."""
+    """Acceleration of the tool by unit torque of each (n + ROCKS, 3)."""
     inertia: Array
-    """Inertia that flies free when a joint's teeth part (n,) [kg·m², kg]."""
+    """Inertia that flies free when it parts (n + ROCKS,) [kg·m², kg]."""
 
     def along(self, link: int, directions: Array) -> tuple[Array, Array, Array]:
         """Load (D, GRID), mass (D,) and throw of the tool (D, 3) of a seat along directions."""
@@ -59,7 +60,7 @@ class Loads:
 
 def loads_of(model: PoseModel, acceleration: Array, stiffening: Array) -> Loads:
     """Loads under link accelerations (GRID, n), gravity included."""
-    throws, stiff, turns = model.throws(stiffening)
+    throws, stiff, turns, free = model.throws(stiffening)
     inertia = model.inertia + np.diag(np.maximum(stiffening, 0.0))
     seats = [
         acceleration @ carried.T + weight
@@ -67,12 +68,17 @@ def loads_of(model: PoseModel, acceleration: Array, stiffening: Array) -> Loads:
     ]
     return Loads(
         seats=np.array(seats),
-        teeth=(acceleration @ inertia + model.torque).T,
+        turning=np.vstack(
+            [
+                (acceleration @ inertia + model.torque).T,
+                (acceleration @ model.rocked.T + model.moment).T,
+            ]
+        ),
         mass=model.mass,
         throws=throws,
         stiff=stiff,
         turns=turns,
-        inertia=1 / np.diag(np.linalg.inv(inertia)),
+        inertia=free,
     )
 
 
@@ -121,7 +127,7 @@ def rung(energy: Array, decay_s: float, period: float) -> Array:
 
 
 def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period: float) -> Array:
-    """Ringing that each hypothesis foretells (n D + n, GRID): seats by direction, then teeth.
+    """Ringing that each hypothesis foretells (H, GRID): seats by direction, teeth, the base.
 
     Parameters
     ----------
@@ -131,12 +137,12 @@ def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period
     """
     n = len(loads.seats)
     parts = [loads.along(link, directions) for link in range(n)]
-    load = np.concatenate([p[0] for p in parts] + [loads.teeth])
+    load = np.concatenate([p[0] for p in parts] + [loads.turning])
     mass = np.concatenate([p[1] for p in parts] + [loads.inertia])
     count = n * len(directions)
     gap = np.full(len(load), gap_mm * 1e-3)
-    gap[count:] = np.where(slides, gap_mm * 1e-3, gap_mm * 1e-2)
-    energy = knocks(load, mass, gap, _friction(loads, len(directions), slides), period)
+    gap[count:] = np.where(_sliding(slides), gap_mm * 1e-3, gap_mm * 1e-2)
+    energy = knocks(load, mass, gap, friction_of(loads, len(directions), slides), period)
     thrown = np.concatenate([p[2] for p in parts])
     loud = np.concatenate(
         [(thrown**2).sum(1), ((loads.turns * loads.inertia[:, None]) ** 2).sum(1)]
@@ -144,22 +150,33 @@ def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period
     return rung(energy * loud[:, None], _RING_S, period)
 
 
-def _friction(loads: Loads, directions: int, slides: Array) -> Array:
-    """Friction of every hypothesis (n D + n,) [N, N·m]."""
+def friction_of(loads: Loads, directions: int, slides: Array) -> Array:
+    """Friction of every hypothesis (H,) [N, N·m]."""
     each = np.minimum(SEAT_FRICTION_N, SEAT_FRICTION * 9.81 * loads.mass)
     seats = np.repeat(each, directions)
-    return np.concatenate([seats, np.where(slides, TEETH_FRICTION[1], TEETH_FRICTION[0])])
+    teeth = np.where(slides, TEETH_FRICTION[1], TEETH_FRICTION[0])
+    return np.concatenate([seats, teeth, np.full(ROCKS, SEAT_FRICTION_N * _PLATE_M)])
+
+
+_PLATE_M = 0.1
+"""Lever at which the bolts of a base hold it [m]."""
+
+
+def _sliding(slides: Array) -> Array:
+    """True where a joint slides, for each joint and each axis of the base (n + ROCKS,)."""
+    return np.concatenate([slides, np.zeros(ROCKS, dtype=bool)])
 
 
 def reversals(loads: Loads, speed: Array, period: float) -> Array:
     """Ringing that friction foretells (n, GRID): each motor turning round."""
     turned = (np.sign(speed) != np.sign(np.roll(speed, 1, 0))).astype(float).T
-    found: Array = rung(turned, _REVERSAL_S, period) * (loads.turns**2).sum(-1)[:, None]
+    loud = (loads.turns[: len(turned)] ** 2).sum(-1)
+    found: Array = rung(turned, _REVERSAL_S, period) * loud[:, None]
     return found
 
 
 def thrown(loads: Loads, directions: Array) -> Array:
-    """Unit direction in which each hypothesis throws the tool (n D + n, 3), as `trains`."""
+    """Unit direction in which each hypothesis throws the tool (H, 3), as `trains`."""
     seats = np.concatenate([directions @ loads.throws[link].T for link in range(len(loads.throws))])
     every = np.vstack([seats, loads.turns])
     found: Array = every / np.maximum(np.linalg.norm(every, axis=1, keepdims=True), 1e-12)
@@ -167,13 +184,13 @@ def thrown(loads: Loads, directions: Array) -> Array:
 
 
 def reversing(loads: Loads, directions: Array, slides: Array) -> Array:
-    """How far each place's load reverses (n D + n,): the smaller of its two peaks over friction.
+    """How far each hypothesis' load reverses (H,): the smaller of its two peaks over friction.
 
     A seat or a joint whose load stays on one side, or within friction, cannot knock: it is not
     tested by this pose.
     """
     n = len(loads.seats)
-    load = np.concatenate([directions @ loads.seats[link].T for link in range(n)] + [loads.teeth])
-    friction = _friction(loads, len(directions), slides)
+    load = np.concatenate([directions @ loads.seats[link].T for link in range(n)] + [loads.turning])
+    friction = friction_of(loads, len(directions), slides)
     found: Array = np.minimum(load.max(1), -load.min(1)) / friction
     return found

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loose_env.instrument import knocks
-from loose_env.instrument.arm import BOLTS, GEARS, PoseModel, SuspectArm, place_name
+from loose_env.instrument.arm import BOLTS, GEARS, ROCKS, PoseModel, SuspectArm, place_name
 from loose_env.instrument.motion import Gears, accelerations, rotor_speeds
 from loose_env.instrument.records import GRID, Record
 from loose_env.instrument.signals import Multisine
@@ -39,28 +39,27 @@ class Heard:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rhythm:
-    """Agreement of every hypothesis with what was heard; H: seats by direction, then teeth."""
+    """Agreement of every hypothesis with what was heard; H: seats by direction, teeth, the base."""
 
     labels: tuple[tuple[str, int, int], ...]
-    """Kind, link or joint, and index of the direction (H,)."""
+    """Kind, link or joint or n for the base, and index of the direction or axis (H,)."""
     directions: Array
     """Directions of seats (D, 3), link frame."""
     timing: Array
     """Correlation of foretold and heard amplitude beyond friction, all poses together (H,)."""
     gap_mm: Array
     """Clearance at which it is highest (H,) [mm]."""
-    moments: Array
-    """Of it by pose: covariance, power foretold, power heard (R, 3, H)."""
     throws: Array
     """Direction in which each would throw the tool (R, H, 3)."""
     chance: float
     """Highest correlation of any hypothesis with what was heard at other times [1]: a few strikes
-    of a cable agree with some place by chance, and do so as well when they are shifted. 0 beside a
-    place that is known to knock."""
+    of a cable agree with some place by chance, and do so as well when they are shifted."""
     friction: float
     """Share of the variance heard that reversals of friction explain [1]."""
     reversing: Array
     """How far each hypothesis' load reverses, over friction (R, H)."""
+    held: Array
+    """The same as a load, in the pose where it is largest (H,) [N, N·m]."""
 
 
 def hear(
@@ -110,54 +109,45 @@ _DAY = 1.3
 changes by 15 % with temperature (Bittencourt and Gunnarsson 2012)."""
 
 
-def rhythm_of(heard: Heard, directions: Array, *, beside: Sequence[Array] | None = None) -> Rhythm:
+def rhythm_of(heard: Heard, directions: Array) -> Rhythm:
     """Correlate what was heard with what each hypothesis foretells.
 
     Parameters
     ----------
     directions : ndarray
         Directions of seats that are tried (D, 3), link frame.
-    beside : sequence of ndarray, optional
-        Amplitude foretold by a place that is known to knock, in each pose (GRID,): the rest is
-        judged.
     """
     n = len(heard.slides)
     labels = tuple((BOLTS, i, d) for i in range(n) for d in range(len(directions)))
     labels += tuple((GEARS, j, -1) for j in range(n))
-    explained = heard.friction
-    if beside is not None:
-        explained = tuple(np.vstack([f, b]) for f, b in zip(heard.friction, beside, strict=True))
+    labels += tuple((BOLTS, n, k) for k in range(ROCKS))
     timing = np.full(len(labels), -1.0)
-    gap_mm = np.zeros(len(labels))
-    moments, share = np.zeros((len(heard.amplitude), 3, len(labels))), 0.0
-    shifts, chance = None, 0.0
-    if beside is None:  # what agrees by chance is asked of the whole
-        rng = np.random.default_rng(_SHIFTS)
-        shifts = rng.integers(GRID, size=(_SHIFTS, len(heard.amplitude)), dtype=np.intp)
+    gap_mm, share, chance = np.zeros(len(labels)), 0.0, 0.0
+    rng = np.random.default_rng(_SHIFTS)
+    shifts = rng.integers(GRID, size=(_SHIFTS, len(heard.amplitude)), dtype=np.intp)
     for loads, gaps in ((heard.elastic, GAPS_MM), (heard.rigid, RIGID_GAPS_MM)):
         for gap in gaps:
             told = [
                 np.sqrt(knocks.trains(own, directions, gap, heard.slides, heard.period_s))
                 for own in loads
             ]
-            found, parts, share, other = correlation(heard.amplitude, told, explained, shifts)
+            found, share, other = correlation(heard.amplitude, told, heard.friction, shifts)
             chance = max(chance, other)
             better = found > timing
             timing = np.maximum(timing, found)
             gap_mm[better] = gap if loads is heard.elastic else -gap
-            moments = np.where(better, parts, moments)
+    reversing = [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
+    resists = [knocks.friction_of(own, len(directions), heard.slides) for own in heard.elastic]
     return Rhythm(
         labels=labels,
         directions=directions,
         timing=timing,
         gap_mm=gap_mm,
-        moments=moments,
         throws=np.array([knocks.thrown(own, directions) for own in heard.free]),
         chance=chance,
         friction=share,
-        reversing=np.array(
-            [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
-        ),
+        reversing=np.array(reversing),
+        held=(np.array(reversing) * np.array(resists)).max(0),
     )
 
 
@@ -168,27 +158,14 @@ def foretold(heard: Heard, rhythm: Rhythm, hypothesis: int) -> list[Array]:
     return [_told(heard, rhythm, hypothesis, own, abs(gap)) for own in loads]
 
 
-def beside(heard: Heard, rhythm: Rhythm, best: int) -> float:
-    """Correlation of another place's knocks beside what the best one foretells."""
-    told = [
-        np.array(
-            [_told(heard, rhythm, best, elastic, gap) for gap in GAPS_MM]
-            + [_told(heard, rhythm, best, rigid, gap) for gap in RIGID_GAPS_MM]
-        )
-        for elastic, rigid in zip(heard.elastic, heard.rigid, strict=True)
-    ]
-    beyond = rhythm_of(heard, rhythm.directions[::4], beside=told)
-    other = [label[:2] != rhythm.labels[best][:2] for label in beyond.labels]
-    return float(beyond.timing[other].max())
-
-
 def _told(
     heard: Heard, rhythm: Rhythm, hypothesis: int, loads: knocks.Loads, gap_mm: float
 ) -> Array:
     """Amplitude that one hypothesis foretells under loads, at a clearance (GRID,)."""
     kind, i, d = rhythm.labels[hypothesis]
-    row = i if kind == BOLTS else len(heard.slides) + i
-    own = rhythm.directions[[max(d, 0)]]
+    n = len(heard.slides)
+    row = 2 * n + d if i == n else i if kind == BOLTS else n + i
+    own = rhythm.directions[[max(d, 0) * (i < n)]]
     found: Array = np.sqrt(knocks.trains(loads, own, gap_mm, heard.slides, heard.period_s)[row])
     return found
 
@@ -202,7 +179,7 @@ def correlation(
     told: Sequence[Array],
     friction: Sequence[Array],
     shifts: IndexArray | None = None,
-) -> tuple[Array, Array, float, float]:
+) -> tuple[Array, float, float]:
     """Correlation of amplitudes over all poses together, what friction explains projected out.
 
     Parameters
@@ -220,8 +197,6 @@ def correlation(
     -------
     correlation : ndarray
         Of each hypothesis (H,); 0 where friction foretells the same.
-    moments : ndarray
-        Covariance, power foretold and power heard by pose (R, 3, H).
     share : float
         Of the variance heard that friction explains.
     chance : float
@@ -245,13 +220,7 @@ def correlation(
         moved = moved - span.T @ (span @ moved)
         by = np.where(clear, x @ moved / np.maximum(size * np.linalg.norm(moved), 1e-30), 0.0)
         chance = max(chance, float(by.max()))
-    parts, at = [], 0
-    for own in heard:
-        s = slice(at, at + len(own))
-        at += len(own)
-        power = np.full(len(x), float(y[s] @ y[s]))
-        parts.append([(x[:, s] @ y[s]) * clear, (x[:, s] ** 2).sum(1), power])
-    return found, np.array(parts), 1 - float(y @ y) / max(variance, 1e-30), chance
+    return found, 1 - float(y @ y) / max(variance, 1e-30), chance
 
 
 def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
@@ -285,6 +254,6 @@ _SPREAD = 0.02
 def names_of(arm: SuspectArm, rhythm: Rhythm) -> list[str]:
     """Place of every hypothesis (H,)."""
     return [
-        place_name(kind, arm.links[i] if kind == BOLTS else arm.joints[i])
+        place_name(kind, (*arm.links, arm.base)[i] if kind == BOLTS else arm.joints[i])
         for kind, i, _ in rhythm.labels
     ]

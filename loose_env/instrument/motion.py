@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 
 from loose_env.instrument.arm import PoseModel, SuspectArm
 from loose_env.instrument.records import GRID, Record
@@ -206,6 +206,22 @@ def rotor_speeds(record: Record, period: float) -> Array:
 _SOFTER = (0.15, 0.3, 0.45, 0.6, 0.75, 0.88, 1.0)
 """Springs tried, over the healthy one's [1]."""
 _LOSSIER = (_LOSS, 0.3, 0.8)
+_HEAVIER = (-0.4, 4.0)
+"""Range of the mass at the tool, over the mass that the tool feels like when it is pushed [1]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Softening:
+    """Share of the tool's motion left by the healthy gears, and by others [1]; n joints."""
+
+    none: float
+    """With the healthy gears."""
+    joints: Array
+    """With the one joint softer that is best (n,)."""
+    payload: float
+    """With the payload that is best."""
+    payload_kg: float
+    """That payload, over the healthy day's [kg]."""
 
 
 def softening(
@@ -213,23 +229,40 @@ def softening(
     models: Sequence[PoseModel],
     gears: Gears,
     signal: Multisine,
-) -> tuple[Array, float]:
-    """Tool motion left where one joint may have become softer than on the healthy day.
-
-    Returns the share left for each joint (n,), and where none may.
-    """
-    tried = [(f, loss) for f in _SOFTER for loss in _LOSSIER]
+) -> Softening:
+    """Tool motion left where one joint has become softer, or the tool heavier."""
     n = len(gears.spring)
-    left = np.zeros((n, len(tried)))
-    for index, (record, model) in enumerate(zip(records, models, strict=True)):
-        read = turned(record, gears, index, signal.excited, signal.period_s)
-        own, size = record.joints[signal.excited], float(np.mean(np.abs(read) ** 2))
-        for j in range(n):
-            for c, (factor, loss) in enumerate(tried):
-                spring, losses = gears.spring.copy(), np.full(n, _LOSS)
-                spring[j], losses[j] = spring[j] * factor, loss
-                moved = links_of(own, model, spring, gears.rotor, signal.hertz, losses)
-                told = moved @ model.jacobian.T + model.tilt(moved, signal.hertz)
-                e = np.abs(read - told) ** 2 / size
-                left[j, c] += np.mean(e / (1 + e)) / len(records)
-    return left.min(1), float(left[0, tried.index((1.0, _LOSS))])
+    rotors = np.diag(gears.rotor)
+    felt = [3 / np.trace(m.jacobian @ np.linalg.inv(m.inertia + rotors) @ m.jacobian.T)
+            for m in models]  # fmt: skip
+    reads = [turned(r, gears, k, signal.excited, signal.period_s) for k, r in enumerate(records)]
+
+    def left(factors: Array, losses: Array, load: float) -> float:
+        """Share left with springs by factors, and a mass at the tool."""
+        shares = []
+        for record, model, read in zip(records, models, reads, strict=True):
+            inertia = model.inertia + load * model.jacobian.T @ model.jacobian
+            moved = links_of(
+                record.joints[signal.excited], replace(model, inertia=inertia),
+                gears.spring * factors, gears.rotor, signal.hertz, losses,
+            )  # fmt: skip
+            told = moved @ model.jacobian.T + model.tilt(moved, signal.hertz)
+            e = np.abs(read - told) ** 2 / float(np.mean(np.abs(read) ** 2))
+            shares.append(np.mean(e / (1 + e)))
+        return float(np.mean(shares))
+
+    ones, loss = np.ones(n), np.full(n, _LOSS)
+    softer = np.zeros((n, len(_SOFTER), len(_LOSSIER)))
+    for j, a, b in np.ndindex(softer.shape):
+        at = np.arange(n) == j
+        softer[j, a, b] = left(np.where(at, _SOFTER[a], 1.0), np.where(at, _LOSSIER[b], _LOSS), 0.0)
+    bounds = np.array(_HEAVIER) * float(np.mean(felt))
+    heavy = minimize_scalar(
+        lambda load: left(ones, loss, load), bounds=bounds, options={"xatol": 0.01 * bounds[1]}
+    )
+    return Softening(
+        none=left(ones, loss, 0.0),
+        joints=softer.min((1, 2)),
+        payload=float(heavy.fun),
+        payload_kg=float(heavy.x),
+    )

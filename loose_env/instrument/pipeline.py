@@ -18,7 +18,6 @@ from loose_env.instrument.decide import Alarm, Scores
 from loose_env.instrument.locate import (
     Heard,
     Rhythm,
-    beside,
     foretold,
     hear,
     names_of,
@@ -27,7 +26,7 @@ from loose_env.instrument.locate import (
 from loose_env.instrument.motion import Gears, fit_gears
 from loose_env.instrument.plan import Plan, read_plan
 from loose_env.instrument.poses import is_tested_share, tested_share
-from loose_env.instrument.records import GRID, Record, Unusable, exchanged
+from loose_env.instrument.records import GRID, Record, Unusable, exchanged, followed_hz
 from loose_env.instrument.reference import Change, change, pairs
 from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
 from loose_env.instrument.signals import Multisine
@@ -108,9 +107,40 @@ def diagnose(
     >>> found.headline  # doctest: +SKIP
     'The seat of link forearm is loose.'
     """
-    started = time.process_time()
     own = settings or DiagnoseSettings()
     limits = replace(numbers or decide.Numbers(), sure=own.sure)
+    return judge(listen(recording, own, plan=plan, say=say), limits)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evidence:
+    """What a session says before anything is decided."""
+
+    recording: Recording
+    plan: Plan
+    arm: SuspectArm
+    session: _Session
+    exchanged: tuple[str, ...]
+    """Columns that are not what they are called, in sentences."""
+    started: float
+    """Processor time at which it was begun [s]."""
+    gears: Gears | None = None
+    heard: Heard | None = None
+    rhythm: Rhythm | None = None
+    """None, as the two before, where too few runs can be used or columns are exchanged."""
+    change: Change | None = None
+    """Against the healthy session; None without."""
+
+
+def listen(
+    recording: Recording,
+    settings: DiagnoseSettings,
+    *,
+    plan: Plan | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> Evidence:
+    """Read a session, follow the loads of every place, and compare with what rang."""
+    started = time.process_time()
     plan, arm = plan or read_plan(recording.folder), read_arm(recording.model_path)
     if plan.joints != arm.joints:
         raise InvalidData(
@@ -118,28 +148,39 @@ def diagnose(
             f"has {', '.join(arm.joints)}; give the recording the plan that it was played by"
         )
     signal = plan.signal.signal
-    session = _read(arm, recording, plan, own)
-    done = _Finished(recording, plan, limits, session, started)
-    if len(session.suspect) < decide.FEWEST_POSES:
-        return done.unread(arm)
-    twisted = exchanged(session.suspect, signal, arm.joints)
-    if twisted:
-        return done.refused(arm, twisted)
-
+    session = _read(arm, recording, plan, settings)
+    enough = len(session.suspect) >= decide.FEWEST_POSES
+    twisted = exchanged(session.suspect, signal, arm.joints) if enough else ()
+    found = Evidence(
+        recording=recording, plan=plan, arm=arm, session=session, exchanged=twisted, started=started
+    )
+    if twisted or not enough:
+        return found
     models = [arm.at(record.pose) for record in session.suspect]
     say(f"fitting {arm.n} gears from encoders to tool by {len(models)} runs")
     gears, compared = _gears(arm, session, models, signal)
     heard = hear(arm, session.suspect, models, gears, signal, healthy=session.healthy or None)
-    say(f"following the loads of {2 * arm.n} places")
+    say(f"following the loads of {len(arm.places)} places")
     rhythm = rhythm_of(heard, knocks.sphere(knocks.DIRECTIONS))
+    session = replace(session, remarks=session.remarks + _short(session, plan))
+    return replace(found, session=session, gears=gears, heard=heard, rhythm=rhythm, change=compared)
+
+
+def judge(found: Evidence, numbers: decide.Numbers) -> Diagnosis:
+    """Decide what the evidence of a session means."""
+    arm, session = found.arm, found.session
+    done = _Finished(found.recording, found.plan, numbers, session, found.started)
+    if found.exchanged:
+        return done.refused(arm, found.exchanged)
+    if found.rhythm is None or found.heard is None or found.gears is None:
+        return done.unread(arm)
     steady = decide.repeats(session.suspect)
-    alarm = decide.detect(rhythm, limits, change=compared, repeats=steady)
+    alarm = decide.detect(found.rhythm, numbers, change=found.change, repeats=steady)
     scores = decide.score(
-        arm, rhythm, session.suspect, gears, np.random.default_rng(0),
-        numbers=limits,
-        change=compared, healthy=session.healthy or None,
+        arm, found.rhythm, session.suspect, found.gears,
+        numbers=numbers, change=found.change, healthy=session.healthy or None,
     )  # fmt: skip
-    return done.judged(arm, heard, rhythm, alarm, scores, gears)
+    return done.judged(arm, found.heard, found.rhythm, alarm, scores, found.gears)
 
 
 def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettings) -> _Session:
@@ -189,6 +230,23 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
         healthy=tuple(healthy),
         runs=tuple(runs),
         remarks=tuple(remarks),
+    )
+
+
+def _short(session: _Session, plan: Plan) -> tuple[str, ...]:
+    """Remark on joints that did not follow their commands up to the highest line."""
+    peaks = {Path(run.file).stem: run.peak for run in plan.runs}
+    played = [r for r in session.suspect if Path(r.name).stem in peaks]
+    if not played or plan.settings.limits.commands == "torque":
+        return ()
+    own = [peaks[Path(r.name).stem] for r in played]
+    band = followed_hz(played, own, plan.signal.signal, plan.joints)
+    if not band:
+        return ()
+    lowest = min(band.values())
+    return (
+        f"{', '.join(band)} followed less than half of the command above {lowest:g} Hz: a plan "
+        f"with --bandwidth-hz {lowest:g} shakes harder below it",
     )
 
 
@@ -268,26 +326,30 @@ class _Finished:
         hobby = self.plan.hobby
         top = scores.order[0]
         told = foretold(heard, rhythm, scores.best[top])
-        second = beside(heard, rhythm, scores.best[top]) if alarm.loose else 0.0
-        several = second > self.numbers.second
         sure = bool(scores.probability[top] >= self.numbers.sure)  # JSON has no numpy.bool
-        settled = alarm.loose and sure and not several and not hobby
+        settled = alarm.loose and sure and not hobby
         places = _places(arm, rhythm, alarm, scores, settled=settled)
         remarks = list(self.session.remarks)
+        heavier = alarm.evidence.get("payload_kg", 0.0)
+        if heavier and not alarm.loose:
+            remarks.append(
+                f"the arm moves as if its tool carried {abs(heavier):.2g} kg "
+                f"{'more' if heavier > 0 else 'less'} than on the healthy day"
+            )
         if gears.left > _POOR:
             remarks.append(
                 f"the model leaves {100 * gears.left:.0f} % of the tool's slow motion: check "
                 "link lengths, joint zeros and the accelerometer's place in the model"
             )
-        headline, remedy = _words(places, alarm, settled=settled, several=several, hobby=hobby)
+        headline, remedy = _words(places, alarm, settled=settled, hobby=hobby)
         runs = self._with_told(heard, told, alarm.loose)
         verdict: Verdict = (
             "loose" if alarm.loose else "open" if alarm.louder or alarm.masked else "tight"
         )
         return self._result(
             verdict, headline, remedy, places,
-            settled=settled, several=several, reasons=alarm.reasons, remarks=tuple(remarks),
-            evidence={**alarm.evidence, "gears_left": gears.left, "second": second}, runs=runs,
+            settled=settled, reasons=alarm.reasons, remarks=tuple(remarks),
+            evidence={**alarm.evidence, "gears_left": gears.left}, runs=runs,
         )  # fmt: skip
 
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
@@ -319,7 +381,6 @@ class _Finished:
         places: tuple[Place, ...],
         *,
         settled: bool = False,
-        several: bool = False,
         reasons: tuple[str, ...] = (),
         remarks: tuple[str, ...] | None = None,
         evidence: Mapping[str, float] | None = None,
@@ -334,7 +395,6 @@ class _Finished:
             remedy=remedy,
             places=places,
             settled=settled,
-            several=several,
             reasons=reasons,
             remarks=self.session.remarks if remarks is None else remarks,
             evidence=evidence or {},
@@ -373,6 +433,7 @@ def _untold(arm: SuspectArm) -> tuple[Place, ...]:
                 rhythm=0.0,
                 tested=0.0,
                 why="no run can be used",
+                base=at == arm.base,
             )
         )
     return tuple(found)
@@ -389,13 +450,14 @@ def _places(
     reversed_ = tested_share(rhythm.reversing, arm.n, len(rhythm.directions))
     shares = dict(zip(arm.places, reversed_.tolist(), strict=True))
     names = np.array(names_of(arm, rhythm))
+    slides = dict(zip(arm.joints, arm.slides, strict=True))
     found = []
     for rank, place in enumerate(scores.order):
         kind, at = place.split("@", 1)
         best = scores.best[place]
         chance = scores.probability[place] if alarm.loose else 0.0
         direction = None
-        if kind == BOLTS:
+        if kind == BOLTS and at != arm.base:
             d = rhythm.directions[rhythm.labels[best][2]]
             direction = (round(float(d[0]), 5), round(float(d[1]), 5), round(float(d[2]), 5))
         verdict: PlaceVerdict
@@ -403,16 +465,14 @@ def _places(
             verdict, why = "loose", alarm.reasons[0]
         elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
             verdict = "suspect"
-            why = (
-                "the session does not tell it from the other suspects"
-                if chance < 1 - _LISTED
-                else "the top band rings in its rhythm"
-            )
+            why = "the session does not tell it from the other suspects"
         elif alarm.masked:
             verdict, why = "not tested", "other strikes hide whether it knocks"
         elif is_tested_share(shares[place]):
             verdict = "tight"
-            why = "its load reversed, and " + (
+            turns = at == arm.base or (kind != BOLTS and not slides[at])
+            held = f"{np.median(rhythm.held[names == place]):.2g} {'N·m' if turns else 'N'}"
+            why = f"its load reversed by up to {held}, and " + (
                 "another place fits what was heard better" if alarm.loose else "it was not heard"
             )
         else:
@@ -427,6 +487,7 @@ def _places(
                 tested=round(shares[place], 3),
                 direction=direction,
                 why=why,
+                base=at == arm.base,
             )
         )
     return tuple(found)
@@ -438,9 +499,7 @@ def _untested_words(share: float, kind: str) -> str:
     return "its load never reversed beyond friction: it would stay shut if it were loose"
 
 
-def _words(
-    places: Sequence[Place], alarm: Alarm, *, settled: bool, several: bool, hobby: bool
-) -> tuple[str, str]:
+def _words(places: Sequence[Place], alarm: Alarm, *, settled: bool, hobby: bool) -> tuple[str, str]:
     """Headline and remedy."""
     untested = [p for p in places if p.verdict == "not tested"]
     if alarm.masked:
@@ -468,12 +527,6 @@ def _words(
             "Something knocks, as in every arm of this class.",
             "Compare with the same session of another month: loose trend.",
         )
-    if several:
-        suspects = " and ".join(p.words for p in places[:2])
-        return (
-            f"More than one place knocks; {suspects} fit best.",
-            f"Check {top.words} first, then repeat the session.",
-        )
     if settled:
         return f"{top.words[0].upper()}{top.words[1:]} is loose.", _work(top)
     listed = " or ".join([p.words for p in places if p.verdict == "suspect"][:3])
@@ -485,5 +538,8 @@ def _words(
 
 def _work(place: Place) -> str:
     if place.kind == BOLTS:
-        return f"Torque the bolts at {place.words}, then repeat the session."
-    return f"Measure the play at {place.words}, and repeat the session after the repair."
+        return f"Torque the bolts at {place.words}, then repeat the session: {_AGAIN}."
+    return f"Measure the play at {place.words}, repair it, then repeat the session: {_AGAIN}."
+
+
+_AGAIN = "a second loose place is heard once the louder one is tight"

@@ -9,7 +9,7 @@ import numpy as np
 
 from loose_env.errors import InvalidSetting
 from loose_env.instrument import knocks
-from loose_env.instrument.arm import PoseModel, SuspectArm
+from loose_env.instrument.arm import ROCKS, PoseModel, SuspectArm
 from loose_env.instrument.controllers import Controller
 from loose_env.instrument.signals import Multisine, peaks
 from loose_env.typing import Array
@@ -60,8 +60,10 @@ def candidate(arm: SuspectArm, pose: Array, signal: Multisine, controller: Contr
 
 
 def owners(n: int, directions: int = _COARSE) -> Array:
-    """Place of each hypothesis (H,): seats 0 to n - 1, teeth n to 2 n - 1."""
-    return np.concatenate([np.repeat(np.arange(n), directions), n + np.arange(n)])
+    """Place of each hypothesis (H,): seats 0 to n - 1, teeth n to 2 n - 1, the base 2 n."""
+    return np.concatenate(
+        [np.repeat(np.arange(n), directions), n + np.arange(n), np.full(ROCKS, 2 * n)]
+    )
 
 
 def choose_poses(
@@ -82,7 +84,8 @@ def choose_poses(
     low, high : ndarray
         Room of the poses (n,) [rad, m].
     wanted : sequence of int
-        Places that count alone, as `owners` numbers them; by default all.
+        Places that count alone, as `owners` numbers them; by default all but the base, which every
+        pose loads.
 
     Raises
     ------
@@ -103,10 +106,11 @@ def choose_poses(
     owner = owners(arm.n)
     counts = np.isin(owner, list(wanted) or range(2 * arm.n))
     weight = counts / np.bincount(owner)[owner]  # each place counts once
-    same = owner[:, None] == owner[None]
+    arms = owner < 2 * arm.n  # a rocking base is told from the arm's places, not they from it
+    same = owner[:, None] == owner[None, arms]
     apart = np.zeros(same.shape)
     tested = np.zeros(len(owner))
-    unlike = [1 - (c.throws @ c.throws.T) ** 2 for c in pool]
+    unlike = [1 - (c.throws @ c.throws[arms].T) ** 2 for c in pool]
     chosen: list[Candidate] = []
     left = list(range(len(pool)))
     while left and len(chosen) < count:
@@ -123,7 +127,7 @@ def choose_poses(
 
 
 def tested_share(reversing: Array, n: int, directions: int = _COARSE) -> Array:
-    """Share of each place's directions whose load reverses in some pose (2 n,), from (R, H)."""
+    """Share of each place's directions whose load reverses in some pose (2 n + 1,), from (R, H)."""
     owner = owners(n, directions)
     able = (reversing.max(0) >= REVERSES).astype(float)
     return np.bincount(owner, weights=able) / np.bincount(owner)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -302,6 +302,34 @@ def _ringing(
     least = each.min(0)
     kept = least if foreign else median
     return kept, float(least.mean()), floor, covariance, repeats, foreign
+
+
+def followed_hz(
+    records: Sequence[Record], peaks: Sequence[Mapping[str, float]], signal: Multisine,
+    joints: tuple[str, ...],
+) -> dict[str, float]:  # fmt: skip
+    """Highest line that each joint followed by half its command, where lines above it fell short.
+
+    Parameters
+    ----------
+    peaks : sequence of mapping
+        Peak acceleration of each joint that was played, by record [rad/s², m/s²].
+    """
+    shares = [
+        np.abs(record.joints[signal.excited])
+        / np.maximum([peak[j] for j in joints] / signal.crest, 1e-12)
+        for record, peak in zip(records, peaks, strict=True)
+    ]
+    short = np.median(shares, 0) < _FOLLOWS
+    found = {}
+    for name, each in zip(joints, short.T, strict=True):
+        if each[-1] and not each.all():
+            found[name] = float(signal.hertz[np.flatnonzero(~each)[-1]])
+    return found
+
+
+_FOLLOWS = 0.5
+"""Share of its command by which a joint follows a line: 6 dB, the usual end of a bandwidth [1]."""
 
 
 def exchanged(

@@ -84,6 +84,8 @@ class Change:
     """Log of the tool motion left where no joint may be softer, over where this one may (n,)."""
     stiff: float
     """Tool motion left with the healthy gears, over what they left on the healthy day [1]."""
+    payload_kg: float
+    """Mass at the tool that explains it better than any softer joint; 0 where a joint does [kg]."""
 
 
 def change(
@@ -96,11 +98,12 @@ def change(
 ) -> Change:
     """Compare records of a suspect and of a healthy session, pose by pose."""
     now, then = features(records, signal), features(healthy, signal)
-    left, none = softening(records, models, gears, signal)
+    left = softening(records, models, gears, signal)
     return Change(
         top=float((now.top - then.top).max()),
         even=float((now.even - then.even).max()),
         odd=float((now.odd - then.odd).max()),
-        softer=np.log(none / np.maximum(left, 1e-12)),
-        stiff=none / max(known.left, 1e-12),
+        softer=np.log(left.none / np.maximum(left.joints, 1e-12)),
+        stiff=left.none / max(known.left, 1e-12),
+        payload_kg=left.payload_kg if left.payload < left.joints.min() else 0.0,
     )

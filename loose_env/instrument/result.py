@@ -38,6 +38,8 @@ class Place:
     """Direction of a seat's slide, link frame, axial; None for a joint."""
     why: str = ""
     """Reason of the verdict, in a sentence."""
+    base: bool = False
+    """True for the seat of the arm's base on the ground."""
 
     @property
     def name(self) -> str:
@@ -47,6 +49,8 @@ class Place:
     @property
     def words(self) -> str:
         """Place for a reader."""
+        if self.base:
+            return "the seat of the base on the ground"
         if self.kind == BOLTS:
             return f"the seat of {_named('link', self.at)}"
         return f"the gear of {_named('joint', self.at)}"
@@ -94,8 +98,6 @@ class Diagnosis(JsonFile):
     """What to do next, in a sentence."""
     settled: bool
     """True if one place is sure."""
-    several: bool
-    """True if more than one place seems loose."""
     places: tuple[Place, ...]
     """All places, best first."""
     reasons: tuple[str, ...] = ()

@@ -21,7 +21,7 @@ BASELINE = 3
 _SPREADS = 4.0
 """Standard deviations of the first sessions' scatter that the band reaches beyond their mean: with
 three sessions a tenth of a per cent of a healthy arm's values lies above (Student, 2 degrees)."""
-_STATISTICS = ("rhythm", "top_db", "even_db", "odd_db")
+_STATISTICS = ("rhythm", "top_db")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,12 +136,7 @@ def trend(
 def _bands(visits: Sequence[Visit]) -> dict[str, float]:
     """Upper end of each statistic's band: a reference's limit, or the first sessions' scatter."""
     limits = Numbers()
-    found = {
-        "rhythm": limits.rhythm_beside,
-        "top_db": limits.top_db,
-        "even_db": limits.even_db,
-        "odd_db": limits.odd_db,
-    }
+    found = {"rhythm": limits.rhythm_beside, "top_db": limits.top_db}
     first = [v.values for v in visits[1:BASELINE]]
     if len(visits) > BASELINE and len(first) >= 2:
         for name in found:

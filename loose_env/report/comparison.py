@@ -311,6 +311,7 @@ def episode_timeline(
             batch.observe(0)[None], state, np.array([episode.records == 0]), deterministic=True
         )
         info = batch.step([0], [np.asarray(actions)[0]])[0].info
+        episode = batch.episode(0)
         if not episode.ended:
             caption = f"Record {episode.records}"
             cards.append(FigureCard(image=to_svg(picture.figure(episode)), caption=caption))

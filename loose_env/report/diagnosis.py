@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 _EVIDENCE = {
     "rhythm": ("Correlation of the best place's foretold knocks with what was heard", "", "rhythm"),
     "top_db": ("Rise of the top band over the healthy session", " dB", "top_db"),
-    "even_db": ("Rise of the even lines", " dB", "even_db"),
-    "odd_db": ("Rise of the odd lines left out", " dB", "odd_db"),
+    "even_db": ("Rise of the even lines", " dB", ""),
+    "odd_db": ("Rise of the odd lines left out", " dB", ""),
     "stiff": ("Growth of the tool's motion that the healthy gears leave", "", "stiff"),
-    "second": ("Correlation of a second place's knocks beside it", "", "second"),
+    "payload_kg": ("Mass at the tool that would explain it", " kg", ""),
     "friction": ("Correlation of the friction's rhythm with it", "", ""),
     "gears_left": ("Share of the tool's slow motion that the model leaves", "", ""),
 }
@@ -85,7 +85,7 @@ def diagnosis_commands(d: Diagnosis, recording: str = "", result: str = "") -> l
     model = path_word(own / MODEL)
     if d.hobby:
         return [f"loose trend EARLIER {path_word(own)} --out trend"]
-    if d.settled or d.several:
+    if d.settled:
         return [
             f"loose plan {model} --out session-after",
             f"loose diagnose session-after/{RECORDING} --out session-after/diagnosis",
@@ -186,7 +186,7 @@ def _evidence_table(d: Diagnosis) -> Table:
     rows = []
     for name, value in d.evidence.items():
         words, unit, setting = _EVIDENCE.get(name, (name, "", ""))
-        if setting == "rhythm" and d.evidence.get("top_db", 0.0) > d.settings.get("top_db", np.inf):
+        if setting == "rhythm" and d.reference:
             setting = "rhythm_beside"  # a lower limit holds where the top band was quieter
         limit = d.settings.get(setting)
         rows.append(
@@ -355,7 +355,9 @@ def arm_figure(arm: Arm, pose: Mapping[str, float], suspected: Place | None) -> 
     places = arm.seat_bodies if suspected and suspected.kind == BOLTS else arm.joints
     number = 0
     fault: Backlash | StructuralLooseness | None = None
-    if suspected is not None:
+    if suspected is not None and suspected.base:
+        number = 1
+    elif suspected is not None:
         if suspected.at not in places:
             raise InvalidData(f"{arm.name} has no {suspected.at}; it has {', '.join(places)}")
         number = places.index(suspected.at) + 1

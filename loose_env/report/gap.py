@@ -55,11 +55,12 @@ _HEADLINE = 60  # letters of the effects in the headline
 _RESPONSES = 4  # frequency responses drawn
 _SAMPLES = 500  # of an overlay
 _ADVICE = 10  # motions to record that a page lists
+_PAIRS = 2  # effects, or pairs of them, that one advice lists
 _CORRELATED = 0.5  # correlation of two parameters from which it is listed
 _AT_NOISE = 1.5  # noise standard deviations of a residual that leave nothing to explain
 _EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interval", "unit"]
 _CHANNELS = ["joint or reading", "verdict", "effects", "explained", "before", "after"]
-_DOUBTFUL = "Not named: improbable, or not confirmed by held-out data"
+_DOUBTFUL = "Fitted, and not named"
 _PULLED = "Beyond its tolerance"
 BEFORE, AFTER = TRUTH, MEASURED  # colours of the nominal and of the corrected model
 _UNIT = "before, after: residual on held-out data, in noise standard deviations (noise alone: 1)"
@@ -240,7 +241,7 @@ def check_text(found: Identifiability) -> str:
     kinds: dict[str, list[VisibleEffect]] = {}
     for effect in found.effects:
         kinds.setdefault(effect.kind, []).append(effect)
-    seen = [["effect", "visible from", "not visible at"]]
+    seen = [["effect", "smallest visible change", "not visible at"]]
     for kind, own in kinds.items():
         unseen = [e.where for e in own if not e.visible]
         sizes = _sizes([e for e in own if e.visible])
@@ -259,29 +260,35 @@ def _excitation(found: Identifiability) -> list[list[str]]:
 
 
 def _sizes(effects: Sequence[VisibleEffect]) -> str:
-    """Smallest visible sizes of one kind over its locations, by the unit of its first parameter."""
-    found: dict[str, dict[str, list[float]]] = {}
+    """Smallest visible sizes of one kind, where most and where least shows, by unit."""
+    found: dict[str, list[tuple[float, str, str]]] = {}
     for each in effects:
         first = next(iter(each.smallest), "")
         for name, value in each.smallest.items():
             if each.units.get(name) == each.units.get(first):
-                found.setdefault(each.units.get(name, ""), {}).setdefault(name, []).append(value)
+                found.setdefault(each.units.get(name, ""), []).append((value, each.where, name))
     words = []
-    for unit, names in found.items():
-        values = [value for own in names.values() for value in own]
-        ends = dict.fromkeys(f"{end:.3g}" for end in (min(values), max(values)))
-        words.append(f"{', '.join(names)} {' to '.join(ends)} {unit}".rstrip())
+    for unit, sizes in found.items():
+        names = ", ".join(sorted({name for *_, name in sizes}))
+        word = "below" if effects[0].below else "from"
+        ends = {f"{size:.3g}": f" ({where})" for size, where, _ in (min(sizes), max(sizes))}
+        said = [f"{size} {unit}".rstrip() + at * (len(ends) > 1) for size, at in ends.items()]
+        words.append(f"{names} {word} {' to '.join(said)}")
     return "; ".join(words)
 
 
 def _wanted(found: Identifiability) -> list[str]:
     """Motions that would show what these do not, or tell apart what these confuse."""
-    unseen: dict[str, list[VisibleEffect]] = {}
+    unseen: dict[str, dict[str, list[str]]] = {}
     for each in found.effects:
         if not each.visible:
-            unseen.setdefault(how_to_see(each.kind), []).append(each)
+            kinds = unseen.setdefault(how_to_see(each.kind), {})
+            kinds.setdefault(each.kind, []).append(each.where)
     alike = [(e, e.confusable_with) for e in found.effects if e.visible and e.confusable_with]
-    lines = [f"To see {together(effects)}: {advice}." for advice, effects in unseen.items()]
+    lines = [
+        f"To see {_few([effect_words(k, _few(w)) for k, w in kinds.items()])}: {advice}."
+        for advice, kinds in unseen.items()
+    ]
     return [*lines, *_separating("tell", alike, lambda e: kind_words(e.kind))]
 
 
@@ -299,7 +306,13 @@ def _separating(
         if one.kind == other.kind:  # of the same words
             said = [effect_words(e.kind, e.where) for e in (one, other)]
         own.setdefault(frozenset(said), " from ".join(said))
-    return [f"To {verb} {named_list([*v.values()])}: {advice}" for advice, v in found.items()]
+    return [f"To {verb} {_few([*v.values()])}: {advice}" for advice, v in found.items()]
+
+
+def _few(words: Sequence[str]) -> str:
+    """The first of some, and the number of the others."""
+    more = len(words) - _PAIRS
+    return named_list(list(words) if more < 2 else [*words[:_PAIRS], f"{more} others"])
 
 
 # Page
@@ -420,8 +433,9 @@ def _effects_section(solution: GapSolution) -> Section:
             for _, _, parameter, value, ends, unit, _ in rows
         ]
         row = [begun(name), "; ".join(values), likely or "-", others or "-"]
-        heads = ("Missing effect", "Parameters", "Probability", "Confusable with")
-        return dict(zip(heads, row, strict=True))
+        heads = ["Missing effect", "Parameters", "Probability", "Confusable with"]
+        more = {"Not named because": effect.doubt} if effect.doubt else {}
+        return dict(zip(heads, row, strict=True)) | more
 
     note = (
         "In brackets: 95 % intervals, as wide as the fit is uncertain, or as the stretches of the "

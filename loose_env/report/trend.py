@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 _NAMES = {
     "rhythm": "rhythm of the best place: correlation",
     "top_db": "top band over the first session [dB]",
-    "even_db": "even lines over the first session [dB]",
-    "odd_db": "odd lines left out, over the first session [dB]",
 }
-_SHORT = {"rhythm": "Rhythm", "top_db": "Top band", "even_db": "Even lines", "odd_db": "Odd lines"}
+_SHORT = {"rhythm": "Rhythm", "top_db": "Top band"}
 _TICKS = 8  # sessions named on an axis
 
 

@@ -1,13 +1,12 @@
 """Rigs: sources of measurements, simulated or recorded."""
 
 from loose_env.rig.plant import Plant, PlantShop
+from loose_env.rig.records import Job, Measurement, Records, Rig, Trials
 from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import (
-    Job,
-    Measurement,
     RecordedRig,
-    Rig,
     SimulatedRig,
+    SlotRig,
     decimation_filter,
     low_passed,
     read_accelerometer,
@@ -20,9 +19,12 @@ __all__ = [
     "Plant",
     "PlantShop",
     "RecordedRig",
+    "Records",
     "ReducedRig",
     "Rig",
     "SimulatedRig",
+    "SlotRig",
+    "Trials",
     "decimation_filter",
     "low_passed",
     "read_accelerometer",

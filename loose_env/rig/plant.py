@@ -15,7 +15,9 @@ from loose_env.arms import (
     LinkSite,
     MismatchDraw,
     MismatchIndices,
+    Shaker,
     add_shaker,
+    apply_mismatches,
     inertance_rate,
     link_site,
     place_shaker,
@@ -32,6 +34,7 @@ from loose_env.faults import (
     set_seat,
 )
 from loose_env.sensors import LinkAccelerometers, link_choice
+from loose_env.typing import Array
 
 __all__ = ["Plant", "PlantIndices", "PlantShop"]
 
@@ -92,83 +95,50 @@ class PlantIndices:
         )
 
 
+@dataclass(kw_only=True, eq=False)
 class Plant:
-    """One true arm: its compiled model and the indices of its parts.
+    """One true arm: its compiled model and the indices of its parts."""
 
-    Parameters
-    ----------
-    template : mujoco.MjModel
-        Compiled model with the fault's seat, left as it is.
-    arm : Arm
-        The nominal arm.
-    fault : Fault
-        The fault.
-    mismatch : MismatchDraw
-        How the true arm differs.
-    scratch : mujoco.MjData, optional
-        Scratch space of the template's layout.
-    indices : PlantIndices, optional
-        Those of the template.
-    model : mujoco.MjModel, optional
-        The model of a plant of the same template that is no longer needed: it becomes this one's.
-        A new one takes longer to make than all else.
-    """
+    fault: Fault
+    """The fault."""
+    mismatch: MismatchDraw
+    """How the true arm differs from the nominal one."""
+    model: mujoco.MjModel
+    """Compiled model with the fault's seat."""
+    indices: PlantIndices
+    """Indices of its parts."""
+    gaps: Array
+    """Travel of each part of the seat [m or rad]."""
+    shaker: Shaker | None
+    """Shaker beside the arm."""
 
-    def __init__(
-        self,
-        template: mujoco.MjModel,
-        arm: Arm,
-        fault: Fault,
-        mismatch: MismatchDraw,
-        scratch: mujoco.MjData | None = None,
-        indices: PlantIndices | None = None,
-        model: mujoco.MjModel | None = None,
-    ) -> None:
-        self.fault = fault
-        self.mismatch = mismatch
-        self.shaker = arm.shaker
-        if model is None:
-            model = copy.copy(template)
-        else:
-            for name in _KEPT:
-                getattr(model, name)[:] = getattr(template, name)
-            model.opt.gravity[:] = template.opt.gravity
-        self.model = model
-        self.indices = at = PlantIndices.of(template, arm) if indices is None else indices
-        data = mujoco.MjData(model) if scratch is None else scratch
-        mismatch.apply(model, arm, data, at.mismatch)
-        set_seat(model, fault, data, at.seat)
-        self.position, self.seat_positions = at.position, at.seat_positions
-        self.brakes, self.gears = at.brakes, at.gears
-        self.parts = len(at.seat_positions)  # degrees of freedom of the seat
-        # A healthy arm has one in whatever seat it stands.
-        self.gaps = np.resize(gaps_of(fault), self.parts)
-        self._set_brakes(arm)
+    @property
+    def parts(self) -> int:
+        """Degrees of freedom of the seat."""
+        return len(self.gaps)
 
-    def _set_brakes(self, arm: Arm) -> None:
-        model, held = self.model, self.brakes
-        step = model.opt.timestep
-        stiffness = np.array(arm.holding.stiffness) * self.mismatch.holding_stiffness
-        damping = np.array(arm.holding.damping) * self.mismatch.holding_damping
-        weight = model.dof_invweight0[self.indices.dofs]
-        # The damper acts on the velocity half a step ago, which takes damping * step / 2
-        # off the inertia; the inertance gives it back.
-        ratio = weight * (stiffness / inertance_rate(step) ** 2 + damping * step / 2)
-        impedance = np.clip(ratio / (1 + ratio), 1e-4, 0.9999)
-        scale = (1 - impedance) * weight
-        limits = np.broadcast_to((0.001, 0.5, 2.0), (len(held), 3))
-        model.eq_solimp[held] = np.column_stack([impedance, impedance, limits])
-        model.eq_solref[held] = -np.column_stack(
-            [stiffness * scale, np.maximum(damping * scale, 1e-12)]
-        )
+    @property
+    def position(self) -> NDArray[np.intp]:
+        """Positions of the driven joints (n,)."""
+        return self.indices.position
+
+    @property
+    def seat_positions(self) -> NDArray[np.intp]:
+        """Positions of the parts of the seat."""
+        return self.indices.seat_positions
+
+    @property
+    def brakes(self) -> NDArray[np.intp]:
+        """Equality constraints that hold the joints (n,)."""
+        return self.indices.brakes
 
     def hold_at(self, pose: np.ndarray) -> np.ndarray:
         """Set brakes, springs and shaker to a commanded pose; return the actual one."""
         true = pose + self.mismatch.joint_zero
         self.model.eq_data[self.brakes, 0] = true
         self.model.qpos_spring[self.position] = true
-        if len(self.gears):
-            wind_up(self.model, true, self.position, self.gears)
+        if len(self.indices.gears):
+            wind_up(self.model, true, self.position, self.indices.gears)
         if self.shaker is not None:
             data = mujoco.MjData(self.model)
             data.qpos[self.position] = true
@@ -224,32 +194,85 @@ class PlantShop:
         return self.template(links, kinds)
 
     def build(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
-        """Build the true arm with the seat of its fault.
+        """Build the true arm with the seat of its fault; as `build_all`."""
+        return self.build_all([fault], [mismatch])[0]
+
+    def build_all(self, faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]) -> list[Plant]:
+        """Build true arms, each with the seat of its fault.
 
         Raises
         ------
         UnknownName
-            If the fault names a link or joint the arm does not have, or is no fault.
+            If a fault names a link or joint the arm does not have, or is no fault.
         """
+        plants = [self._bare(*each) for each in zip(faults, mismatches, strict=True)]
+        alike: dict[int, list[Plant]] = {}  # models of as many parts have one layout
+        for plant in plants:
+            alike.setdefault(plant.parts, []).append(plant)
+        for members in alike.values():
+            self._finish(members)
+        return plants
+
+    def _bare(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
+        """Build an arm with its seat in place, nominal so far."""
         links, kinds = part_seats(fault)
         for link in links:
             self.arm.link_number(link)
         # A shut seat shows nowhere; the last link's is as good as any.
         template = self.template(links or self.arm.n, kinds)
-        scratch = self._scratch.get(len(kinds))
-        if scratch is None:  # all templates with as many parts share one layout
-            scratch = self._scratch[len(kinds)] = mujoco.MjData(template)
         indices = self._indices.get((links, kinds))
         if indices is None:
             indices = self._indices[links, kinds] = PlantIndices.of(template, self.arm)
         retired = self._retired.get(indices)
-        model = retired.pop() if retired else None
-        plant = Plant(template, self.arm, fault, mismatch, scratch, indices, model)
-        for at in self.link_sites:  # the end of a longer link lies farther out
-            if at.scaled_by >= 0:
-                site = plant.model.site(f"accelerometer{at.link}").id
-                plant.model.site_pos[site] *= mismatch.length[at.scaled_by]
-        return plant
+        if retired:
+            model = retired.pop()
+            for name in _KEPT:
+                getattr(model, name)[:] = getattr(template, name)
+            model.opt.gravity[:] = template.opt.gravity
+        else:
+            model = copy.copy(template)
+        # A healthy arm has one gap in whatever seat it stands.
+        gaps = np.resize(gaps_of(fault), len(indices.seat))
+        return Plant(
+            fault=fault,
+            mismatch=mismatch,
+            model=model,
+            indices=indices,
+            gaps=gaps,
+            shaker=self.arm.shaker,
+        )
+
+    def _finish(self, plants: Sequence[Plant]) -> None:
+        """Write mismatches, seats and brakes into the models of arms of one layout."""
+        arm, models = self.arm, [plant.model for plant in plants]
+        indices, draws = [plant.indices for plant in plants], [plant.mismatch for plant in plants]
+        parts = plants[0].parts
+        if parts not in self._scratch:
+            self._scratch[parts] = mujoco.MjData(models[0])
+        apply_mismatches(models, draws, [at.mismatch for at in indices])
+        for plant, model in zip(plants, models, strict=True):
+            set_seat(model, plant.fault, self._scratch[parts], plant.indices.seat)
+        step = self.timestep
+        weight = np.array(
+            [m.dof_invweight0[at.dofs] for m, at in zip(models, indices, strict=True)]
+        )
+        stiffness = np.array(arm.holding.stiffness) * [d.holding_stiffness for d in draws]
+        damping = np.array(arm.holding.damping) * [d.holding_damping for d in draws]
+        # The damper acts on the velocity half a step ago, which takes damping * step / 2
+        # off the inertia; the inertance gives it back.
+        ratio = weight * (stiffness / inertance_rate(step) ** 2 + damping * step / 2)
+        impedance = np.clip(ratio / (1 + ratio), 1e-4, 0.9999)
+        scale = (1 - impedance) * weight
+        limits = np.broadcast_to((0.001, 0.5, 2.0), (*weight.shape, 3))
+        soft = np.concatenate([impedance[..., None], impedance[..., None], limits], axis=-1)
+        spring = -np.stack([stiffness * scale, np.maximum(damping * scale, 1e-12)], axis=-1)
+        for k, (plant, model) in enumerate(zip(plants, models, strict=True)):
+            model.eq_solimp[plant.brakes] = soft[k]
+            model.eq_solref[plant.brakes] = spring[k]
+            for at in self.link_sites:  # the end of a longer link lies farther out
+                if at.scaled_by >= 0:
+                    site = model.site(f"accelerometer{at.link}").id
+                    model.site_pos[site] *= plant.mismatch.length[at.scaled_by]
 
     def retire(self, plant: Plant) -> None:
         """Take back the model of a plant of this shop, for one of the plants to come.

@@ -12,7 +12,7 @@ them; friction and stops follow the same constraint law as in `loose_env.faults.
 Centripetal terms are left out: they are of second order in the motion.
 
 The rig draws the same torques, noise and starting places as `SimulatedRig` and reads its records
-with the same sensors. One compiled loop takes eight arms at once from torque to low-passed
+with the same sensors. One compiled loop takes many arms at once from torque to low-passed
 readings; linearisation and sensors work on whole batches, and every sum is taken in an order that
 the batch does not change.
 """
@@ -33,14 +33,12 @@ from loose_env.arms import Arm, MismatchDraw
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.plant import Plant, PlantIndices
+from loose_env.rig.records import Records, Trials
 from loose_env.rig.simulated import (
     Controls,
-    Job,
-    Measurement,
     Motion,
     Noise,
     SlotRig,
-    check_jobs,
     controls,
     decimation_filter,
     draw_noise,
@@ -115,7 +113,6 @@ class MotionLayout:
         reached = np.array([carried[end] if end >= 0 else np.zeros(model.nv) for end in ends])
         self.reached = reached.astype(bool)[:, self.order]
         """Whether each accelerometer is moved by each degree of freedom (A, D)."""
-        self.entries = self.order[:, None] * model.nv + self.order
         self.stops = [int(model.tendon(f"seat_{side}").id) for side in ("low", "high")]
 
 
@@ -136,59 +133,60 @@ def _last_dof(model: mujoco.MjModel, body: int) -> int:
 
 
 def small_motions(
-    plants: Sequence[Plant],
-    layouts: Sequence[MotionLayout],
+    fixed: _Fixed,
+    models: Sequence[mujoco.MjModel],
     data: mujoco.MjData,
     *,
+    poses: Array,
     excited: NDArray[np.bool_],
     places: Array,
     torque: Array,
-    mixing: Array,
     mixed: NDArray[np.intp],
 ) -> SmallMotion:
-    """Linearise true arms about their initial poses."""
-    found = _gathered(plants, layouts, data, places)
+    """Linearise true arms about their initial poses; ``places`` are those of the seats."""
+    found = _Placed(fixed, models, data, poses, places)
     jobs, n = excited.shape
     diagonal = np.arange(found.inertia.shape[1])
     # Gravity, from the arms' geometry; angular velocity and motion of centres of mass.
-    turning = np.where(found.hinges[..., None], found.axis, 0.0)
-    centres = _motion(found, found.centres) * found.mass[..., None]
-    gravity = found.gravity[:, None]
+    turning = np.where(fixed.hinges[..., None], found.axis, 0.0)
+    centres = _motion(found, found.centres) * fixed.mass[..., None]
+    gravity = fixed.gravity[:, None]
     stiffness = -_dot(_cross(turning[:, None], centres[:, :, None]), gravity[:, None])
-    stiffness = np.where(found.carried, stiffness, 0.0)
-    one_way = found.carried & ~found.carried.transpose(0, 2, 1)
+    stiffness = np.where(fixed.carried, stiffness, 0.0)
+    one_way = fixed.carried & ~fixed.carried.transpose(0, 2, 1)
     stiffness = stiffness + np.where(one_way, stiffness, 0.0).transpose(0, 2, 1)
     linear = stiffness.copy()
     # What holds the joints.
-    held = np.where(excited, 0.0, found.held)
+    held = np.where(excited, 0.0, fixed.held)
     inertia = found.inertia
     inertia[:, diagonal[:n], diagonal[:n]] += held
-    springs, damping = found.springs, found.damping
-    springs[:, :n] += np.where(excited, 0.0, found.holding[0])
-    damping[:, :n] += np.where(excited, 0.0, found.holding[1])
+    springs, damping = fixed.springs.copy(), fixed.damping.copy()
+    springs[:, :n] += np.where(excited, 0.0, fixed.holding[:, 0])
+    damping[:, :n] += np.where(excited, 0.0, fixed.holding[:, 1])
     stiffness[:, diagonal, diagonal] += springs
     # A seat that is shut does not move.
-    inertia[found.shut, -1, :] = inertia[found.shut, :, -1] = 0.0
-    inertia[found.shut, -1, -1] = 1.0
+    shut = fixed.shut
+    inertia[shut, -1, :] = inertia[shut, :, -1] = 0.0
+    inertia[shut, -1, -1] = 1.0
     mobility = np.linalg.inv(inertia)
-    mobility[found.shut, -1, -1] = 0.0
+    mobility[shut, -1, -1] = 0.0
     start = found.position - found.rest
-    start[found.shut, -1] = 0.0
+    start[shut, -1] = 0.0
     # Gravity's linear part is taken about the start, springs about where they rest.
     force = _dot(centres, gravity) + _row_sums(linear * start[:, None])
     force[:, :n] += torque
     # Accelerometers: direction of each axis read, in the world.
     frames = found.frames[:, mixed]
-    along = np.stack([_dot(mixing, frames[:, :, k]) for k in range(3)], axis=-1)
+    along = np.stack([_dot(fixed.mixing, frames[:, :, k]) for k in range(3)], axis=-1)
     readings = np.empty((jobs, len(mixed), len(diagonal)))
     tilting = np.empty_like(readings)
     falling = _cross(turning, gravity)
     for s, sensor in enumerate(mixed):
-        reached = found.reached[:, sensor]
+        reached = fixed.reached[:, sensor]
         moved = _motion(found, found.sites[:, sensor][:, None])
         readings[:, s] = np.where(reached, _dot(along[:, s][:, None], moved), 0.0)
         tilting[:, s] = np.where(reached, _dot(along[:, s][:, None], falling), 0.0)
-    law = found.law
+    law = fixed.law.copy()
     law[:, :2] -= found.rest[:, -1:]
     return SmallMotion(
         mobility=np.asarray(mobility, dtype=np.float64),
@@ -204,64 +202,122 @@ def small_motions(
     )
 
 
-class _Gathered:
-    """What MuJoCo's models say about J arms, degrees of freedom in the layouts' order."""
+@dataclass(kw_only=True, eq=False)
+class _Fixed:
+    """What stays as it is while J arms are measured, degrees of freedom in the layouts' order."""
 
-    def __init__(self, jobs: int, count: int, joints: int, sensors: int) -> None:
-        self.inertia = np.empty((jobs, count, count))
-        self.axis, self.anchor = np.empty((jobs, count, 3)), np.empty((jobs, count, 3))
-        self.centres, self.mass = np.empty((jobs, count, 3)), np.empty((jobs, count))
-        self.sites, self.frames = np.empty((jobs, sensors, 3)), np.empty((jobs, sensors, 3, 3))
-        self.gravity = np.empty((jobs, 3))
-        self.springs, self.damping = np.empty((jobs, count)), np.empty((jobs, count))
-        self.position, self.rest = np.empty((jobs, count)), np.empty((jobs, count))
-        self.held, self.holding = np.empty((jobs, joints)), np.empty((2, jobs, joints))
-        self.law = np.empty((jobs, 11))
-        self.shut = np.empty(jobs, dtype=bool)
-        self.hinges = np.empty((jobs, count), dtype=bool)
-        self.carried = np.empty((jobs, count, count), dtype=bool)
-        self.reached = np.empty((jobs, sensors, count), dtype=bool)
+    at: Array
+    """Layout of each (J,), of objects."""
+    gravity: Array
+    springs: Array
+    damping: Array
+    mass: Array
+    """Mass that each degree of freedom moves (J, D)."""
+    rest: Array
+    """Positions where springs rest, those of held joints left out (J, D)."""
+    held: Array
+    """Inertance of what holds each joint (J, n)."""
+    holding: Array
+    """Its stiffness and its damping (J, 2, n)."""
+    law: Array
+    """As `SmallMotion.law`, positions of the stops from the joint's zero (J, 11)."""
+    shut: NDArray[np.bool_]
+    hinges: NDArray[np.bool_]
+    carried: NDArray[np.bool_]
+    reached: NDArray[np.bool_]
+    mixing: Array
+    """Output of each axis that is read per true acceleration (J, S, 3)."""
+    gain: Array
+    joint_zero: Array
+    gap: Array
+
+    @classmethod
+    def of(cls, plants: Sequence[Plant], layouts: Sequence[MotionLayout], mixing: Array) -> _Fixed:
+        """Take down what the models of some arms say."""
+        n, models = len(plants[0].brakes), [plant.model for plant in plants]
+        both = list(zip(models, layouts, strict=True))
+        weight = np.array([m.dof_invweight0[at.order] for m, at in both])
+        brakes = [(plant.model, plant.brakes) for plant in plants]
+        impedance = np.array([m.eq_solimp[held, 0] for m, held in brakes])
+        reference = np.array([m.eq_solref[held].T for m, held in brakes])
+        inertance = impedance / ((1 - impedance) * weight[:, :n])
+        draws = [plant.mismatch for plant in plants]
+        return cls(
+            at=np.array([*layouts, None], dtype=object)[:-1],
+            gravity=np.array([m.opt.gravity for m in models]),
+            springs=np.array([m.jnt_stiffness[at.joints] for m, at in both]),
+            damping=np.array([m.dof_damping[at.order] for m, at in both]),
+            mass=np.array([m.body_subtreemass[at.bodies] for m, at in both]),
+            rest=np.array([m.qpos_spring[at.positions] for m, at in both]),
+            held=inertance,
+            holding=(-inertance / impedance)[:, None] * reference,
+            law=np.array(
+                [_law(m, at, float(w[-1])) for (m, at), w in zip(both, weight, strict=True)]
+            ),
+            shut=np.array([m.eq_active0[at.lock] for m, at in both], dtype=bool),
+            hinges=np.array([at.hinges for at in layouts]),
+            carried=np.array([at.carried for at in layouts]),
+            reached=np.array([at.reached for at in layouts]),
+            mixing=mixing,
+            gain=np.array([draw.drive_gain for draw in draws]),
+            joint_zero=np.array([draw.joint_zero for draw in draws]),
+            gap=np.array([plant.gaps[0] for plant in plants]),
+        )
+
+    def some(self, rows: IndexArray) -> _Fixed:
+        """Those of some arms."""
+        return _Fixed(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
+
+    def put(self, rows: IndexArray, other: _Fixed) -> None:
+        """Write those of other arms over some."""
+        for each in fields(self):
+            getattr(self, each.name)[rows] = getattr(other, each.name)
 
 
-def _gathered(
-    plants: Sequence[Plant], layouts: Sequence[MotionLayout], data: mujoco.MjData, places: Array
-) -> _Gathered:
-    """Place every arm at rest in its pose and take down what its model says."""
-    first = layouts[0]
-    n, count, sensors = len(plants[0].brakes), len(first.order), len(first.sites)
-    found = _Gathered(len(plants), count, n, sensors)
-    full = np.zeros((count, count))
-    qpos = data.qpos
-    for k, (plant, at) in enumerate(zip(plants, layouts, strict=True)):
-        model = plant.model
-        brakes = plant.brakes
-        qpos[:] = 0.0
-        qpos[plant.position] = model.eq_data[brakes, 0]
-        qpos[plant.seat_positions] = places[k]
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_makeM(model, data)
-        mujoco.mj_fullM(model, data, full)
-        found.inertia[k] = full.ravel()[at.entries]
-        found.axis[k], found.anchor[k] = data.xaxis[at.joints], data.xanchor[at.joints]
-        found.centres[k] = data.subtree_com[at.bodies]
-        found.mass[k] = model.body_subtreemass[at.bodies]
-        found.sites[k] = data.site_xpos[at.sites]
-        found.frames[k] = data.site_xmat[at.sites].reshape(-1, 3, 3)
-        found.gravity[k] = model.opt.gravity
-        found.springs[k] = model.jnt_stiffness[at.joints]
-        found.damping[k] = model.dof_damping[at.order]
-        found.position[k] = qpos[at.positions]
-        found.rest[k] = model.qpos_spring[at.positions]
-        weight = model.dof_invweight0
-        impedance = model.eq_solimp[brakes, 0]
-        inertance = impedance / ((1 - impedance) * weight[at.order[:n]])
-        found.held[k] = inertance
-        found.holding[:, k] = (-inertance / impedance) * model.eq_solref[brakes].T
-        found.shut[k] = model.eq_active0[at.lock]
-        found.hinges[k], found.carried[k], found.reached[k] = at.hinges, at.carried, at.reached
-        found.law[k] = _law(model, at, float(weight[at.seat]))
-    return found
+class _Placed:
+    """What MuJoCo's models say about J arms at rest in their poses."""
+
+    def __init__(
+        self,
+        fixed: _Fixed,
+        models: Sequence[mujoco.MjModel],
+        data: mujoco.MjData,
+        poses: Array,
+        places: Array,
+    ) -> None:
+        first, n = fixed.at[0], poses.shape[1]
+        jobs, sensors = len(models), len(first.sites)
+        self.hinges = fixed.hinges
+        true = poses + fixed.joint_zero
+        self.rest = fixed.rest.copy()
+        self.rest[:, :n] = true
+        self.position = np.zeros(self.rest.shape)
+        self.position[:, :n], self.position[:, -1] = true, places
+        count = len(first.order)
+        joints = np.array([at.joints for at in fixed.at])
+        bodies = np.array([at.bodies for at in fixed.at])
+        order = np.array([at.order for at in fixed.at])
+        start = np.zeros((jobs, len(data.qpos)))
+        rows = np.arange(jobs)[:, None]
+        start[rows, np.array([at.positions for at in fixed.at])] = self.position
+        inertia = np.zeros((jobs, count, count))
+        axis, anchor = np.empty((2, jobs, *data.xaxis.shape))
+        centres, sites = np.empty((jobs, *data.subtree_com.shape)), np.empty((jobs, sensors, 3))
+        frames = np.empty((jobs, sensors, 9))
+        qpos, own_axis, own_anchor = data.qpos, data.xaxis, data.xanchor
+        com, site, frame, seen = data.subtree_com, data.site_xpos, data.site_xmat, first.sites
+        for k, model in enumerate(models):
+            qpos[:] = start[k]
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_makeM(model, data)
+            mujoco.mj_fullM(model, data, inertia[k])
+            axis[k], anchor[k], centres[k] = own_axis, own_anchor, com
+            sites[k], frames[k] = site[seen], frame[seen]
+        self.inertia = inertia[rows[..., None], order[:, :, None], order[:, None]]
+        self.axis, self.anchor = axis[rows, joints], anchor[rows, joints]
+        self.centres, self.sites = centres[rows, bodies], sites
+        self.frames = frames.reshape(jobs, sensors, 3, 3)
 
 
 def _law(model: mujoco.MjModel, at: MotionLayout, weight: float) -> tuple[float, ...]:
@@ -287,7 +343,7 @@ def _law(model: mujoco.MjModel, at: MotionLayout, weight: float) -> tuple[float,
     )
 
 
-def _motion(found: _Gathered, points: Array) -> Array:
+def _motion(found: _Placed, points: Array) -> Array:
     """Velocity of points (J, D or 1, 3) per velocity of each degree of freedom (J, D, 3)."""
     turned = _cross(found.axis, points - found.anchor)
     return np.where(found.hinges[..., None], turned, found.axis)
@@ -335,6 +391,8 @@ def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
 
 
 _TOGETHER = 64  # arms whose signals are worked on at once: more than fit the cache are slower
+_DIVERGED = "the simulation diverged: motion not finite"
+_LEAST = 16  # arms in one run of the loop; it takes several in one instruction
 
 
 class ReducedRig(SlotRig):
@@ -394,78 +452,85 @@ class ReducedRig(SlotRig):
         super().__init__(arm, slots, sensors, timestep, threads)
         # numba's stubs know no signature.
         self._integrate: Callable[..., None] = small_motion_loop.integrate
-        self._lanes = small_motion_loop.LANES
         self._threads = threads or os.cpu_count() or 1
+        rate, bandwidth = self.sensors.rate, self.sensors.accelerometer.bandwidth
+        self._steps = (
+            *(self.timestep, round(arm.settling * rate) * self.factor, self.factor),
+            decimation_filter(self.factor, bandwidth, rate),
+        )
         self._layouts: dict[PlantIndices, MotionLayout] = {}
-        self._healthy = healthy = self.shop.build(Healthy(), MismatchDraw.none(arm))
-        self.plants = [healthy] * slots
-        self._data = mujoco.MjData(healthy.model)
+        healthy, nominal = Healthy(), MismatchDraw.none(arm)
+        self._spare = spare = self.shop.build(healthy, nominal)
+        self.plants = [spare] * slots
+        self._fixed = self._fixed_of([spare] * slots)
+        self._data = mujoco.MjData(spare.model)
 
-    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
-        """Put a new arm into a slot.
+    def _fixed_of(self, plants: Sequence[Plant]) -> _Fixed:
+        mixing = self._axes.mixing([plant.mismatch for plant in plants])
+        return _Fixed.of(plants, [self._layout(plant) for plant in plants], mixing)
+
+    def mount_all(
+        self, slots: IndexArray, faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]
+    ) -> None:
+        """Put new arms into slots.
 
         Raises
         ------
         InvalidSetting
-            If the fault has several loose degrees of freedom.
+            If a fault has several loose degrees of freedom.
         """
-        draw = MismatchDraw.none(self.arm) if mismatch is None else mismatch
-        plant = self.shop.build(fault, draw)
-        require_one_part(plant)
-        if self.plants[slot] is not self._healthy:
-            self.shop.retire(self.plants[slot])
-        self.plants[slot] = plant
+        plants = self.shop.build_all(faults, mismatches)
+        for plant in plants:
+            require_one_part(plant)
+        for slot, plant in zip(slots, plants, strict=True):
+            if self.plants[slot] is not self._spare:
+                self.shop.retire(self.plants[slot])
+            self.plants[slot] = plant
+        self._fixed.put(slots, self._fixed_of(plants))
 
-    def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
-        """Take measurements of one length together; yield each job's index and measurement."""
-        check_jobs(self.arm, jobs)
-        alike: dict[tuple[object, ...], list[int]] = {}
-        for k, job in enumerate(jobs):
-            alike.setdefault((job.excitation.duration, job.excitation.band), []).append(k)
-        for members in alike.values():
-            for first in range(0, len(members), _TOGETHER):
-                some = members[first : first + _TOGETHER]
-                yield from zip(some, self._measured([jobs[k] for k in some]), strict=True)
+    def record(self, asked: Sequence[Trials]) -> Iterator[tuple[int, IndexArray, Records]]:
+        """Take measurements; yields an element's index, which of its own, and their records."""
+        for which, trials in enumerate(asked):
+            for first in range(0, len(trials), _TOGETHER):
+                rows = np.arange(first, min(first + _TOGETHER, len(trials)))
+                yield which, rows, self._measured(trials.some(rows))
 
-    def _measured(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Measure jobs of one length and band."""
-        plants = [self.plants[job.slot] for job in jobs]
-        mismatches = [plant.mismatch for plant in plants]
-        control = controls(self.nominal, jobs, timestep=self.timestep)
-        places = np.empty(len(jobs))
-        for k, (plant, job) in enumerate(zip(plants, jobs, strict=True)):
-            plant.hold_at(job.pose)
-            places[k] = plant.gaps[0] * (job.rng.random(plant.parts)[0] - 0.5)
-        gain = np.array([draw.drive_gain for draw in mismatches])
+    def _measured(self, trials: Trials) -> Records:
+        """Measure arms, few enough for the cache."""
+        fixed, plants = self._fixed.some(trials.slots), [self.plants[k] for k in trials.slots]
+        if self.arm.gear_joints:
+            for plant, pose in zip(plants, trials.poses, strict=True):
+                plant.hold_at(pose)  # winds up the gears' springs
+            at = [(plant.model, own.positions) for plant, own in zip(plants, fixed.at, strict=True)]
+            fixed.rest = np.array([model.qpos_spring[own] for model, own in at])
+        control = controls(self.nominal, trials, timestep=self.timestep)
+        drawn = np.array([rng.random() for rng in trials.rngs])
         motions = small_motions(
-            plants,
-            [self._layout(plant) for plant in plants],
+            fixed,
+            [plant.model for plant in plants],
             self._data,
-            excited=np.array([job.excitation.excited for job in jobs]),
-            places=places,
-            torque=control.constant * gain,
-            mixing=self._axes.mixing(mismatches),
+            poses=trials.poses,
+            excited=trials.excited,
+            places=fixed.gap * (drawn - 0.5),
+            torque=control.constant * fixed.gain,
             mixed=self._axes.sensor,
         )
-        delivered = control.periods * gain[control.records, control.drives][:, None]
-        count = round(jobs[0].excitation.duration * self.sensors.rate)
-        motion, noise = self._integrated(motions, control, delivered, jobs, count)
-        finite = np.isfinite(motion.smooth).all(axis=(1, 2))
-        finite &= np.isfinite(motion.position).all(axis=(1, 2))
+        delivered = control.periods * fixed.gain[control.records, control.drives][:, None]
+        count = round(trials.duration * self.sensors.rate)
+        motion, noise = self._integrated(motions, control, delivered, trials, count)
+        moved = np.concatenate([motion.smooth, motion.position[..., 1:-1]], axis=1)
+        finite = np.asarray(np.isfinite(moved).all(axis=(1, 2)))
         return read_records(
             motion,
             noise,
             self._axes,
-            jobs,
+            trials,
             control,
             arm=self.arm,
             sensors=self.sensors,
             factor=self.factor,
-            joint_zero=np.array([draw.joint_zero for draw in mismatches]),
-            failures={
-                jobs[int(k)].slot: "the simulation diverged: motion not finite"
-                for k in np.flatnonzero(~finite)
-            },
+            joint_zero=fixed.joint_zero,
+            failures=[None if fine else _DIVERGED for fine in finite.tolist()],
         )
 
     def _integrated(
@@ -473,72 +538,44 @@ class ReducedRig(SlotRig):
         motions: SmallMotion,
         control: Controls,
         delivered: Array,
-        jobs: Sequence[Job],
+        trials: Trials,
         count: int,
     ) -> tuple[Motion, Noise]:
-        """Integrate the arms, so many at once as there are lanes; draw the noise meanwhile."""
-        motion = Motion(
-            smooth=np.empty((len(jobs), motions.still.shape[1], count)),
-            position=np.empty((len(jobs), self.arm.n, count + 2)),
-        )
+        """Integrate the arms, some on each thread; draw the noise meanwhile."""
+        arms, period = len(trials), delivered.shape[1]
+        driven, at = np.unique(control.drives, return_inverse=True)
+        torque = np.zeros((len(driven), period, arms))
+        torque[at, :, control.records] = delivered
+        # The loop takes the arms along the last axis.
+        parts = [np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in motions.parts]
+        smooth = np.empty((motions.still.shape[1], count, arms))
+        position = np.empty((self.arm.n, count + 2, arms))
 
-        def some(first: int) -> None:
-            last = min(first + self._lanes, len(jobs))
-            own = (control.records >= first) & (control.records < last)
-            self._integrate_some(
-                first,
-                last,
-                motions,
-                motion,
-                delivered[own],
-                control.records[own] - first,
-                control.drives[own],
-            )
+        def some(first: int, last: int) -> None:
+            own = [np.ascontiguousarray(part[..., first:last]) for part in (*parts, torque)]
+            seen = np.empty((*smooth.shape[:-1], last - first))
+            turned = np.empty((*position.shape[:-1], last - first))
+            self._integrate(*own, driven, *self._steps, seen, turned)
+            smooth[..., first:last], position[..., first:last] = seen, turned
 
-        starts = range(0, len(jobs), self._lanes)
+        share = max(_LEAST, -(-arms // self._threads))
+        spans = [(first, min(first + share, arms)) for first in range(0, arms, share)]
         with ExitStack() as stack:
             waiting = []
             if self._threads > 1:  # compiled loops and draws run beside each other
                 pool = stack.enter_context(ThreadPoolExecutor(self._threads))
-                waiting = [pool.submit(some, first) for first in starts]
-            noise = draw_noise(jobs, self._axes, joints=self.arm.n, count=count)
+                waiting = [pool.submit(some, *span) for span in spans]
+            noise = draw_noise(trials, self._axes, joints=self.arm.n, count=count)
             for done in waiting:
                 done.result()
         if not waiting:
-            for first in starts:
-                some(first)
-        return motion, noise
-
-    def _integrate_some(
-        self,
-        first: int,
-        last: int,
-        motions: SmallMotion,
-        motion: Motion,
-        delivered: Array,
-        lanes: IndexArray,
-        drives: IndexArray,
-    ) -> None:
-        """Integrate the arms of one run of the loop; unused lanes repeat the last arm."""
-        chosen = np.minimum(np.arange(first, first + self._lanes), last - 1)
-        driven, at = np.unique(drives, return_inverse=True)
-        torque = np.zeros((len(driven), self._lanes, delivered.shape[1]))
-        torque[at, lanes] = delivered
-        seen = np.empty((motion.smooth.shape[1], motion.smooth.shape[2], self._lanes))
-        turned = np.empty((motion.position.shape[1], motion.position.shape[2], self._lanes))
-        self._integrate(
-            *(np.ascontiguousarray(np.moveaxis(part[chosen], 0, -1)) for part in motions.parts),
-            np.ascontiguousarray(torque.transpose(0, 2, 1)),
-            driven,
-            self.timestep,
-            round(self.arm.settling * self.sensors.rate) * self.factor,
-            self.factor,
-            decimation_filter(self.factor, self.sensors.accelerometer.bandwidth, self.sensors.rate),
-            seen,
-            turned,
-        )
-        motion.smooth[first:last] = seen.transpose(2, 0, 1)[: last - first]
-        motion.position[first:last] = turned.transpose(2, 0, 1)[: last - first]
+            for span in spans:
+                some(*span)
+        # Contiguous for each record, so that sums over it do not depend on the others.
+        return Motion(
+            smooth=np.ascontiguousarray(smooth.transpose(2, 0, 1)),
+            position=np.ascontiguousarray(position.transpose(2, 0, 1)),
+        ), noise
 
     def _layout(self, plant: Plant) -> MotionLayout:
         found = self._layouts.get(plant.indices)

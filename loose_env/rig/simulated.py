@@ -1,13 +1,12 @@
-"""Measurement, job and rig protocol; sensor readings; rigs simulated by MuJoCo or recorded."""
+"""Torques and sensor readings of rigs; rigs simulated by MuJoCo or recorded."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -21,86 +20,9 @@ from loose_env.excitation import Excitation, torque_periods
 from loose_env.faults import Fault, Healthy
 from loose_env.recording import Recording, Run
 from loose_env.rig.plant import Plant, PlantShop
+from loose_env.rig.records import Job, Measurement, Records, Trials
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
-from loose_env.typing import Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Measurement:
-    """Readings of one record in one pose.
-
-    All channels are sampled together at ``rate``. Encoder channels have one sample more at
-    either end, so that accelerations can be formed by differences.
-    """
-
-    pose: Array
-    """Commanded pose [rad] (n,)."""
-    excitation: Excitation
-    """What was played."""
-    rate: float
-    """Sampling rate [Hz]."""
-    command: Array
-    """Random part of the commanded torque [N·m] (n, N)."""
-    encoder: Array
-    """Encoder readings, motor side [rad] (n, N + 2)."""
-    tool: Array
-    """Tool accelerometer, tool frame, proper acceleration [m/s²] (d, N)."""
-    links: Array | None = None
-    """Link accelerometers, link frames [m/s²] (L, d, N); None where there are none.
-
-    One for each of the L links that carry one, base first; d is 1 where they are tangential."""
-    probes: Mapping[str, Array] = field(default_factory=dict)
-    """Further accelerometers by their site, along its own axes [m/s²] (3, N) each."""
-    shaker_force: Array | None = None
-    """Commanded force of the shaker [N] (N,); None where there is no shaker."""
-    failure: str | None = None
-    """Why the record is worthless; None for a good one."""
-
-    @property
-    def excited(self) -> NDArray[np.bool_]:
-        """Whether each joint was excited (n,)."""
-        return np.array(self.excitation.excited)
-
-
-class Rig(Protocol):
-    """Protocol of a rig: a simulated arm, a recording or a real arm."""
-
-    def measure(self, pose: Array, excitation: Excitation) -> Measurement:
-        """Move the arm to a pose, apply the excitation, and return the readings."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Job:
-    """One measurement to take."""
-
-    slot: int
-    """Which arm of the rig."""
-    pose: Array
-    """Commanded pose [rad] (n,)."""
-    excitation: Excitation
-    """What to play."""
-    rng: np.random.Generator
-    """Source of the excitation, the sensor noise and the seat's place in its gap."""
-
-
-def check_jobs(arm: Arm, jobs: Sequence[Job]) -> None:
-    """Reject jobs that do not match an arm."""
-    slots = [job.slot for job in jobs]
-    if len(set(slots)) != len(slots):
-        raise InvalidSetting(f"each slot can be measured once at a time, got slots {slots}")
-    n = arm.n
-    for job in jobs:
-        if job.pose.shape != (n,) or len(job.excitation.torque_rms) != n:
-            raise InvalidSetting(
-                f"arm {arm.name!r} needs {n} joint positions and {n} torques, got "
-                f"{job.pose.shape} and {len(job.excitation.torque_rms)}"
-            )
-        if job.excitation.shaker_rms > 0 and arm.shaker is None:
-            raise InvalidSetting(
-                f"arm {arm.name!r} has no shaker; set shaker_rms to 0 or take an arm "
-                "that stands at one"
-            )
+from loose_env.typing import Array, IndexArray
 
 
 def whole_factor(rate: float, timestep: float) -> int:
@@ -209,32 +131,36 @@ class Controls:
         ``factor`` is the number of steps per reading.
         """
         jobs, n = self.constant.shape
-        command = np.zeros((jobs, n, count))
-        steady = np.where(self.constant != 0, self.constant - self.gravity, 0.0)
-        command += steady[..., None]
-        for row, job, drive in zip(self.periods, self.records, self.drives, strict=True):
-            if drive < n:
-                command[job, drive] = row[::factor][:count] - self.gravity[job, drive]
+        command = np.empty((jobs, n, count))
+        command[:] = np.where(self.constant != 0, self.constant - self.gravity, 0.0)[..., None]
+        at, drives = self.records[self.drives < n], self.drives[self.drives < n]
+        played = self.periods[self.drives < n, : factor * count : factor]
+        command[at, drives] = played - self.gravity[at, drives, None]
         return command
 
 
-def controls(nominal: LinearArm, jobs: Sequence[Job], *, timestep: float) -> Controls:
-    """Sample the torques of measurements of one length; each draws from its own generator."""
-    arm = nominal.arm
+def controls(nominal: LinearArm, trials: Trials, *, timestep: float) -> Controls:
+    """Sample the torques of measurements; each draws from its own generator."""
+    arm, n = nominal.arm, nominal.arm.n
     limits = np.array(arm.torque_limits)
     periods, records, drives = torque_periods(
-        [job.excitation for job in jobs], timestep=timestep, rngs=[job.rng for job in jobs]
+        trials.torque_rms,
+        trials.shaker_rms,
+        duration=trials.duration,
+        band=trials.band,
+        timestep=timestep,
+        rngs=trials.rngs,
+        shaping=trials.shaping,
     )
-    gravity = np.array([nominal.at(job.pose).gravity_torque for job in jobs])
+    gravity = nominal.gravity_torques(trials.poses)
     constant = np.clip(gravity, -limits, limits)
-    for row, job, drive in zip(periods, records, drives, strict=True):
-        if drive < arm.n:
-            row += gravity[job, drive]
-            constant[job, drive] = 0.0
-            most = limits[drive]
-        elif arm.shaker is not None:
-            most = arm.shaker.force_limit
-        np.clip(row, -most, most, out=row)
+    varied = np.zeros((len(trials), n + 1), dtype=bool)
+    varied[records, drives] = True
+    constant[varied[:, :n]] = 0.0
+    periods += np.pad(gravity, ((0, 0), (0, 1)))[records, drives][:, None]
+    force = np.inf if arm.shaker is None else arm.shaker.force_limit
+    most = np.append(limits, force)[drives][:, None]
+    np.clip(periods, -most, most, out=periods)
     return Controls(
         periods=periods, records=records, drives=drives, constant=constant, gravity=gravity
     )
@@ -392,16 +318,16 @@ class Noise:
     """Of the encoders (J, n, N + 2)."""
 
 
-def draw_noise(jobs: Sequence[Job], axes: AxesRead, *, joints: int, count: int) -> Noise:
-    """Draw the noise of records of ``count`` readings, each from its job's own generator."""
-    read = np.empty((len(jobs), len(axes.sensor), count))
-    turned = np.empty((len(jobs), joints, count + 2))
-    for k, job in enumerate(jobs):
+def draw_noise(trials: Trials, axes: AxesRead, *, joints: int, count: int) -> Noise:
+    """Draw the noise of records of ``count`` readings, each from its own generator."""
+    read = np.empty((len(trials), len(axes.sensor), count))
+    turned = np.empty((len(trials), joints, count + 2))
+    for rng, own, joint in zip(trials.rngs, read, turned, strict=True):
         # Tool, encoders, then all further accelerometers.
-        job.rng.standard_normal(out=read[k, : axes.tool])
-        job.rng.standard_normal(out=turned[k])
+        rng.standard_normal(out=own[: axes.tool])
+        rng.standard_normal(out=joint)
         if axes.tool < len(axes.sensor):
-            job.rng.standard_normal(out=read[k, axes.tool :])
+            rng.standard_normal(out=own[axes.tool :])
     return Noise(accelerometers=read, encoders=turned)
 
 
@@ -438,17 +364,17 @@ def read_records(
     motion: Motion,
     noise: Noise,
     axes: AxesRead,
-    jobs: Sequence[Job],
+    trials: Trials,
     control: Controls,
     *,
     arm: Arm,
     sensors: SensorSuite,
     factor: int,
     joint_zero: Array,
-    failures: dict[int, str],
-) -> list[Measurement]:
-    """Read the records of several jobs with an arm's sensors."""
-    count = motion.smooth.shape[-1]
+    failures: Sequence[str | None],
+) -> Records:
+    """Read records with an arm's sensors."""
+    jobs, _, count = motion.smooth.shape
     smooth = read_accelerometer(
         motion.smooth, sensor=sensors.accelerometer, rate=sensors.rate, drawn=noise.accelerometers
     )
@@ -458,36 +384,29 @@ def read_records(
         drawn=noise.encoders,
         sliding=arm.sliding,
     )
-    command = control.commands(factor, count)
-    shaken = np.zeros((len(jobs), count)) if arm.shaker is not None else None
+    shaken = np.zeros((jobs, count)) if arm.shaker is not None else None
     if shaken is not None:
         on = control.drives == arm.n
         shaken[control.records[on]] = control.periods[on][:, ::factor][:, :count]
+    failed = [failure is not None for failure in failures]
+    smooth[failed], encoder[failed] = 0.0, 0.0
     end = axes.tool + len(axes.links) * len(axes.link_axes)
-    found = []
-    for k, job in enumerate(jobs):
-        failure = failures.get(job.slot)
-        if failure is not None:
-            smooth[k] = encoder[k] = 0.0
-        links = smooth[k, axes.tool : end].reshape(len(axes.links), len(axes.link_axes), count)
-        found.append(
-            Measurement(
-                pose=job.pose,
-                excitation=job.excitation,
-                rate=sensors.rate,
-                command=command[k],
-                encoder=encoder[k],
-                tool=smooth[k, : axes.tool],
-                links=links if axes.on_links else None,
-                probes={
-                    site: smooth[k, end + 3 * i : end + 3 * i + 3]
-                    for i, site in enumerate(axes.probes)
-                },
-                shaker_force=None if shaken is None else shaken[k],
-                failure=failure,
-            )
-        )
-    return found
+    links = smooth[:, axes.tool : end].reshape(jobs, len(axes.links), len(axes.link_axes), count)
+    probes = {site: smooth[:, end + 3 * i :][:, :3] for i, site in enumerate(axes.probes)}
+    return Records(
+        pose=trials.poses,
+        torque_rms=trials.torque_rms,
+        duration=trials.duration,
+        band=trials.band,
+        rate=sensors.rate,
+        command=control.commands(factor, count),
+        encoder=encoder,
+        tool=smooth[:, : axes.tool],
+        links=links if axes.on_links else None,
+        probes=probes,
+        shaker_force=shaken,
+        failures=tuple(failures),
+    )
 
 
 class SlotRig(ABC):
@@ -524,8 +443,24 @@ class SlotRig(ABC):
         return len(self.plants)
 
     @abstractmethod
-    def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
-        """Take measurements; yield the index of each job with its measurement."""
+    def mount_all(
+        self, slots: IndexArray, faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]
+    ) -> None:
+        """Put new arms into slots."""
+
+    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
+        """Put a new arm into a slot."""
+        draw = MismatchDraw.none(self.arm) if mismatch is None else mismatch
+        self.mount_all(np.array([slot]), [fault], [draw])
+
+    @abstractmethod
+    def record(self, asked: Sequence[Trials]) -> Iterator[tuple[int, IndexArray, Records]]:
+        """Take measurements, those of one element of ``asked`` alike in length.
+
+        Yields the index of an element, which of its measurements were taken, and their records.
+        The caller may work on these while the next ones are simulated; all must be taken out
+        before the rig is used again.
+        """
 
     def measure(
         self,
@@ -543,8 +478,26 @@ class SlotRig(ABC):
         return self.measure_many([job])[0]
 
     def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Take measurements on different slots at once; results in the order of the jobs."""
-        results = dict(self.measure_each(jobs))
+        """Take measurements on different slots at once; results in the order of the jobs.
+
+        Raises
+        ------
+        InvalidSetting
+            If a slot is named twice, or a pose or excitation does not fit the arm.
+        """
+        slots = [job.slot for job in jobs]
+        if len(set(slots)) != len(slots):
+            raise InvalidSetting(f"each slot can be measured once at a time, got slots {slots}")
+        alike: dict[tuple[object, ...], list[int]] = {}
+        for k, job in enumerate(jobs):
+            alike.setdefault((job.excitation.duration, job.excitation.band), []).append(k)
+        members = list(alike.values())
+        results: dict[int, Measurement] = {}
+        asked = [Trials.of(self.arm, [jobs[k] for k in own]) for own in members]
+        for which, rows, records in self.record(asked):
+            for k, row in enumerate(rows):
+                job = members[which][row]
+                results[job] = records.measurement(k, jobs[job].excitation)
         return [results[k] for k in range(len(jobs))]
 
 
@@ -553,9 +506,9 @@ _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the n
 
 @dataclass(kw_only=True, eq=False)
 class _Batch:
-    """Jobs with one duration and one model layout, and the engine that simulates them."""
+    """Measurements of one length and model layout, and the engine that simulates them."""
 
-    jobs: Sequence[Job]
+    trials: Trials
     engine: Batch
     control: Controls
     delivered: Array
@@ -567,6 +520,7 @@ class _Batch:
     count: int
     """Samples of the record."""
     failures: dict[int, str] = field(default_factory=dict)
+    """Why the record of a slot is worthless."""
 
 
 class SimulatedRig(SlotRig):
@@ -618,38 +572,28 @@ class SimulatedRig(SlotRig):
         # Two, so that one chunk can be read while the next is simulated.
         self._rooms = [np.empty(0), np.empty(0)]
 
-    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
-        """Put a new arm into a slot."""
-        draw = MismatchDraw.none(self.arm) if mismatch is None else mismatch
-        self.plants[slot] = self.shop.build(fault, draw)
+    def mount_all(
+        self, slots: IndexArray, faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]
+    ) -> None:
+        """Put new arms into slots."""
+        for slot, plant in zip(slots, self.shop.build_all(faults, mismatches), strict=True):
+            self.plants[slot] = plant
         self._models_changed = True
 
-    def measure_each(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Measurement]]:
-        """Take measurements as `measure_many`, yielding each on completion.
-
-        Yields the index of a job with its measurement. While the caller works on it, the engine
-        goes on with the next ones. All must be taken out before the rig is used again.
-
-        Raises
-        ------
-        InvalidSetting
-            If a slot is named twice, or a pose or excitation does not fit the arm.
-        """
-        check_jobs(self.arm, jobs)
+    def record(self, asked: Sequence[Trials]) -> Iterator[tuple[int, IndexArray, Records]]:
+        """Take measurements; yields an element's index, which of its own, and their records."""
         if self._models_changed:
             self._load()
-        alike: dict[tuple[object, ...], list[int]] = {}  # of one length and one model layout
-        for k, job in enumerate(jobs):
-            key = (job.excitation.duration, job.excitation.band, self.plants[job.slot].parts)
-            alike.setdefault(key, []).append(k)
-        chunks: list[list[int]] = []
-        for members in alike.values():
-            members.sort(key=lambda k: jobs[k].slot)  # as the batch wants them
-            chunks += [members[i : i + _CHUNK] for i in range(0, len(members), _CHUNK)]
-        for chunk, measured in zip(
-            chunks, self._pipeline([[jobs[k] for k in chunk] for chunk in chunks]), strict=True
-        ):
-            yield from zip(chunk, measured, strict=True)
+        chunks: list[tuple[int, IndexArray]] = []
+        for which, trials in enumerate(asked):
+            parts = np.array([self.plants[slot].parts for slot in trials.slots])
+            order = np.argsort(trials.slots, kind="stable")  # as the engine wants them
+            for layout in dict.fromkeys(parts.tolist()):
+                members = order[parts[order] == layout]
+                chunks += [(which, members[i : i + _CHUNK]) for i in range(0, len(members), _CHUNK)]
+        some = [asked[which].some(rows) for which, rows in chunks]
+        for (which, rows), records in zip(chunks, self._pipeline(some), strict=True):
+            yield which, rows, records
 
     def _load(self) -> None:
         """Load the models of the arms into the engines, one by number of loose directions.
@@ -667,7 +611,7 @@ class SimulatedRig(SlotRig):
             )
         self._models_changed = False
 
-    def _pipeline(self, chunks: Sequence[Sequence[Job]]) -> Iterator[list[Measurement]]:
+    def _pipeline(self, chunks: Sequence[Trials]) -> Iterator[Records]:
         """Prepare and read on this thread while the engine simulates the next batch."""
         if len(chunks) == 1:
             run = self._prepare(chunks[0], 0)
@@ -688,45 +632,45 @@ class SimulatedRig(SlotRig):
                 pending[1].result()
                 yield self._read_all(pending[0])
 
-    def _prepare(self, jobs: Sequence[Job], room: int) -> _Batch:
-        """Sample the torques of a batch of jobs and set up their arms."""
+    def _prepare(self, trials: Trials, room: int) -> _Batch:
+        """Sample the torques of measurements and set up their arms."""
         factor, rate = self.factor, self.sensors.rate
         half = len(decimation_filter(factor, self.sensors.accelerometer.bandwidth, rate)) // 2
         before = round(self.arm.settling * rate) * factor
-        control = controls(self.nominal, jobs, timestep=self.timestep)
+        control = controls(self.nominal, trials, timestep=self.timestep)
         delivered = control.signals(
             drives=self.arm.n + (self.arm.shaker is not None),
             before=before,
             after=max(half, factor) + 1,
         )
-        batch = self._engines[self.plants[jobs[0].slot].parts]
+        batch = self._engines[self.plants[trials.slots[0]].parts]
         position, active = batch.bind("qpos"), batch.bind("eq_active")
-        for k, job in enumerate(jobs):
-            plant = self.plants[job.slot]
-            batch.state[job.slot] = 0.0  # at rest, all positions zero
-            position[job.slot, plant.position] = plant.hold_at(job.pose)
-            places = plant.gaps * (job.rng.random(plant.parts) - 0.5)
-            position[job.slot, plant.seat_positions] = places
-            active[job.slot] = plant.model.eq_active0
-            released = np.array(job.excitation.excited)
-            if self.arm.shaker is not None and job.excitation.shaker_rms > 0:
+        for k, slot in enumerate(trials.slots):
+            plant = self.plants[slot]
+            batch.state[slot] = 0.0  # at rest, all positions zero
+            position[slot, plant.position] = plant.hold_at(trials.poses[k])
+            places = plant.gaps * (trials.rngs[k].random(plant.parts) - 0.5)
+            position[slot, plant.seat_positions] = places
+            active[slot] = plant.model.eq_active0
+            released = trials.excited[k]
+            if self.arm.shaker is not None and trials.shaker_rms[k] > 0:
                 released[self.arm.shaker.joint - 1] = True
-            active[job.slot, plant.brakes] = ~released
+            active[slot, plant.brakes] = ~released
             delivered[k, :, : self.arm.n] *= plant.mismatch.drive_gain
         return _Batch(
-            jobs=jobs,
+            trials=trials,
             engine=batch,
             control=control,
             delivered=delivered,
-            recorded=self._buffer(room, len(jobs), delivered.shape[1], batch.model.nsensordata),
+            recorded=self._buffer(room, len(trials), delivered.shape[1], batch.model.nsensordata),
             before=before,
-            count=round(jobs[0].excitation.duration * rate),
+            count=round(trials.duration * rate),
         )
 
     def _simulate(self, run: _Batch) -> None:
         """Run the engine; store its recordings and the failed arms."""
         batch, data, failures = run.engine, run.recorded, run.failures
-        ids = np.array([job.slot for job in run.jobs])
+        ids = run.trials.slots
         batch.warning[ids] = 0
         try:
             with quiet():
@@ -757,8 +701,9 @@ class SimulatedRig(SlotRig):
             self._rooms[room] = np.empty(size)
         return self._rooms[room][:size].reshape(jobs, steps, -1)
 
-    def _read_all(self, run: _Batch) -> list[Measurement]:
-        mismatches = [self.plants[job.slot].mismatch for job in run.jobs]
+    def _read_all(self, run: _Batch) -> Records:
+        slots = run.trials.slots.tolist()
+        mismatches = [self.plants[slot].mismatch for slot in slots]
         motion = sampled(
             run.recorded,
             self._axes,
@@ -771,13 +716,13 @@ class SimulatedRig(SlotRig):
         )
         return read_records(
             motion,
-            draw_noise(run.jobs, self._axes, joints=self.arm.n, count=run.count),
+            draw_noise(run.trials, self._axes, joints=self.arm.n, count=run.count),
             self._axes,
-            run.jobs,
+            run.trials,
             run.control,
             arm=self.arm,
             sensors=self.sensors,
             factor=self.factor,
             joint_zero=np.array([draw.joint_zero for draw in mismatches]),
-            failures=run.failures,
+            failures=[run.failures.get(slot) for slot in slots],
         )

@@ -32,7 +32,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import Count, NonNegative, NonNegativeCount
 from loose_env.report import AGENTS as PALETTE
 from loose_env.typing import Array
-from scripts.study import pyplot, save_figure
+from scripts.charts import Panel, chart, curve, save
 
 LEARNERS = {
     "ppo": ("ppo", "ppo", "flat"),
@@ -196,31 +196,20 @@ def table(curves: Curves) -> str:
 
 def draw(curves: Curves, path: Path) -> None:
     """Draw a column for each environment and a row for each quantity."""
-    plt = pyplot()
-    size = (4.2 * len(curves), 2.1 * len(SHOWN))
-    figure, axes = plt.subplots(
-        len(SHOWN), len(curves), figsize=size, sharex="col", squeeze=False, layout="constrained"
-    )
     learners = sorted({learner for own in curves.values() for learner in own})
-    colours = {each: PALETTE[k % len(PALETTE)] for k, each in enumerate(learners)}
-    for column, (env, own) in enumerate(curves.items()):
-        for row, (name, (words, ends)) in enumerate(SHOWN.items()):
-            panel: Any = axes[row][column]
-            highest = 1.0
+    panels = []
+    for name, (words, ends) in SHOWN.items():
+        for env, own in curves.items():
+            lines = []
             for learner, seeds in own.items():
                 grid, mean, half = band(seeds, name)
-                colour, x = colours[learner], grid / 1000
-                panel.plot(x, mean, color=colour, lw=1.6, label=learner)
-                panel.fill_between(x, mean - half, mean + half, color=colour, alpha=0.2, lw=0)
-                highest = max(highest, 1.1 * float(mean.max()))
-            panel.set_ylim(ends[0], highest if ends[1] is None else ends[1])
-            if column == 0:
-                panel.set_ylabel(words)
-        axes[0][column].set_title(env)
-        axes[0][column].legend(frameon=False, loc="lower right")
-        axes[-1][column].set_xlabel("records taken [thousands]")
+                values = np.array([mean, mean - half, mean + half])
+                colour = PALETTE[learners.index(learner) % len(PALETTE)]
+                lines.append(curve(grid / 1000, values, learner, color=colour, linewidth=1.6))
+            panels.append(Panel(title=env, up=words, curves=lines, look={"ylim": ends}))
+    size = {"columns": len(curves), "width": 4.2 * len(curves), "height": 2.1}
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_figure(plt, figure, path)
+    save(chart(panels, across="records taken [thousands]", **size), path)  # type: ignore[arg-type]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

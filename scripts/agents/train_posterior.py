@@ -1,13 +1,18 @@
-"""Train the posterior's likelihood and novelty reference on a bank of records.
+"""Train the posterior on a bank of simulated records: likelihood, novelty reference, information.
 
-Usage: python scripts/agents/train_posterior.py --env loose_env/Planar-v0 --out banks/planar4
+Usage: python scripts/agents/train_posterior.py --env loose_env/Planar-v0 --episodes 20000 --out
+banks/planar4
 
-The bank is built first where it is missing (see scripts/agents/build_bank.py). A tenth of the
-episodes is held out: half of them set the tempers, the table at the end is of the others. Stopped
-at any moment, the same command goes on from the last checkpoint. Weights go to
-agents/loose_agents/weights, or to
---weights. With them goes what arms of the trained kind leave unexplained, by which an agent knows
-an arm of another kind.
+The bank holds episodes of random records and the truth behind them
+(agents/loose_agents/record_bank.py); it is built first where it is missing, the same for any
+backend and number of workers, and --bank-only stops there. A tenth of the episodes is held out:
+half of them set the tempers, the table is of the others. Stopped at any moment, the same command
+goes on. Weights go to agents/loose_agents/weights, or to --weights. With them goes what arms of the
+trained kind leave unexplained, by which an agent knows an arm of another kind.
+
+Then the realised share of the expected information gain is fitted on held-out records of the bank.
+The factors go to agents/loose_agents/weights/<arm>-<difficulty>.json, where the greedy policy reads
+them; weights of your own (--weights) keep those that are there.
 """
 
 from __future__ import annotations
@@ -22,13 +27,17 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.belief import WEIGHTS, setting_name
+import numpy as np
+from loose_agents.base import Problem
+from loose_agents.belief import WEIGHTS, make_estimator, setting_name, tuning_name
 from loose_agents.jobs import BackendSettings
 from loose_agents.posterior_training import (
     PosteriorTraining,
     TrainingSettings,
+    fit_factors,
     fit_reference,
     seen_episodes,
+    transitions_of,
     with_reference,
 )
 from loose_agents.record_bank import (
@@ -40,6 +49,7 @@ from loose_agents.record_bank import (
     read_features,
     seat_features,
 )
+from loose_agents.tuning import write_tuned
 from numpy.typing import NDArray
 
 from loose_env.cli.command import command
@@ -49,6 +59,9 @@ from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses
 from loose_env.io import Count
 from loose_env.statistics import axes_grid
+
+HELD_OUT = 4
+"""Shards of the bank from which information is fitted: the first, not trained on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,15 +76,20 @@ class Options(BankOptions, BackendSettings):
     """Its seed."""
     weights: str | None = None
     """Folder of the trained weights."""
+    bank_only: bool = False
+    """Build the bank alone."""
 
 
 def train(options: Options) -> None:
     """Build what is missing, train, write the weights, print how well they do."""
+    plan, folder = options.plan, Path(options.out)
+    problem = plan.problem()
+    if options.bank_only:
+        print(f"{plan.episodes} episodes in {build_bank(plan, folder, options).folder}")
+        return
     import torch
 
     torch.set_num_threads(1)
-    plan, folder = options.plan, Path(options.out)
-    problem = plan.problem()
     if problem.hypotheses != hypotheses(problem.arm, DEFAULT_KINDS):
         raise InvalidSetting(
             f"the posterior learns the kinds {list(DEFAULT_KINDS)}; leave the environment's kinds "
@@ -122,6 +140,28 @@ def train(options: Options) -> None:
             f"{row['records']:>8}{row['episodes']:>10}{100 * row['success']:>8.1f} %"
             f"{row['score']:>11.3f}{row['ece']:>8.3f}"
         )
+    if options.weights is None:
+        fit_information(problem, plan, folder)
+
+
+def fit_information(problem: Problem, plan: BankPlan, folder: Path) -> None:
+    """Fit the realised information, store it, and print what was expected and what came true."""
+    posterior: Any = make_estimator("amortised", problem).posterior
+    bank = read_bank(plan, folder, plan.shards[:HELD_OUT])
+    found = transitions_of(problem, posterior, bank, np.random.default_rng(0))
+    factors = fit_factors(found)
+    path = WEIGHTS / f"{tuning_name(problem)}.json"
+    write_tuned(path, {}, information=asdict(factors))
+    print(f"\n{'joints shaken':<16}{'records':>9}{'expected':>10}{'came true':>11}  [nat]")
+    count = found.excited.sum(1)
+    groups = [
+        (name, found.excited[:, j] & (count == 1)) for j, name in enumerate(problem.arm.joints)
+    ]
+    for name, rows in [*groups, ("all", count == problem.arm.n)]:
+        if rows.any():
+            expected, gained = found.expected[rows].mean(), found.gained[rows].mean()
+            print(f"{name:<16}{rows.sum():>9}{expected:>10.3f}{gained:>11.3f}")
+    print(f"\n{factors}\nStored in {path}")
 
 
 def reference_of(

@@ -30,12 +30,13 @@ from loose_agents.policies.model_gap import GAP_AGENTS, STOPPING, make_gap_agent
 from tyro.conf import OmitArgPrefixes
 
 from loose_env.cli.command import command, one_of
-from loose_env.envs import GapPrices, ModelGapEnv
+from loose_env.envs import MUTED, GapPrices, ModelGapEnv
 from loose_env.evaluation import wilson
 from loose_env.io import Count
 from loose_env.registration import GAP_ID
 from loose_env.typing import Array
-from scripts.study import ROOT, Row, pyplot, save_figure, study_rows
+from scripts.charts import Panel, chart, curve, points, save
+from scripts.study import ROOT, Row, study_rows
 
 EVALUATION_SEED, TUNING_SEED = 20_261_126, 20_081_000
 """Seeds of the judging episodes and of those on which stopping is tuned."""
@@ -311,23 +312,25 @@ def calibration_table(rows: Sequence[Row]) -> list[str]:
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Draw accuracy by machine time for one and two effects, and the calibration."""
-    plt = pyplot()
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
     grid = np.arange(1.0, 91.0, 0.5)
-    for axis, effects, title in ((axes[0], 1, "one effect"), (axes[1], 2, "two effects")):
+    panels = []
+    for title, effects in GROUPS[:2]:
+        curves = []
         for agent in agents_in(rows):
             if own := of(rows, agent, effects):
                 shares = [100 * accuracy_at(own, float(t)) for t in grid]
-                axis.step(grid, shares, color=COLOURS[agent], label=agent, where="post")
-        axis.set(title=title, xlabel="machine time [s]", ylabel="accuracy [%]", ylim=(0, 100))
-        axis.legend(loc="lower right", frameon=False)
+                look = {"color": COLOURS[agent], "drawstyle": "steps-post"}
+                curves.append(curve(grid, shares, agent, **look))
+        ends = {"ylim": (0, 100), "xlabel": "machine time [s]"}
+        panels.append(Panel(title=title, up="accuracy [%]", curves=curves, look=ends))
     p, right = beliefs(rows)
     bins = np.clip((10 * p).astype(int), 0, 9)
-    axes[2].plot([0, 1], [0, 1], color="#999999", linewidth=1)
-    for k in set(bins.tolist()):
-        axes[2].plot(p[bins == k].mean(), right[bins == k].mean(), "o", color=COLOURS["greedy"])
-    axes[2].set(title="calibration", xlabel="probability of the set", ylabel="share right")
-    save_figure(plt, figure, path)
+    means = [[each[bins == k].mean() for k in sorted(set(bins.tolist()))] for each in (p, right)]
+    line = curve([0, 1], [0, 1], color=MUTED, linewidth=1)
+    dots = points(means[0], means[1], color=COLOURS["greedy"])
+    ends = {"xlabel": "probability of the set"}
+    panels.append(Panel(title="calibration", up="share right", curves=[line, dots], look=ends))
+    save(chart(panels, columns=3, width=11, height=2.9), path)
 
 
 def evaluate(options: Options) -> None:

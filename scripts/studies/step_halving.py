@@ -38,7 +38,8 @@ from loose_env.report import INK, MUTED
 from loose_env.rig import Job, SimulatedRig
 from loose_env.statistics import axial_difference, axial_mean, wrap_axial
 from loose_env.typing import Array
-from scripts.study import ROOT, Row, arm_named, pyplot, save_figure, study_rows
+from scripts.charts import Panel, chart, curve, save
+from scripts.study import ROOT, Row, arm_named, study_rows
 
 ARMS = ("vera", "planar2", "planar4", "planar6", "planar4v")
 STEPS = (5e-4, 2.5e-4, 2e-4, 1e-4)
@@ -281,54 +282,30 @@ def show(rows: list[Row]) -> None:
 
 
 COLOURS = dict(zip(STATISTICS, ("#0072b2", "#d0451b", "#f0a30a", "#4a8f5c"), strict=True))
-_WORDS = """Solid: 95 % of all components of all cases lie below; dotted: half of them. \
-Above the line at 1 the step shows in a record. Shaded: within chance. Grey bar: the arm's step.
-Softened: share of the faults whose stops would be too fast for the step. \
-Diverged: share with which the simulation ran away."""
 
 
 def draw(rows: list[Row], settings: Settings, path: Path) -> None:
-    """Draw z against the step, a panel for every arm."""
-    plt = pyplot()
-    count = len(settings.arms)
-    size = (1.2 + 2.4 * count, 4.4)
-    figure, axes = plt.subplots(1, count, figsize=size, sharey=True, squeeze=False)
-    shares = {"softened": 0.075, "diverged": 0.015}
-    for panel, name in zip(axes[0], settings.arms, strict=True):
+    """Draw z against the step, a panel for every arm; its own step dashed."""
+    panels = []
+    for name in settings.arms:
         own = [r for r in rows if r["arm"] == name and r["step"] == r["candidate"]]
         own.sort(key=lambda r: r["step"])
-        x = list(range(len(own)))
-        steps = np.log([r["step"] for r in own])
-        ends = {"left": -0.4, "right": len(own) - 0.6}
-        present = np.interp(np.log(arm_named(name).timestep), steps, x, **ends)
-        panel.axhspan(1e-4, chance(settings), color="#eef1f4", lw=0, zorder=0)
-        panel.axhline(1.0, color=INK, lw=0.9, zorder=1)
-        panel.axvline(present, color="#dbe1e7", lw=12, zorder=0.5)
+        steps = [1e6 * r["step"] for r in own]
+        curves = [curve(steps, [level] * len(steps), words, color=colour, linestyle=":")
+                  for level, words, colour in ((1.0, "it shows in a record", INK),
+                                               (chance(settings), "by chance", MUTED))]  # fmt: skip
         for statistic, colour in COLOURS.items():
             most, half = ([r["z"][statistic][q] for r in own] for q in ("95 %", "50 %"))
-            panel.plot(x, most, "o-", color=colour, lw=1.6, ms=4, label=STATISTICS[statistic])
-            panel.plot(x, half, ":", color=colour, lw=1.1)
-        small: dict[str, Any] = {"transform": panel.get_xaxis_transform(), "fontsize": 7.5}
-        for place, row in zip(x, own, strict=True):
-            for share, height in shares.items():
-                words, colour = f"{100 * row[share]:.0f} %", INK if row[share] else MUTED
-                panel.text(place, height, words, ha="center", color=colour, **small)
-        panel.set_yscale("log")
-        panel.set(xlim=(-0.5, len(own) - 0.5), ylim=(1.5e-3, 12), xlabel="step h [µs]")
-        panel.set_xticks(x, [f"{r['step'] * 1e6:.4g}" for r in own])
-        panel.minorticks_off()
-        panel.set_title(name, fontsize=10, color=INK, loc="left")
-    first = axes[0, 0]
-    for label, height in shares.items():
-        first.text(-0.03, height, label, transform=first.transAxes, ha="right", fontsize=7.5,
-                   color=MUTED)  # fmt: skip
-    first.set_ylabel("change from h to h/2\nover interval of one record, z")
-    first.set_yticks([0.01, 0.1, 1, 10], ["0.01", "0.1", "1", "10"])
-    handles, names = first.get_legend_handles_labels()
-    figure.legend(handles, names, loc="upper left", ncols=4, frameon=False, bbox_to_anchor=(0, 1))
-    figure.text(0.008, 0.012, _WORDS, fontsize=8, color=MUTED)
-    figure.tight_layout(rect=(0, 0.085, 1, 0.93))
-    save_figure(plt, figure, path, dpi=150)
+            look: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 4}
+            curves.append(curve(steps, most, STATISTICS[statistic], **look))
+            curves.append(curve(steps, half, **look | {"linestyle": ":", "marker": ""}))
+        ticks = {"xticks": steps, "xticklabels": [f"{s:.4g}" for s in steps]}
+        look = {"xscale": "log", "yscale": "log", "ylim": (1.5e-3, 12), **ticks}
+        marks = [1e6 * arm_named(name).timestep]
+        panels.append(Panel(title=name, curves=curves, marks=marks, look=look))
+    across = "step h [µs]; vertical: change from h to h/2 over the interval of one record, z"
+    size = {"columns": len(panels), "width": 1.2 + 2.4 * len(panels), "height": 3.4}
+    save(chart(panels, across=across, sharey="all", **size), path, dpi=150)  # type: ignore[arg-type]
 
 
 QUICK: dict[str, Any] = {"cases": 4, "records": 3, "surveyed": 40, "steps": (5e-4, 2e-4)}

@@ -8,7 +8,7 @@ gap, its stops are the pairs of blocks, and gravity turns it over.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,9 +20,10 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
+from scripts.charts import Panel, chart, curve
 from scripts.thesis.loose_joint import mass_matrix
 from scripts.thesis.page import Section, printed, section
-from scripts.thesis.plots import note, panels, rms
+from scripts.thesis.plots import rms
 from scripts.thesis.rigs import GUIDE, LIFT, REACH, cylindrical
 
 if TYPE_CHECKING:
@@ -467,24 +468,25 @@ def _same_window(loose: Strokes, tight: Strokes, settings: Guideway) -> tuple[fl
 
 
 _LABEL = "m/s²"
+_POSE_WORDS = {"A": "out and low", "B": "in and low", "C": "out and high"}
 
 
 def time_figure(sets: Mapping[str, Strokes], tight: Strokes) -> Figure:
     """Draw three strokes each of poses A, B and C, and of B without play."""
     shown = {f"pose {name}: {words}": sets[name] for name, words in _POSE_WORDS.items()}
     shown["pose B, play taken out of the guide"] = tight
-    figure, axes = panels(
-        list(shown), across="time since the trigger [s]", up=[_LABEL] * len(shown), height=0.95
-    )
-    low = min(s.acceleration[:3].min() for s in shown.values())
-    for panel, strokes in zip(axes, shown.values(), strict=True):
-        for k, colour in enumerate((MEASURED, SHAKEN, INK)):
-            panel.plot(strokes.time, strokes.acceleration[k], color=colour, linewidth=0.8)
-        panel.set(xlim=(0, strokes.time[-1]), ylim=(1.1 * low, -0.8 * low))
-    return figure
-
-
-_POSE_WORDS = {"A": "out and low", "B": "in and low", "C": "out and high"}
+    panels = [
+        Panel(
+            title=title,
+            up=_LABEL,
+            curves=[
+                curve(strokes.time, strokes.acceleration[k], color=colour, linewidth=0.8)
+                for k, colour in enumerate((MEASURED, SHAKEN, INK))
+            ],
+        )
+        for title, strokes in shown.items()
+    ]
+    return chart(panels, across="time since the trigger [s]", sharey="all")
 
 
 def spectrum_figure(sets: Mapping[str, Strokes], averages: int, settings: Guideway) -> Figure:
@@ -492,18 +494,20 @@ def spectrum_figure(sets: Mapping[str, Strokes], averages: int, settings: Guidew
     frequency, a = _spectrum(sets["A"].acceleration[:averages], settings.rate)
     _, b = _spectrum(sets["B"].acceleration[:averages], settings.rate)
     shown = frequency <= 60.0
-    figure, axes = panels(
-        ["pose A", "pose B", "A less B"], across="frequency [Hz]", up=[_LABEL] * 3, height=0.95
-    )
-    for panel, line, colour in zip(axes, (a, b, a - b), (MEASURED, MEASURED, TRUTH), strict=True):
-        panel.plot(frequency[shown], line[shown], color=colour, linewidth=1.1)
-        panel.set_xlim(0, 60)
-    for panel in axes[:2]:
-        panel.set_yscale("log")
-        panel.set_ylim(0.5 * min(a[shown].min(), b[shown].min()), 2 * a.max())
-    top = 1.2 * float(np.abs(a - b)[shown].max())
-    axes[2].set_ylim(-top, top)
-    return figure
+    panels = [
+        Panel(
+            title=title,
+            up=_LABEL,
+            curves=[curve(frequency[shown], line[shown], color=colour)],
+            look={"yscale": scale},
+        )
+        for title, line, colour, scale in (
+            ("pose A", a, MEASURED, "log"),
+            ("pose B", b, MEASURED, "log"),
+            ("A less B", a - b, TRUTH, "linear"),
+        )
+    ]
+    return chart(panels, across="frequency [Hz]")
 
 
 def _spectrum(strokes: Array, rate: float) -> tuple[Array, Array]:
@@ -517,44 +521,34 @@ def _spectrum(strokes: Array, rate: float) -> tuple[Array, Array]:
 
 def end_figure(shifted: Mapping[int, Strokes]) -> Figure:
     """Draw the end of the stroke for each end point; keys are shifts [mm]."""
-    title, across = "end of the stroke, mean of each set", "time since the trigger [s]"
-    figure, (panel,) = panels([title], across=across, up=[_LABEL], height=2.1)
     colours = {-4: TRUTH, -2: SHAKEN, 0: INK, 2: "#56b4e9", 4: MEASURED}
     base = shifted[0]
     window = (base.time > 0.86) & (base.time < 1.10)
     spread = base.acceleration.std(axis=0)[window]
-    middle = base.mean[window]
-    panel.fill_between(
-        base.time[window], middle - spread, middle + spread, color=INK, alpha=0.15, linewidth=0
-    )
-    for row, by in enumerate(sorted(shifted)):
-        panel.plot(base.time[window], shifted[by].mean[window], color=colours[by], linewidth=1.4)
+    curves = []
+    for by in sorted(shifted):
+        values = shifted[by].mean[window]
+        band = values if by else np.array([values, values - spread, values + spread])
         name = f"{by:+d} mm" if by else "unmoved"
-        note(panel, 0.975, 0.08 + 0.105 * row, name, color=colours[by], inside=True, ha="right")
-    panel.set_xlim(0.86, 1.10)
-    return figure
+        curves.append(curve(base.time[window], band, name, color=colours[by]))
+    title, across = "end of the stroke, mean of each set", "time since the trigger [s]"
+    return chart([Panel(title=title, up=_LABEL, curves=curves)], across=across, height=2.1)
 
 
 def shudder_figure(loose: Strokes, tight: Strokes, weight_over: float) -> Figure:
     """Draw acceleration and pitch of the boom against its reach, with play and without."""
-    figure, (upper, lower) = panels(
-        ["acceleration of the wrist along the boom, mean", "pitch of the boom in its guide"],
-        across="reach [m]",
-        up=[_LABEL, "mrad"],
-        height=1.2,
-    )
-    for strokes, colour in ((tight, MUTED), (loose, MEASURED)):
-        reach = strokes.reach.mean(axis=0)
-        upper.plot(reach, strokes.mean, color=colour, linewidth=1.2)
-        lower.plot(reach, 1000 * strokes.pitch.mean(axis=0), color=colour, linewidth=1.2)
-    for panel in (upper, lower):
-        panel.axvline(weight_over, color=TRUTH, linewidth=1.1, linestyle=(0, (4, 2)))
-        panel.set_xlim(0.15, 0.50)
-    upper.set_ylim(-1.0, 1.5)
-    for panel, x, y, words, colour in (
-        (upper, weight_over - 0.004, 1.2, "weight over the middle", TRUTH),
-        (lower, 0.495, 0.25, "with play", MEASURED),
-        (lower, 0.495, -0.35, "without play", MUTED),
-    ):
-        note(panel, x, y, words, color=colour, size=8.5, ha="right")
-    return figure
+    states = (("without play", tight, MUTED), ("with play", loose, MEASURED))
+    shown: dict[str, Callable[[Strokes], Array]] = {
+        "acceleration of the wrist along the boom, mean [m/s²]": lambda s: s.mean,
+        "pitch of the boom in its guide [mrad]": lambda s: 1000 * s.pitch.mean(axis=0),
+    }
+    panels = [
+        Panel(
+            title=title,
+            curves=[curve(s.reach.mean(axis=0), of(s), n, color=c) for n, s, c in states],
+            marks=[weight_over],
+            look={"xlim": (0.15, 0.50)} | ({"ylim": (-1.0, 1.5)} if k == 0 else {}),
+        )
+        for k, (title, of) in enumerate(shown.items())
+    ]
+    return chart(panels, across="reach [m]; dashed: weight over the middle")

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from loose_env.arms import Arm, planar
-from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.envs import MEASURED, TRUTH
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Fault, Healthy, StructuralLooseness
 from loose_env.kinematics import Chain, geometric_jacobian
-from loose_env.report import WIDTH, new_figure
 from loose_env.rig import read_encoder
 from loose_env.sensors import Encoder
 from loose_env.typing import Array
+from scripts.charts import Panel, axis, chart, ring
 from scripts.thesis.loose_joint import (
     Jig,
     compatible_links,
@@ -33,7 +33,6 @@ from scripts.thesis.loose_joint import (
     velocity_components,
 )
 from scripts.thesis.page import Rows, Section, section
-from scripts.thesis.plots import axis_line, note
 from scripts.thesis.rigs import LOOSE_GAP
 
 if TYPE_CHECKING:
@@ -212,21 +211,11 @@ def loose_links(seed: int) -> tuple[Rows, int, float, Figure]:
 
 
 def _frames_figure(own: Sequence[Array], link: int) -> Figure:
-    count = len(own)
-    side = WIDTH / count
-    figure = new_figure(side + 0.2)
-    height = side + 0.2
+    panels = []
     for k, lines in enumerate(own):
-        axes = figure.add_axes(((k + 0.06) / count, 0.03, 0.88 / count, 0.88 * side / height))
-        turn = np.linspace(0, 2 * np.pi, 120)
-        axes.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=1.0)
         loose = k + 1 == link
-        for x, y in lines:
-            end = np.array([x, y]) / np.hypot(x, y)
-            axis_line(axes, end, color=TRUTH if loose else MEASURED, linewidth=2.0)
-        look: dict[str, Any] = {"color": INK if loose else MUTED, "ha": "center", "va": "bottom"}
+        colour = TRUTH if loose else MEASURED
+        axes = [axis(end / np.linalg.norm(end), color=colour, linewidth=2.0) for end in lines]
         name = f"link {k + 1}" + (" (loose)" if loose else "")
-        note(axes, 0.5, 1.04, name, size=9.5, inside=True, **look)
-        axes.set(xlim=(-1.05, 1.05), ylim=(-1.05, 1.05), aspect="equal")
-        axes.axis("off")
-    return figure
+        panels.append(Panel(title=name, curves=[ring(1.0), *axes]))
+    return chart(panels, columns=len(own), height=1.4, bare=True)

@@ -1,23 +1,21 @@
-"""Studies of the thesis's future work: whitening, compliance, motor signals, sensors, stopping.
+"""Studies of the thesis's future work: faults in motor torque and encoder, and more sensors.
 
-Usage: python scripts/thesis/later.py compensation --arms 400
+Usage: python scripts/thesis/later.py joint_side --arms 64
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import mannwhitneyu
-from scipy.stats import t as student
 
-from loose_env.arms import CREST_FACTOR, Arm, LinearArm, LinearPose, planar, servoed, vera
+from loose_env.arms import Arm, LinearArm, planar, vera
 from loose_env.cli.command import Actions, commands
 from loose_env.diagnosis import SensorFloor, predict, statistics_of
 from loose_env.envs import Difficulty, FaultSampler
-from loose_env.excitation import Excitation, Shaping, at_levels
+from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import Fault, Healthy
 from loose_env.io import Count
 from loose_env.rig import Job, Measurement, SimulatedRig
@@ -26,7 +24,6 @@ from loose_env.statistics import acceleration_from_angle, bandpass, shape_of
 from loose_env.typing import Array
 from scripts.thesis.estimators import transfer_function
 from scripts.thesis.loose_joint import placed
-from scripts.thesis.shaken_vera import spectral_flatness
 
 DURATION = 1.2
 """Length of a record [s], as in the thesis."""
@@ -144,159 +141,6 @@ def angle_deg(one: Array, other: Array) -> float:
     """Angle between two axes [deg], 0 to 90."""
     cosine = abs(float(one @ other)) / float(np.linalg.norm(one) * np.linalg.norm(other))
     return float(np.degrees(np.arccos(min(cosine, 1.0))))
-
-
-Compensation = Literal["flat torque", "white joint motion", "white tool motion"]
-RANGE = 10.0
-"""Largest over smallest amplitude of the shaped torque [1]: so that a deep antiresonance does not
-take all the power."""
-CLOSE = 20.0
-"""Error of a direction that the thesis claims [deg] (6.5.1)."""
-
-
-def joint_motion(record: Measurement, joint: int) -> Array:
-    """Acceleration of a joint (from 0) by its encoder [rad/s²]."""
-    return acceleration_from_angle(record.encoder[[joint]], record.rate, record.excitation.band)
-
-
-def shaping_of(healthy: Measurement, joint: int, kind: Compensation) -> Shaping:
-    """Inverse of the transfer function of a healthy flat record, within `RANGE` of its median."""
-    rate, (low, high) = healthy.rate, healthy.excitation.band
-    motion = joint_motion(healthy, joint) if kind == "white joint motion" else healthy.tool
-    found = transfer_function(healthy.command[joint], motion, rate, segments=8)
-    inside = (found.frequencies >= low) & (found.frequencies <= high)
-    size = np.sqrt(np.sum(np.abs(found.response[:, inside]) ** 2, axis=0))
-    inverse = 1 / np.maximum(size, 1e-12 * size.max())
-    middle = np.median(inverse)
-    inverse = np.clip(inverse, middle / np.sqrt(RANGE), middle * np.sqrt(RANGE))
-    return lambda at: np.asarray(np.interp(at, found.frequencies[inside], inverse))
-
-
-def shaped(flat: Excitation, pose: LinearPose, joint: int, shape: Shaping) -> Excitation:
-    """Shape the torque of one joint (from 0) at the same rms motion of the nominal tool."""
-    arm = pose.linear.arm
-    power = np.sum(np.abs(pose.response(flat.excited).tool[:, :, 0]) ** 2, axis=1)
-    weight = shape(pose.linear.frequency) ** 2
-    factor = np.sqrt(power.mean() / ((weight * power).mean() / weight.mean()))
-    spare = arm.torque_limits[joint] - abs(pose.gravity_torque[joint])
-    torque = list(flat.torque_rms)
-    torque[joint] = min(torque[joint] * float(factor), spare / CREST_FACTOR)
-    shapes = tuple(shape if j == joint else None for j in range(arm.n))
-    return replace(flat, torque_rms=tuple(torque), shaping=shapes)
-
-
-def compensated_errors(settings: Settings) -> dict[Compensation, Array]:
-    """Errors of lowest correlation and of the change [deg], and flatness of the joint's motion [1].
-
-    A row (3,) for each excited joint of each arm (cases, 3).
-    """
-    arm = vera()
-    twins = Twins.draw(arm, settings.arms, [settings.seed, 51])
-    rows: dict[Compensation, list[tuple[float, ...]]] = {k: [] for k in get_args(Compensation)}
-    for joint in range(arm.n):
-        flat = twins.one_joint(joint, arm.levels[settings.level - 1])
-        reference = twins.measure(flat, [settings.seed, 52, joint, 0])
-        for number, kind in enumerate(rows):
-            pairs = reference
-            if number:
-                shakes = [
-                    shaped(shake, twins.linear.at(q), joint, shaping_of(pair[1], joint, kind))
-                    if pair
-                    else shake
-                    for shake, q, pair in zip(flat, twins.poses, reference, strict=True)
-                ]
-                pairs = twins.measure(shakes, [settings.seed, 52, joint, number])
-            for k, pair in enumerate(pairs):
-                if pair is None:
-                    rows[kind].append((np.nan,) * 3)
-                    continue
-                motion, truth = joint_motion(pair[1], joint)[0], twins.slide(k)
-                lowest = angle_deg(statistics_of(pair[0]).lowest_direction, truth)
-                flatness = float(spectral_flatness(motion, pair[1].rate, arm.band))
-                rows[kind].append((lowest, angle_deg(change_of(pair, joint), truth), flatness))
-    return {kind: np.array(found) for kind, found in rows.items()}
-
-
-def difference(one: Array, other: Array, arms: int, seed: int) -> str:
-    """Difference of median errors [deg] and its 95 % interval, by resampling arms."""
-    rng = np.random.default_rng([seed, 53])
-    pairs = np.stack([one, other]).reshape(2, -1, arms)
-    draws = rng.integers(arms, size=(DRAWS, arms))
-    found = [np.nanmedian(pairs[:, :, d].reshape(2, -1), axis=1) for d in draws]
-    low, high = np.quantile(np.diff(np.array(found), axis=1)[:, 0], [0.025, 0.975])
-    return f"{np.nanmedian(other) - np.nanmedian(one):+.1f} ({low:+.1f} to {high:+.1f})"
-
-
-def compensation(settings: Settings) -> None:
-    """Excitation that whitens the motion, by an inverse transfer function, against flat (8.2.2)."""
-    found = compensated_errors(settings)
-    base = found["flat torque"]
-    print(f"VERA, {settings.arms} arms, each joint in turn, level {settings.level}")
-    head = ("excitation", "flatness", "direction by", "median error", "within 20 deg", "difference")
-    print("{:20s} {:>8s}   {:22s} {:>12s} {:>14s}   {}".format(*head))
-    for kind, rows in found.items():
-        for column, name in enumerate(("lowest correlation", "change of transmission")):
-            errors = rows[:, column]
-            turn = difference(base[:, column], errors, settings.arms, settings.seed)
-            close = 100 * np.mean(errors < CLOSE)
-            print(
-                f"{kind:20s} {np.nanmedian(rows[:, 2]):8.2f}   {name:22s} "
-                f"{np.nanmedian(errors):12.1f} {close:12.0f} %   {'-' if rows is base else turn}"
-            )
-    print("difference: of the median error against flat torque [deg], with its 95 % interval")
-
-
-MODES = (300.0, 150.0, 100.0, 70.0, 30.0, 15.0)
-"""Mode of each joint on its servo, all others held [Hz]."""
-ESTIMATORS = ("healthy records", "kinematics", "dynamic model")
-LEVEL = 3.0
-"""Rms acceleration at the nominal tool [m/s²]."""
-OPEN = Difficulty(gap=(0.03e-3, 0.4e-3), friction=(0.02, 0.1))
-"""Gaps [m] and friction over the seat drive of the top level: seats that open."""
-
-
-def errors_of(arm: Arm, settings: Settings) -> tuple[Array, float]:
-    """Errors of each estimator (arms, estimators) [deg], and the median change of transmission.
-
-    The change is relative to the healthy arm's.
-    """
-    twins = Twins.draw(arm, settings.arms, [settings.seed], difficulty=OPEN)
-    floor = SensorFloor.of(twins.rig.sensors, arm.band)
-    shape = (settings.arms, 4, len(arm.axes), arm.n)
-    columns = np.full(shape, np.nan)  # loose, healthy, kinematic, modelled
-    for joint in range(arm.n):
-        shakes = twins.one_joint(joint, LEVEL)
-        for k, pair in enumerate(twins.measure(shakes, [settings.seed, 1, joint])):
-            if pair is None:
-                continue
-            at = twins.linear.at(twins.poses[k])
-            model = predict(at, shakes[k], floor).transmission_by_instrument[:, 0]
-            seen = (statistics_of(m).transmission_by_instrument[:, joint] for m in pair)
-            columns[k, :, :, joint] = [*seen, at.kinematic[:, joint], model]
-    errors, ratios = [], []
-    for k, (loose, *references) in enumerate(columns):
-        if np.isfinite(loose).all():
-            axes = [np.linalg.svd(loose - other)[0][:, 0] for other in references]
-            errors.append([angle_deg(axis, twins.slide(k)) for axis in axes])
-            healthy = references[0]
-            ratios.append(np.linalg.norm(loose - healthy) / np.linalg.norm(healthy))
-    return np.array(errors), float(np.median(ratios))
-
-
-def compliant_joints(settings: Settings) -> None:
-    """Direction of looseness as the joints that hold the arm become compliant (8.2.1).
-
-    Compared are references of healthy records, rigid kinematics and the dynamic model; the tool is
-    excited with 3 m/s² rms whatever the level.
-    """
-    stiff = planar(3)
-    print(f"{stiff.name}, {settings.arms} arms a row: median error of the direction [deg] against")
-    print(f"{'held by':14s} {'|dB|/|B|':>9s}" + "".join(f"{e:>17s}" for e in ESTIMATORS))
-    arms = {"brakes": stiff} | {f"servo {m:.0f} Hz": servoed(stiff, mode_hz=m) for m in MODES}
-    for name, arm in arms.items():
-        errors, ratio = errors_of(arm, settings)
-        middle = "".join(f"{error:17.1f}" for error in np.median(errors, axis=0))
-        print(f"{name:14s} {ratio:9.2f}{middle}")
 
 
 INDICES = ("apparent inertia", "incoherence", "kurtosis of the joint", "tool, transmission")
@@ -431,77 +275,9 @@ def sensors(settings: Settings) -> None:
             )
 
 
-WANTED = (5.0, 2.0, 1.0, 0.5)
-"""Half widths of the interval at which a measurement stops [deg]."""
-RECORDS, SECONDS = 24, 0.2
-"""Most records of each joint, and their length [s]."""
-FIRST = 4
-"""Records before the first look: fewer tell little of their scatter."""
-
-
-def axis_of(change: Array) -> Array:
-    """Direction of a change of transmission (d, joints): its largest left singular vector."""
-    return np.asarray(np.linalg.svd(change)[0][:, 0])
-
-
-def half_width(changes: Array) -> float:
-    """Half width of the direction's 95 % interval [deg] from records (R, d, joints)."""
-    count, pooled = len(changes), axis_of(changes.mean(axis=0))
-    left_out = [
-        angle_deg(axis_of(np.delete(changes, r, axis=0).mean(axis=0)), pooled) for r in range(count)
-    ]
-    deviation = np.sqrt((count - 1) / count * np.sum(np.square(left_out)))
-    return float(student.ppf(0.975, count - 1) * deviation)
-
-
-def pooled_changes(settings: Settings) -> tuple[Array, list[Array]]:
-    """Changes of transmission of every record (arms, R, d, joints), and the true directions."""
-    arm = planar(3)
-    twins = Twins.draw(
-        arm, settings.arms, [settings.seed, 81], difficulty=Difficulty(friction=(0.02, 0.1))
-    )
-    shape = (settings.arms, RECORDS, len(arm.axes), arm.n)
-    changes = np.zeros(shape)
-    for joint in range(arm.n):
-        level = arm.levels[settings.level - 1]
-        shakes = twins.one_joint(joint, level, duration=SECONDS)
-        for r in range(RECORDS):
-            for k, pair in enumerate(twins.measure(shakes, [settings.seed, 82, joint, r])):
-                if pair is not None:
-                    changes[k, r, :, joint] = change_of(pair, joint)
-    return changes, [twins.slide(k) for k in range(settings.arms)]
-
-
-def stopping(settings: Settings) -> None:
-    """Measure only until the 95 % interval of the direction is as narrow as wanted (8.1.1).
-
-    Scatter falls with the root of time, so that half the angle takes four times as long; what
-    sensors and model get wrong does not fall at all.
-    """
-    changes, truths = pooled_changes(settings)
-    print(f"planar arm of 3 links, {settings.arms} arms, records of {SECONDS:g} s a joint")
-    print(f"{'wanted':>8s} {'reached':>9s} {'seconds':>9s} {'median error':>14s} {'within':>8s}")
-    for wanted in WANTED:
-        reached, spent, errors = [], [], []
-        for records, truth in zip(changes, truths, strict=True):
-            for count in range(FIRST, RECORDS + 1):
-                width = half_width(records[:count])
-                if width <= wanted or count == RECORDS:
-                    break
-            reached.append(width <= wanted)
-            spent.append(count * SECONDS)
-            errors.append(angle_deg(axis_of(records[:count].mean(axis=0)), truth))
-        within = np.mean(np.array(errors) <= wanted)
-        print(
-            f"{wanted:6g} ° {100 * np.mean(reached):7.0f} % {np.median(spent):9.1f} "
-            f"{np.median(errors):12.1f} ° {100 * within:6.0f} %"
-        )
-    print("seconds: of records for each joint, median; within: errors no larger than wanted")
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a study, with errors in one line."""
-    studies = (compensation, compliant_joints, joint_side, sensors, stopping)
+    studies = (joint_side, sensors)
     actions: Actions = {
         study.__name__: (type("Study", (Settings,), {"__doc__": study.__doc__}), study)
         for study in studies

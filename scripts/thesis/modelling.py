@@ -15,14 +15,14 @@ import mujoco
 import numpy as np
 
 from loose_env.arms import Arm, LinearArm, LinearPose, MismatchDraw, planar, vera
-from loose_env.envs import FAINT, INK, MEASURED, MUTED, SHAKEN
+from loose_env.envs import MEASURED, MUTED, SHAKEN
 from loose_env.excitation import Excitation, torque_signals
 from loose_env.faults import Backlash, Healthy, StructuralLooseness
 from loose_env.kinematics import Chain, Frame, geometric_jacobian
-from loose_env.report import new_figure, quiet_axes
 from loose_env.rig import PlantShop
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array, ComplexArray
+from scripts.charts import Panel, chart, curve, points
 from scripts.thesis.loose_joint import (
     Condition,
     backlash_condition,
@@ -37,7 +37,6 @@ from scripts.thesis.loose_joint import (
     simulate_docked,
 )
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import note
 from scripts.thesis.rigs import LOOSE_GAP
 
 if TYPE_CHECKING:
@@ -426,72 +425,30 @@ def modelling(seed: int) -> Section:
 
 
 def ratios_figure(compared: Sequence[Disagreement]) -> Figure:
-    """Draw two bars an alternative: the gap over noise, and over noise and model error."""
-    height = 0.52 * len(compared) + 0.75
-    figure = new_figure(height)
-    axes = figure.add_axes((0.03, 0.5 / height, 0.94, 1 - 0.62 / height))
-    values = [r for w in compared for r in (w.against_noise, w.against_all)]
-    low, high = 10 ** np.floor(np.log10(min(values))), 10 ** np.ceil(np.log10(max(values)))
-    for k, w in enumerate(compared):
-        y = -float(k)
-        for ratio, shift, colour, word in (
-            (w.against_noise, 0.11, MEASURED, "noise"),
-            (w.against_all, -0.11, SHAKEN, "noise and model"),
-        ):
-            left, width = min(ratio, 1.0), abs(ratio - 1.0)
-            axes.barh(y + shift, width, left=left, height=0.17, color=colour, zorder=2)
-            if k == 0:
-                x = max(w.against_noise, 1.0) * 1.15
-                note(axes, x, y + shift, f"over {word}", size=8, va="center")
-        note(axes, low, y + 0.23, w.name, size=9.5, va="bottom")
-        words = f"{w.against_noise:.2g} and {w.against_all:.2g}"
-        note(axes, high, y + 0.23, words, size=9.5, ha="right", va="bottom")
-        axes.plot([1.0, 1.0], [y - 0.24, y + 0.22], color=INK, linewidth=1.2, zorder=3)
-    axes.set_xscale("log")
-    axes.set(xlim=(low, high), ylim=(0.6 - len(compared), 0.62))
-    axes.set_yticks([])
-    ticks = 10.0 ** np.arange(np.log10(low), np.log10(high) + 0.5)
-    axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
-    first, *_, last = axes.get_xticklabels()
-    first.set_horizontalalignment("left")
-    last.set_horizontalalignment("right")
-    axes.minorticks_off()
-    quiet_axes(axes, grid="x", spines=(), pad=6, size=9)
-    axes.set_xlabel("disagreement from the gap, over the rest", color=MUTED, fontsize=9)
-    return figure
+    """Draw two points an alternative: the gap over noise, and over noise and model error."""
+    places = -np.arange(len(compared), dtype=float)
+    curves = [
+        points([w.against_noise for w in compared], places, "over noise", color=MEASURED),
+        points(
+            [w.against_all for w in compared], places, "over noise and model", "s", color=SHAKEN
+        ),
+    ]
+    ticks = {"yticks": places, "yticklabels": [w.name for w in compared]}
+    panel = Panel(curves=curves, marks=[1.0], look=ticks | {"xscale": "log"})
+    return chart([panel], across="disagreement from the gap, over the rest", height=2.4)
 
 
-def condition_figure(points: Sequence[tuple[str, int, float]]) -> Figure:
+def condition_figure(joints: Sequence[tuple[str, int, float]]) -> Figure:
     """Draw the closed form of `backlash_condition` and where the joints of the arms lie."""
-    figure = new_figure(2.9)
-    axes = figure.add_axes((0.12, 0.17, 0.84, 0.72))
     ratio = np.logspace(-3, 2, 200)
-    axes.plot(ratio, [backlash_condition(r) for r in ratio], color=MUTED, linewidth=1.8, zorder=2)
-    for name, colour, marker, side in (("planar4", MEASURED, "o", 1), ("vera", SHAKEN, "s", -1)):
-        own = [(j, r) for n, j, r in points if n == name]
-        look: dict[str, Any] = {"linestyle": "none", "marker": marker, "markersize": 6, "zorder": 3}
-        axes.plot(
-            [r for _, r in own], [backlash_condition(r) for _, r in own], color=colour, **look
+    curves = [curve(ratio, [backlash_condition(r) for r in ratio], color=MUTED, linewidth=1.8)]
+    for name, words, marker, colour in (
+        ("planar4", "joints of the four-link arm", "o", MEASURED),
+        ("vera", "joints of VERA", "s", SHAKEN),
+    ):
+        own = [r for n, _, r in joints if n == name]
+        curves.append(
+            points(own, [backlash_condition(r) for r in own], words, marker, color=colour)
         )
-        middle = float(np.exp(np.mean([np.log(r) for _, r in own])))
-        at = backlash_condition(middle)
-        axes.annotate(
-            f"joints of {'VERA' if name == 'vera' else 'the four-link arm'}",
-            xy=(middle, at),
-            xytext=(middle * (2.2 if side > 0 else 1 / 3), at * (6 if side > 0 else 1 / 3.2)),
-            color=INK,
-            fontsize=9,
-            ha="left" if side > 0 else "right",
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.0},
-        )
-    axes.set(xscale="log", yscale="log", xlim=(1e-3, 1e2), ylim=(1, 1e4))
-    axes.grid(color=FAINT, linewidth=0.8)
-    # Plain numbers: the exponents of a power of ten are too small to read.
-    decades, conditions = 10.0 ** np.arange(-3, 3), 10.0 ** np.arange(5)
-    axes.set_xticks(decades, [f"{r:g}" for r in decades])
-    axes.set_yticks(conditions, [f"{c:.0f}" for c in conditions])
-    axes.minorticks_off()
-    quiet_axes(axes, grid="y", spines=(), pad=6, size=9)
-    axes.set_xlabel("inertia of motor side over link side", color=MUTED, fontsize=9)
-    note(axes, 0.0, 1.04, "condition", color=MUTED, inside=True)
-    return figure
+    panel = Panel(title="condition", curves=curves, look={"xscale": "log", "yscale": "log"})
+    return chart([panel], across="inertia of motor side over link side", height=2.2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import spearmanr
 
 from loose_env.arms import Arm, LinearArm, planar, vera
-from loose_env.envs import EDGE, FAINT, INK, MEASURED, MUTED, TRUTH
+from loose_env.envs import EDGE, FAINT, INK, MEASURED, TRUTH
 from loose_env.kinematics import (
     Chain,
     chebyshev_poses,
@@ -22,14 +22,12 @@ from loose_env.kinematics import (
     worst_push,
     wrench_rank,
 )
-from loose_env.report import new_figure, quiet_axes
 from loose_env.typing import Array
+from scripts.charts import DASHED, Curve, Panel, axis, chart, curve, drawing, points
 from scripts.thesis.loose_joint import mass_matrix, placed
 from scripts.thesis.page import Section, printed, section
-from scripts.thesis.plots import axis_line, bare_panels, note
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 AGREES_DEG = 2.0
@@ -45,7 +43,6 @@ Drive = Literal["torque", "tool"]
 """Unit of drive: 1 N m rms at each joint, or 1 m/s² rms at the tool from each joint."""
 _PER: tuple[tuple[Drive, str], ...] = (("tool", "1 m/s² at the tool"), ("torque", "1 N·m"))
 _LINK = "#8e9aa6"
-_FLAT = 0.8  # height of an ellipsoid panel over its width
 
 
 class Ellipsoid(NamedTuple):
@@ -267,125 +264,74 @@ def pose_choice(seed: int) -> Section:
 
 
 def ellipsoid_figure(
-    arm: Arm, panels: Sequence[tuple[str, Array, Array, Array, Array]], *, columns: int = 3
+    arm: Arm, shown: Sequence[tuple[str, Array, Array, Array, Array]], *, columns: int = 3
 ) -> Figure:
     """Draw the arm and its manipulability ellipsoid in the tool frame, y up, a panel a pose.
 
-    A panel has a title, the pose, the half axes in columns [m] (2, 2), the direction in which
-    joint 1 moves the tool (2,), and the printed one of the major axis (2,).
+    Shown are a title, the pose, the half axes in columns [m] (2, 2), the direction in which joint 1
+    moves the tool (2,), and the printed one of the major axis (2,).
     """
-    from matplotlib.lines import Line2D
-
-    figure, places = bare_panels(len(panels), columns, flat=_FLAT, above=0.3, foot=0.02)
-    for axes, panel in zip(places, panels, strict=True):
-        _ellipsoid(axes, arm, *panel)
-    entries = [
-        Line2D([], [], color=MEASURED, linewidth=1.6),
-        Line2D([], [], color=MEASURED, linewidth=1.1),
-        Line2D([], [], color=TRUTH, linewidth=1.5, linestyle=(0, (4, 2))),
-        Line2D([], [], color=INK, linewidth=1.3, linestyle=(0, (1.2, 1.2))),
-    ]
-    words = ["ellipsoid", "its major axis", "major axis, printed", "line of joint 1"]
-    place: dict[str, Any] = {"loc": "center", "bbox_to_anchor": (1 - 0.5 / columns, 0.23)}
-    figure.legend(entries, words, frameon=False, fontsize=8.5, labelcolor=INK, **place)
-    return figure
+    turn, length = np.linspace(0, 2 * np.pi, 121), 0.36 * arm.reach
+    panels = []
+    for title, pose, half_axes, line, said in shown:
+        chain = Chain.of(arm, pose)
+        world = np.vstack([chain.anchors, chain.tool])
+        small = half_axes / 3
+        x, y = small @ np.array([np.cos(turn), np.sin(turn)])
+        major = small[:, 0] / np.linalg.norm(small[:, 0])
+        dotted = (0, (1.2, 1.2))
+        curves = [
+            *_arm(((world - chain.tool) @ chain.tool_axes)[:, :2]),
+            curve(x, y, "ellipsoid", color=MEASURED),
+            axis(length * major, "its major axis", color=MEASURED, linewidth=1.1),
+            axis(length * said, "major axis, printed", color=TRUTH, linestyle=DASHED),
+            axis(length * line, "line of joint 1", color=INK, linestyle=dotted),
+        ]
+        panels.append(Panel(title=title, curves=curves))
+    return chart(panels, columns=columns, height=1.6, bare=True)
 
 
 def set_figure(arms: Sequence[tuple[Arm, Array, Array]]) -> Figure:
     """Draw the chosen poses, a row an arm, with the pushes on the last link's seat."""
-    columns = max(len(poses) for _, poses, _ in arms)
-    figure, places = bare_panels(len(arms) * columns, columns, above=0.42)
-    for row, (arm, poses, pushes) in enumerate(arms):
-        drawn = [_drawn(arm, pose, push) for pose, push in zip(poses, pushes, strict=True)]
-        low = [np.vstack([points, ends]).min(axis=0) for points, ends in drawn]
-        high = [np.vstack([points, ends]).max(axis=0) for points, ends in drawn]
-        half = 0.56 * float(
-            max(np.ptp([a, b], axis=0).max() for a, b in zip(low, high, strict=True))
-        )
-        for column, (points, ends) in enumerate(drawn):
-            axes = places[row * columns + column]
-            _arm(axes, points)
-            look: dict[str, Any] = {"arrowstyle": "-|>", "color": TRUTH, "linewidth": 1.4}
-            look |= {"shrinkA": 0, "shrinkB": 0}
-            for end in ends:
-                seat = (float(points[-2, 0]), float(points[-2, 1]))
-                axes.annotate("", xy=tuple(end), xytext=seat, arrowprops=look, zorder=4)
-            x, y = (low[column] + high[column]) / 2
-            axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
-            angles = [f"{a:.0f}°".replace("-", "−") for a in np.degrees(poses[column])]
+    panels = []
+    for arm, poses, pushes in arms:
+        for pose, push in zip(poses, pushes, strict=True):
+            chain = Chain.of(arm, pose)
+            points_of = np.vstack([chain.anchors, chain.tool])[:, :2]
+            size = 0.3 * arm.reach / float(np.linalg.norm(push, axis=0).max())
+            seat = points_of[-2]
+            ends = seat + size * (chain.tool_axes[:2, :2] @ push).T
+            arrows = [curve([seat[0], x], [seat[1], y], "push", color=TRUTH) for x, y in ends]
+            angles = [f"{a:.0f}°".replace("-", "−") for a in np.degrees(pose)]
             lines = [", ".join(angles[k : k + 2]) for k in range(0, len(angles), 2)]
-            axes.set_title("\n".join(lines), fontsize=8.5, color=MUTED, pad=1)
-    return figure
-
-
-def _drawn(arm: Arm, pose: Array, push: Array) -> tuple[Array, Array]:
-    """Joints and tool, and the ends of the pushes on the last seat, in the plane [m]."""
-    chain = Chain.of(arm, pose)
-    points = np.vstack([chain.anchors, chain.tool])[:, :2]
-    size = 0.3 * arm.reach / float(np.linalg.norm(push, axis=0).max())
-    return points, points[-2] + size * (chain.tool_axes[:2, :2] @ push).T
+            panels.append(Panel(title="\n".join(lines), curves=[*_arm(points_of), *arrows]))
+    columns = max(len(poses) for _, poses, _ in arms)
+    return chart(panels, columns=columns, height=1.7, bare=True)
 
 
 def comparison_figure(comparisons: Mapping[str, Comparison], *, columns: int = 2) -> Figure:
     """Draw the spread of random sets' drive and mark the chosen sets on it."""
-    rows = -(-len(comparisons) // columns)
-    each, below = 1.4, 0.3
-    height = rows * each + below
-    figure = new_figure(height)
-    for k, (title, (drawn, chosen)) in enumerate(comparisons.items()):
-        row, column = divmod(k, columns)
-        bottom = (below + (rows - 1 - row) * each + 0.16) / height
-        axes = figure.add_axes((0.04 + 0.5 * column, bottom, 0.42, 0.78 / height))
+    panels = []
+    for title, (drawn, chosen) in comparisons.items():
         unit = float(drawn.mean())
         counts, edges = np.histogram(drawn / unit, bins=24)
-        axes.stairs(counts / counts.max(), edges, fill=True, color=FAINT)
-        smaller = min(value for _, value in chosen)
-        for level, (name, value) in enumerate(chosen):
-            at, colour = value / unit, (TRUTH, MEASURED)[level % 2]
-            axes.plot([at, at], [0, 1.32], color=colour, linewidth=1.8)
-            left = value == smaller
-            shift, side = (-0.03, "right") if left else (0.03, "left")
-            axes.text(at + shift, 1.32, name, color=colour, fontsize=8.5, ha=side, va="top")
-        most = max([2.0, *(value / unit for _, value in chosen)])
-        axes.set(xlim=(0.0, 1.12 * most), ylim=(0, 1.35))
-        note(axes, 0, 1.1, title, inside=True)
-        axes.set_yticks([])
-        quiet_axes(axes, grid=None, pad=4, size=8)
-        if row == rows - 1:
-            words = "drive over the mean of random poses"
-            axes.set_xlabel(words, color=MUTED, fontsize=8.5, labelpad=3)
-    return figure
+        spread = drawing("stairs", counts / counts.max(), edges, color=FAINT, fill=True)
+        own = [
+            curve([value / unit] * 2, [0, 1.2], name, color=(TRUTH, MEASURED)[k % 2], linewidth=1.8)
+            for k, (name, value) in enumerate(chosen)
+        ]
+        panels.append(
+            Panel(title=title, curves=[spread, *own], look={"yticks": [], "xlim": (0, None)})
+        )
+    return chart(panels, across="drive over the mean of random poses", columns=columns, height=1.4)
 
 
-def _ellipsoid(
-    axes: Axes, arm: Arm, title: str, pose: Array, half_axes: Array, line: Array, said: Array
-) -> None:
-    chain = Chain.of(arm, pose)
-    world = np.vstack([chain.anchors, chain.tool])
-    points = ((world - chain.tool) @ chain.tool_axes)[:, :2]
-    _arm(axes, points)
-    turn = np.linspace(0, 2 * np.pi, 121)
-    small = half_axes / 3
-    ring = small @ np.array([np.cos(turn), np.sin(turn)])
-    axes.plot(ring[0], ring[1], color=MEASURED, linewidth=1.6, zorder=3)
-    length = 0.36 * arm.reach
-    for vector, colour, width, style in (
-        (small[:, 0] / np.linalg.norm(small[:, 0]), MEASURED, 1.1, "-"),
-        (said, TRUTH, 1.5, (0, (4, 2))),
-        (line, INK, 1.3, (0, (1.2, 1.2))),
-    ):
-        look: dict[str, Any] = {"color": colour, "linewidth": width, "linestyle": style}
-        axis_line(axes, length * vector, zorder=4, **look)
-    wide, middle = 0.72 * arm.reach, -0.38 * arm.reach
-    axes.set(xlim=(middle - wide, middle + wide), ylim=(-_FLAT * wide, _FLAT * wide))
-    colour = TRUTH if "printed" in title else INK
-    axes.set_title(title, fontsize=8.5, color=colour, pad=2)
-
-
-def _arm(axes: Axes, points: Array) -> None:
-    axes.plot(points[:, 0], points[:, 1], color=_LINK, linewidth=4, solid_capstyle="round")
-    axes.plot(
-        points[:-1, 0], points[:-1, 1], "o", markersize=5, color="white", markeredgecolor=EDGE
-    )
-    axes.plot(points[-1, 0], points[-1, 1], "s", markersize=4, color=EDGE)
-    axes.plot(points[0, 0], points[0, 1], "o", markersize=5, color=EDGE)
+def _arm(joints: Array) -> list[Curve]:
+    """Links, joints and tool of an arm, base first (n + 1, 2)."""
+    x, y = joints.T
+    return [
+        curve(x, y, color=_LINK, linewidth=4, solid_capstyle="round"),
+        points(x[:-1], y[:-1], color="white", markeredgecolor=EDGE),
+        points(x[-1:], y[-1:], marker="s", color=EDGE, markersize=4),
+        points(x[:1], y[:1], color=EDGE),
+    ]

@@ -26,6 +26,7 @@ from loose_env.statistics import (
     transmission_from,
 )
 from loose_env.typing import Array
+from scripts.charts import Panel, axis, chart, curve
 from scripts.thesis.estimators import (
     kurtosis,
     lowest_correlation_direction,
@@ -34,17 +35,7 @@ from scripts.thesis.estimators import (
     transfer_function,
 )
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import (
-    COLOURS,
-    axis_line,
-    by_category,
-    contours,
-    curves_by_direction,
-    loop_panels,
-    note,
-    rms,
-    square_panels,
-)
+from scripts.thesis.plots import COLOURS, by_category, contours, loops, rms, state_look
 from scripts.thesis.rigs import (
     PROXIMAL,
     SHAKEN_BAND,
@@ -532,11 +523,14 @@ def loops_of(
     cases: Cases, states: Sequence[str], direction: float, symbol: str, columns: int = 3
 ) -> Figure:
     """Loops of the first record of each case, a panel an angle."""
-    panels = {
-        f"{symbol} = {case.name}": [cases[s][k].pairs[0] for s in states]
+    panels = [
+        Panel(
+            title=f"{symbol} = {case.name}",
+            curves=loops({s: cases[s][k].pairs[0] for s in states}, direction),
+        )
         for k, case in enumerate(cases[states[0]])
-    }
-    return loop_panels(panels, states, direction, columns)
+    ]
+    return chart(panels, columns=columns, height=5.4 / columns, bare=True)
 
 
 def moment_figures(
@@ -552,7 +546,7 @@ def moment_figures(
             [case.name for case in cases[TIGHT]],
             ylabel="skewness" if third else "kurtosis",
             xlabel=xlabel,
-            symlog=1.0,
+            symlog=True,
         )
         for third in (True, False)
     ]
@@ -575,40 +569,55 @@ def direction_figure(
 ) -> Figure:
     """Kurtosis, flatness of the spectrum and coherence against direction, first record."""
     angles = np.radians(np.arange(90.0, 270.0, 3.0))
-    units = np.stack([np.cos(angles), np.sin(angles)])
-    first = {state: cases[state][pose].pairs[0] for state in states}
-    panels: dict[str, Callable[[Array, Array], Array]] = {
+    units, shown = np.stack([np.cos(angles), np.sin(angles)]), np.degrees(angles) - 90
+    statistics: dict[str, Callable[[Array, Array], Array]] = {
         "kurtosis": lambda x, a: np.array([kurtosis(a, u) for u in units.T]),
         "flatness": lambda x, a: spectral_flatness(units.T @ a, RATE, SHAKEN_BAND),
         "coherence": lambda x, a: coherence_by_direction(x, a, angles),
     }
-    found = {
-        name: {state: of(*pair) for state, pair in first.items()} for name, of in panels.items()
-    }
-    return curves_by_direction(found, angles, direction=direction, label=label)
+    panels = [
+        Panel(
+            title=name,
+            curves=[
+                curve(shown, of(*cases[state][pose].pairs[0]), state, **state_look(k))
+                for k, state in enumerate(states)
+            ],
+            marks=[from_y(direction)],
+            look={"xticks": range(0, 181, 30)},
+        )
+        for name, of in statistics.items()
+    ]
+    across = f"direction from the tool's y axis [deg]; dashed: {label}"
+    return chart(panels, across=across, height=1.5)
 
 
 def histogram_panels(cases: Cases, states: Sequence[str], direction: float) -> Figure:
     """Draw the contour that holds 90 % of the samples, every state in every pose."""
-    count = len(cases[states[0]])
-    figure, places = square_panels(count, states)
     samples = {
         (state, k): np.concatenate([a for _, a in cases[state][k].pairs], axis=1) / STANDARD_GRAVITY
         for state in states
-        for k in range(count)
+        for k in range(len(cases[state]))
     }
     most = 1.15 * max(float(np.quantile(np.abs(a), 0.99)) for a in samples.values())
     tick = 1.0 if most < 3 else 2.0
-    for k, axes in enumerate(places):
-        axes.set(xlim=(-1.1 * most, 1.1 * most), ylim=(-most, 1.2 * most), aspect="equal")
-        end = most * np.array([np.cos(direction), np.sin(direction)])
-        axis_line(axes, end, color=INK, linewidth=1.0, zorder=1)
-        for u in ((most, 0), (0, most)):
-            axis_line(axes, u, color=FAINT, lw=0.8)
-        for state, colour in zip(states, COLOURS, strict=False):
-            contours(axes, samples[state, k], bins=31, shares=(0.9,), colour=colour, linewidths=1.4)
-        note(axes, 0.0, 1.05 * most, f"θ₂ = {cases[states[0]][k].name}", ha="center")
-        axes.plot([0.1 * most, 0.1 * most + tick], [-0.93 * most] * 2, color=MUTED, linewidth=2)
-        beside = 0.1 * most + tick + 0.06 * most
-        note(axes, beside, -0.93 * most, f"{tick:.0f} g", color=MUTED, size=8, va="center")
-    return figure
+    end = most * np.array([np.cos(direction), np.sin(direction)])
+    drawn = [
+        axis(end, color=INK, linewidth=1.0, zorder=1),
+        *(axis(u, color=FAINT, linewidth=0.8) for u in ((most, 0), (0, most))),
+        curve([0.1 * most, 0.1 * most + tick], [-0.93 * most] * 2, f"{tick:.0f} g", color=MUTED),
+        *(curve([], [], s, color=c) for s, c in zip(states, COLOURS, strict=False)),
+    ]
+    panels = [
+        Panel(
+            title=f"θ₂ = {case.name}",
+            curves=[
+                *drawn,
+                *(
+                    contours(samples[s, k], bins=31, shares=(0.9,), colors=[c], linewidths=1.4)
+                    for s, c in zip(states, COLOURS, strict=False)
+                ),
+            ],
+        )
+        for k, case in enumerate(cases[states[0]])
+    ]
+    return chart(panels, columns=3, height=1.8, bare=True)

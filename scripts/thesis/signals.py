@@ -18,15 +18,16 @@ from numpy.typing import ArrayLike
 from scipy.signal import welch
 
 from loose_env.arms import Arm, Holding, Mismatch
-from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
+from loose_env.envs import INK, MEASURED, SHAKEN, TRUTH
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation
 from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.statistics import bandpass
 from loose_env.typing import Array
+from scripts.charts import Panel, chart, curve, drawing
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import centred, note, panels, rms
+from scripts.thesis.plots import centred, rms
 from scripts.thesis.rigs import BENCH, SLIDE, shaken_vera, slide_rig
 
 if TYPE_CHECKING:
@@ -505,90 +506,86 @@ def signals(seed: int) -> Section:
 
 def angle_figure(alpha: Array, off: Array, line: Array, correlation: Array) -> Figure:
     """Draw the error of the direction and the correlation against the angle of the cube."""
-    figure, (upper, lower) = panels(
-        ["error of the direction found [°]", "correlation |r| of one axis with the other"],
-        across="angle α of the cube [°]",
-        up=["", ""],
-        height=1.35,
-    )
     inside = slice(1, -1)  # at the ends the regression has nothing to go by
-    upper.axhline(0, color=MUTED, linewidth=0.9)
-    upper.plot(alpha, off, "o-", color=MEASURED, markersize=3.5, linewidth=1.2)
-    upper.plot(alpha[inside], line[inside], "s-", color=SHAKEN, markersize=3, linewidth=1.2)
-    top = 1.15 * float(max(np.abs(off).max(), np.abs(line[inside]).max()))
-    upper.set(xlim=(-2, 92), ylim=(-top, top))
-    upper.text(8, 0.72 * top, "rms", color=MEASURED, fontsize=9)
-    upper.text(74, 0.3 * top, "regression", color="#a06c00", fontsize=9)
-    lower.plot(alpha, correlation, "o-", color=INK, markersize=3.5, linewidth=1.2)
-    lower.set(xlim=(-2, 92), ylim=(0, 1.08))
-    for panel in (upper, lower):
-        panel.set_xticks(range(0, 91, 15))
-    return figure
+    ticks = {"xticks": range(0, 91, 15)}
+    by_line = curve(alpha[inside], line[inside], "regression", color=SHAKEN, marker="s", ms=3)
+    panels = [
+        Panel(
+            title="error of the direction found [°]",
+            curves=[curve(alpha, off, "rms", color=MEASURED, marker="o", ms=3.5), by_line],
+            look=ticks,
+        ),
+        Panel(
+            title="correlation |r| of one axis with the other",
+            curves=[curve(alpha, correlation, color=INK, marker="o", ms=3.5)],
+            look=ticks | {"ylim": (0, 1.08)},
+        ),
+    ]
+    return chart(panels, across="angle α of the cube [°]", height=1.6)
 
 
 def moment_figure(records: SlideRecords) -> Figure:
     """Draw the direction at every instant for three angles of the cube."""
-    shown = [int(np.argmin(np.abs(np.degrees(records.alpha) - a))) for a in (10, 45, 80)]
-    count = round(0.02 * RATE)
-    figure, axes = panels(
-        [f"direction [°], α = {np.degrees(records.alpha[k]):.0f}°" for k in shown],
-        across="time [ms]",
-        up=[""] * 3,
-        height=0.9,
-    )
+    count, panels = round(0.02 * RATE), []
     time = 1000 * np.arange(count) / RATE
-    for panel, k in zip(axes, shown, strict=True):
+    for k in (int(np.argmin(np.abs(np.degrees(records.alpha) - a))) for a in (10, 45, 80)):
         magnitude, now = instantaneous_motion(*(centred(s[k])[:count] for s in records[1:3]))
         # Within half a turn about the cube's angle.
         true = records.alpha[k]
         direction = np.degrees((now - true + np.pi / 2) % np.pi - np.pi / 2 + true)
         size = 2 + 40 * (magnitude / magnitude.max()) ** 2
-        panel.axhline(np.degrees(true), color=TRUTH, linewidth=1.1)
-        panel.scatter(time, direction, s=size, color=MEASURED, alpha=0.6, linewidth=0)
-        panel.set(xlim=(0, time[-1]), ylim=(np.degrees(true) - 30, np.degrees(true) + 30))
-    return figure
+        look: dict[str, Any] = {"color": MEASURED, "alpha": 0.6, "linewidth": 0}
+        panels.append(
+            Panel(
+                title=f"direction [°], α = {np.degrees(true):.0f}°",
+                curves=[
+                    curve(time, np.full(count, np.degrees(true)), color=TRUTH),
+                    drawing("scatter", time, direction, s=size, **look),
+                ],
+                look={"ylim": (np.degrees(true) - 30, np.degrees(true) + 30)},
+            )
+        )
+    return chart(panels, across="time [ms]")
 
 
 def velocity_figure(records: SlideRecords, case: int, told: Mapping[str, Any]) -> Figure:
     """Draw velocities by quadrature, step by step and summed, of one record."""
     short, long = told["velocity_windows_s"]
-    x, y = records.x[case], records.y[case]
+    axes = (("x of the cube", records.x[case], MEASURED), ("y", records.y[case], SHAKEN))
     plans: dict[str, tuple[Any, str, float]] = {
         f"two-point rule step by step, {short} s": (quadrature_steps, "two_point", short),
         f"two-point rule summed, {long} s": (integrate, "two_point", long),
         f"Newton-Cotes summed, {long} s": (integrate, "newton_cotes", long),
     }
-    figure, axes = panels(list(plans), across="time [ms]", up=["mm/s"] * 3, height=1.0)
-    for panel, (method, rule, window) in zip(axes, plans.values(), strict=True):
-        part = slice(0, round(window * RATE))
-        for signal, colour in ((x, MEASURED), (y, SHAKEN)):
-            v = 1000 * method(signal[part], 1 / RATE, rule)
-            panel.plot(1000 * np.arange(len(v)) / RATE, v, color=colour, linewidth=0.9)
-        panel.set_xlim(0, 1000 * window)
-    note(axes[0], 1.0, 1.07, "x of the cube", color=MEASURED, inside=True, ha="right")
-    note(axes[1], 1.0, 1.07, "y of the cube", color="#a06c00", inside=True, ha="right")
-    return figure
+    panels = []
+    for title, (method, rule, window) in plans.items():
+        curves = []
+        for name, signal, colour in axes:
+            v = 1000 * method(signal[: round(window * RATE)], 1 / RATE, rule)
+            curves.append(curve(1000 * np.arange(len(v)) / RATE, v, name, color=colour))
+        panels.append(Panel(title=title, up="mm/s", curves=curves))
+    return chart(panels, across="time [ms]")
 
 
 def resolver_figure(angle: Array, velocity: Array, resolver: Array) -> Figure:
     """Draw angle and velocity by the resolver beside those of the link."""
     count = round(0.12 * RESOLVER_RATE)
     time = 1000 * np.arange(count) / RESOLVER_RATE
-    figure, (upper, lower) = panels(
-        ["angle [resolver units]: link, and resolver behind the gear", "velocity of the link"],
-        across="time [ms]",
-        up=["units", "rad/s"],
-        height=1.3,
-    )
-    middle = np.median(angle[:count]) / RESOLVER_UNIT
-    upper.plot(time, angle[:count] / RESOLVER_UNIT - middle, color=TRUTH, linewidth=1.2)
-    steps = resolver[:count] - np.median(resolver[:count])
-    upper.step(time, steps, where="post", color=MEASURED, linewidth=1.2)
     rate = differentiate(RESOLVER_UNIT * resolver, 1 / RESOLVER_RATE, "two_point")
-    lower.step(time, rate[:count], where="post", color=MEASURED, linewidth=0.9)
-    lower.plot(time, velocity[:count], color=TRUTH, linewidth=1.2)
-    for panel in (upper, lower):
-        panel.set_xlim(0, time[-1])
-    note(upper, 1.0, 1.06, "link", color=TRUTH, inside=True, ha="right")
-    note(lower, 1.0, 1.06, "by 6.13", color=MEASURED, inside=True, ha="right")
-    return figure
+    units = [
+        values[:count] - np.median(values[:count]) for values in (angle / RESOLVER_UNIT, resolver)
+    ]
+    both = {"angle [resolver units]": units, "velocity [rad/s]": [velocity[:count], rate[:count]]}
+    panels = [
+        Panel(
+            title=title,
+            curves=[
+                curve(
+                    time, read, "resolver behind the gear", color=MEASURED, drawstyle="steps-post"
+                ),
+                curve(time, true, "link", color=TRUTH),
+            ],
+        )
+        for title, (true, read) in both.items()
+    ]
+    return chart(panels, across="time [ms]", height=1.6)

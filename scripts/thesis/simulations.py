@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
-from loose_env.report import AGENTS, new_figure, quiet_axes
+from loose_env.envs import INK, MEASURED, MUTED, TRUTH
+from loose_env.report import AGENTS
 from loose_env.statistics import axial_difference
 from loose_env.typing import Array
+from scripts.charts import DASHED, Panel, axis, chart, curve, points, ring
 from scripts.thesis.estimators import correlation_loop, kurtosis, lowest_correlation_direction
 from scripts.thesis.matching import (
     ANGLE,
@@ -44,10 +45,9 @@ from scripts.thesis.planar_motion import (
     tool_velocity,
     transition_table,
 )
-from scripts.thesis.plots import axis_line, contours, note
+from scripts.thesis.plots import contours
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Draw = Callable[[MonteCarlo, int, np.random.Generator], Array]
@@ -203,81 +203,45 @@ def _tiny(percent: float) -> str:
 
 
 def _contours(motions: list[Motion], scale: float, unit: str) -> Figure:
-    figure = new_figure(3.9)
     reach = scale * max(float(np.quantile(np.abs(loose), 0.9995)) for *_, loose in motions)
-    for k, (theta2, slide, tight, loose) in enumerate(motions):
-        for row, (samples, name, colour) in enumerate(
-            ((tight, "tight", MEASURED), (loose, "loose", TRUTH))
-        ):
-            axes = figure.add_axes((0.075 + 0.31 * k, 0.475 - 0.43 * row, 0.30, 0.42))
-            look: dict[str, Any] = {"shares": SHARES, "linewidths": np.linspace(0.8, 1.8, 3)}
-            contours(axes, samples * scale, bins=50, colour=colour, **look)
-            bar: dict[str, Any] = {"linewidth": 1.0, "dashes": (3, 3), "zorder": 0}
-            axis_line(axes, 0.95 * reach * slide, color=MUTED, **bar)
-            axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-            axes.axis("off")
-            if row == 0:
-                axes.set_title(f"θ₂ = {theta2:g}°", fontsize=9.5, color=INK, pad=4)
-            if k == 0:
-                look = {"rotation": 90, "ha": "center", "va": "center"}
-                figure.text(0.03, 0.685 - 0.43 * row, name, fontsize=9.5, color=INK, **look)
-            if k == 0 and row == 1:
-                length = 10.0 ** math.floor(math.log10(reach))
-                x, y = -0.95 * reach, -0.93 * reach
-                axes.plot([x, x + length], [y, y], color=INK, linewidth=1.6)
-                note(axes, x, y + 0.04 * reach, f"{length:g} {unit}", size=8.5)
-    return figure
+    length = 10.0 ** math.floor(math.log10(reach))
+    look: dict[str, Any] = {"shares": SHARES, "linewidths": np.linspace(0.8, 1.8, 3), "bins": 50}
+    scale_bar = curve(
+        [-0.95 * reach, length - 0.95 * reach], [-0.93 * reach] * 2, f"{length:g} {unit}", color=INK
+    )
+    limits = {"xlim": (-reach, reach), "ylim": (-reach, reach)}
+    panels = [
+        Panel(
+            title=f"{name}, θ₂ = {theta2:g}°",
+            curves=[
+                contours(scale * samples, colors=[colour], **look),
+                axis(0.95 * reach * slide, "slide", color=MUTED, linewidth=1.0, dashes=(3, 3)),
+                *([scale_bar] if name == "loose" else []),
+            ],
+            look=limits,
+        )
+        for name, colour in (("tight", MEASURED), ("loose", TRUTH))
+        for theta2, slide, *both in motions
+        for samples in [both[name == "loose"]]
+    ]
+    return chart(panels, columns=3, height=1.8, bare=True)
 
 
 def basin_figure(found: Sequence[Found], exact: Array) -> Figure:
     """Draw the share of right directions against the trial direction's distance from the truth."""
-    figure = new_figure(3.3)
-    axes = figure.add_axes((0.10, 0.20, 0.48, 0.70))
-    edge = float(np.degrees(OFFSETS[-1]))
-    search = edge + 14.0
-    heights = np.array([f.searched for f in found])
-    order = np.argsort(heights, kind="stable")
-    labels = dict(zip(order.tolist(), _apart(heights[order], 0.2), strict=True))
+    x = np.degrees(OFFSETS)
+    search = float(x[-1]) + 14.0
+    curves = [curve(x, exact, "the model's own counts", color=INK, linestyle=DASHED)]
     for k, f in enumerate(found):
-        colour = AGENTS[k]
-        x = np.degrees(OFFSETS)
-        axes.plot(x, f.success, color=colour, linewidth=2.0, marker="os^D"[k], markersize=4.5)
-        axes.plot([search], [f.searched], color=colour, marker="os^D"[k], markersize=7)
-        axes.plot(
-            [edge, search], [f.success[-1], f.searched], color=colour, linewidth=1.0, dashes=(2, 2)
-        )
-        axes.annotate(
-            f.case.name,
-            xy=(search, f.searched),
-            xytext=(search + 14.0, labels[k]),
-            color=INK,
-            fontsize=9,
-            va="center",
-            annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.0, "shrinkB": 6},
-        )
-    axes.plot(np.degrees(OFFSETS), exact, color=INK, linewidth=1.0, dashes=(4, 2), zorder=5)
-    note(axes, 34.0, 0.955, "the model's own counts", ha="center", va="top")
+        look: dict[str, Any] = {"color": AGENTS[k], "marker": "os^D"[k]}
+        name = f.case.name.replace("\n", " ")
+        curves.append(curve(x, f.success, name, linewidth=2.0, markersize=4.5, **look))
+        curves.append(points([search], [f.searched], markersize=7, **look))
     ticks = [0, 30, 60, 90]
-    axes.set_xticks([*ticks, search], [*(f"{t}°" for t in ticks), f"{STARTS}\nstarts"])
-    axes.set_yticks([0.0, 0.5, 1.0], ["0 %", "50 %", "100 %"])
-    axes.set(xlim=(-3.0, search + 4.0), ylim=(-0.04, 1.04))
-    axes.set_xlabel("trial direction away from the truth", color=MUTED, fontsize=9, x=0.42)
-    note(axes, -3.0, 1.09, "within 5° of the truth", color=MUTED)
-    quiet_axes(axes, size=9)
-    return figure
-
-
-def _apart(rising: Array, gap: float) -> list[float]:
-    """Move rising heights to at least ``gap`` from each other, and below 1."""
-    placed = rising.astype(float).copy()
-    for k in range(1, len(placed)):
-        placed[k] = max(placed[k], placed[k - 1] + gap)
-    limit = 1.0
-    for k in reversed(range(len(placed))):
-        placed[k] = min(placed[k], limit)
-        limit = placed[k] - gap
-    return [float(p) for p in placed]
+    names = [*(f"{t}°" for t in ticks), f"{STARTS}\nstarts"]
+    look = {"xticks": [*ticks, search], "xticklabels": names, "ylim": (-0.04, 1.04)}
+    panel = Panel(title="share within 5° of the truth", curves=curves, look=look)
+    return chart([panel], across="trial direction away from the truth", height=2.6)
 
 
 # Correlation vectors of motions whose directions are known (5.3.2).
@@ -398,53 +362,25 @@ def correlation_simulations(seed: int) -> Section:
 
 
 def _loops(scaled: list[Loop], mixed: list[Loop]) -> Figure:
-    figure = new_figure(5.0)
-    for k, results in enumerate((scaled, mixed)):
-        axes = figure.add_axes((0.02 + 0.5 * k, 0.07, 0.46, 0.87))
-        name = ("scaled Gaussian", "uniform across")[k]
-        axes.set_title(name, fontsize=9.5, color=INK, x=0.02, ha="left")
-        turn = np.linspace(-math.pi / 2, math.pi / 2, 181)
-        for radius in (0.5, 1.0):
-            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8)
-        for angle, label in ((0, "0°"), (45, "45°"), (90, "90°"), (-45, "135°")):
-            c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-            axes.plot([0.0, c], [0.0, s], color=FAINT, linewidth=0.8, zorder=0)
-            around: dict[str, Any] = {"ha": "center", "va": "center"}
-            note(axes, 1.08 * c, 1.08 * s, label, color=MUTED, size=8.5, **around)
-        for j, r in enumerate(results):
-            x, y = r.loop * np.cos(LOOP), r.loop * np.sin(LOOP)
-            axes.plot(x, y, color=AGENTS[j], linewidth=1.8)
-        _key(axes, [r.name for r in results])
-        axes.set(xlim=(-0.12, 1.2), ylim=(-1.7, 1.16), aspect="equal")
-        axes.axis("off")
-    return figure
-
-
-def _key(axes: Axes, names: Sequence[str]) -> None:
-    """Name the loops below them, in three rows."""
-    for j, name in enumerate(names):
-        x, y = 0.08 + 0.55 * (j // 3), -1.33 - 0.15 * (j % 3)
-        axes.plot([x, x + 0.11], [y, y], color=AGENTS[j], linewidth=2.0)
-        note(axes, x + 0.16, y, name, size=8.5, va="center")
+    cosine, sine = np.cos(LOOP), np.sin(LOOP)
+    panels = []
+    for title, results in (("scaled Gaussian", scaled), ("uniform across", mixed)):
+        curves = [
+            curve(r.loop * cosine, r.loop * sine, r.name, color=AGENTS[j], linewidth=1.8)
+            for j, r in enumerate(results)
+        ]
+        panels.append(Panel(title=title, curves=[ring(0.5), ring(1.0), *curves]))
+    return chart(panels, columns=2, height=2.8, bare=True)
 
 
 def _error_figure(scaled: list[Loop], mixed: list[Loop]) -> Figure:
-    figure = new_figure(3.0)
-    axes = figure.add_axes((0.12, 0.17, 0.82, 0.70))
     slopes = np.geomspace(0.15, 6.5, 30)
     count = 1.0 / (scaled[0].predicted * scaled[0].slope) ** 2
-    axes.plot(slopes, np.degrees(1.0 / (slopes * math.sqrt(count))), color=MUTED, linewidth=1.2)
-    for results, colour, marker in ((scaled, AGENTS[0], "o"), (mixed, AGENTS[1], "s")):
+    expected = np.degrees(1.0 / (slopes * math.sqrt(count)))
+    curves = [curve(slopes, expected, "from the model", color=MUTED)]
+    for name, results, k in (("scaled Gaussian", scaled, 0), ("uniform across", mixed, 1)):
         x, y = [r.slope for r in results], [r.rms for r in results]
-        axes.plot(x, y, color=colour, marker=marker, markersize=6, linestyle="none")
-    note(axes, 0.19, 4.8, "uniform across")
-    note(axes, 1.12, 0.78, "scaled Gaussian")
-    axes.set(xscale="log", yscale="log", xlim=(0.13, 8.0), ylim=(0.09, 7.0))
-    axes.set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"], minor=False)
-    axes.set_yticks([0.1, 0.3, 1, 3], ["0.1°", "0.3°", "1°", "3°"], minor=False)
-    axes.set_xticks([], minor=True)
-    axes.set_yticks([], minor=True)
-    axes.set_xlabel("deviation along over deviation across", color=MUTED, fontsize=9)
-    note(axes, 0.13, 8.0, "rms error of the direction", color=MUTED)
-    quiet_axes(axes, size=9)
-    return figure
+        curves.append(points(x, y, name, marker="os"[k], color=AGENTS[k], markersize=6))
+    look = {"xscale": "log", "yscale": "log"}
+    panel = Panel(title="rms error of the direction [°]", curves=curves, look=look)
+    return chart([panel], across="deviation along over deviation across", height=2.3)

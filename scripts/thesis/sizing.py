@@ -16,16 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.arms import BENDING_MODE_HZ, BLOCK_MASS, LINK2_MASS, LINK_LENGTH, Arm, vera
-from loose_env.envs import INK, MEASURED, MUTED, TRUTH
+from loose_env.envs import INK, MEASURED, TRUTH
 from loose_env.kinematics import carried_bodies
-from loose_env.report import new_figure, quiet_axes
 from loose_env.typing import Array
+from scripts.charts import DASHED, Curve, Panel, chart, curve
 from scripts.thesis.loose_joint import placed
 from scripts.thesis.page import Rows, Section, printed, section
-from scripts.thesis.plots import note
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MOTIONS = 200
@@ -35,7 +33,6 @@ STEEL = 7850.0
 SQUARE_INCH = 0.0254**2
 """One square inch [m²]."""
 _ANGLES, _RATES = 181, 41
-_LEFT, _RIGHT, _GAP = 0.105, 0.985, 0.075  # of the figures' columns
 
 
 class TwoLinks(NamedTuple):
@@ -345,76 +342,54 @@ def torque_figure(
     sweeps: Mapping[str, JointLoads], limits: Sequence[float], top_rate: float
 ) -> Figure:
     """Draw torques at lowest, no and highest rate of joint 2, between those of all rates."""
+    words = (f"θ₂' = −{top_rate:g} rad/s", "0", f"+{top_rate:g} rad/s")
     styles: Sequence[Any] = ((0, (1.4, 1.3)), (0, (5, 1.6)), "-")
 
-    def draw(axes: Axes, angles: Array, loads: JointLoads, k: int) -> float:
+    def curves(angles: Array, loads: JointLoads, k: int) -> list[Curve]:
         torque = loads.torque[..., k]
-        low, high = torque.min(axis=1), torque.max(axis=1)
-        axes.fill_between(angles, low, high, color="#d7e6f1", linewidth=0, zorder=1)
-        for which, style in zip((0, _RATES // 2, -1), styles, strict=True):
-            axes.plot(angles, torque[:, which], color=MEASURED, linewidth=1.3, linestyle=style)
-        for limit in (-limits[k], limits[k]):
-            axes.axhline(limit, color=TRUTH, linewidth=1.0, linestyle=(0, (4, 2)))
-        return 1.12 * float(np.abs(torque).max())
+        ends = [torque.min(axis=1), torque.max(axis=1)]
+        found = [
+            curve(angles, limit * np.ones_like(angles), "drive", color=TRUTH, linestyle=DASHED)
+            for limit in (-limits[k], limits[k])
+        ]
+        for which, style, name in zip((0, _RATES // 2, -1), styles, words, strict=True):
+            middle = torque[:, which]
+            y = np.array([middle, *ends]) if which else middle
+            found.append(curve(angles, y, name, color=MEASURED, linestyle=style))
+        return found
 
-    titles = [f"joint {k + 1}: torque [N·m]; drive ±{limits[k]:g}" for k in (0, 1)]
-    words = (f"θ₂' = −{top_rate:g} rad/s", "0", f"+{top_rate:g} rad/s")
-    lines = [(MEASURED, *entry) for entry in zip(styles, words, strict=True)]
-    return _grid(sweeps, draw, -1.0, titles, [*lines, (TRUTH, (0, (4, 2)), "drive")])
+    return _grid(sweeps, curves, [f"torque {k} [N·m]" for k in (1, 2)])
 
 
 def force_figure(sweeps: Mapping[str, JointLoads]) -> Figure:
     """Draw the greatest forces at both joints, along and across the link each moves."""
-    lines = [(INK, "-", "along the link"), (MEASURED, (0, (5, 1.6)), "across it")]
+    looks = (("along the link", INK, "-"), ("across it", MEASURED, (0, (5, 1.6))))
 
-    def draw(axes: Axes, angles: Array, loads: JointLoads, k: int) -> float:
+    def curves(angles: Array, loads: JointLoads, k: int) -> list[Curve]:
         force = np.abs(loads.force[:, :, k, :2]).max(axis=1)
-        for part, (colour, style, _) in zip(force.T, lines, strict=True):
-            axes.plot(angles, part, color=colour, linewidth=1.5, linestyle=style)
-        return 1.1 * float(force.max())
+        return [
+            curve(angles, part, name, color=colour, linestyle=style)
+            for part, (name, colour, style) in zip(force.T, looks, strict=True)
+        ]
 
-    return _grid(sweeps, draw, 0.0, [f"joint {k}: greatest force [N]" for k in (1, 2)], lines)
+    return _grid(sweeps, curves, [f"greatest force {k} [N]" for k in (1, 2)])
 
 
 def _grid(
     sweeps: Mapping[str, JointLoads],
-    draw: Callable[[Axes, Array, JointLoads, int], float],
-    low: float,
-    titles: Sequence[str],
-    lines: Sequence[tuple[str, Any, str]],
+    curves: Callable[[Array, JointLoads, int], list[Curve]],
+    up: Sequence[str],
 ) -> Figure:
-    """A row a case, a column a joint; ``draw`` returns a panel's top, ``low`` is foot over top."""
-    from matplotlib.lines import Line2D
-
-    rows, each, above, below = len(sweeps), 1.28, 0.46, 0.52
-    height = rows * each + above + below
-    figure, width = new_figure(height), (_RIGHT - _LEFT - _GAP) / 2
-    angles, ticks = np.linspace(-90, 90, _ANGLES), [-90, -45, 0, 45, 90]
-    grid, tops = [], []
-    for row, (name, loads) in enumerate(sweeps.items()):
-        bottom, tall = (below + (rows - 1 - row) * each) / height, (each - 0.32) / height
-        grid.append(
-            [figure.add_axes((_LEFT + k * (width + _GAP), bottom, width, tall)) for k in (0, 1)]
+    """A row a case, a column a joint."""
+    angles = np.linspace(-90, 90, _ANGLES)
+    panels = [
+        Panel(
+            title=name if k == 0 else "",
+            up=up[k],
+            curves=curves(angles, loads, k),
+            look={"xticks": [-90, -45, 0, 45, 90]},
         )
-        tops.append([draw(axes, angles, loads, k) for k, axes in enumerate(grid[-1])])
-        last = row == rows - 1
-        names = [f"{t}°".replace("-", "−") if last else "" for t in ticks]
-        for axes in grid[-1]:
-            quiet_axes(axes, pad=4, size=8, width=0.7)
-            axes.set(xlim=(-90, 90))
-            axes.set_xticks(ticks, names)
-            if last:
-                axes.get_xticklabels()[-1].set_horizontalalignment("right")
-                axes.set_xlabel("θ₂", color=MUTED, fontsize=9, labelpad=2)
-        note(grid[-1][0], 0.0, 1.06, name, color=MUTED, size=8.5, inside=True)
-    for k, title in enumerate(titles):
-        top = max(row[k] for row in tops)
-        for row_axes in grid:
-            row_axes[k].set(ylim=(low * top, top))
-        note(grid[0][k], 0.0, 1.32, title, inside=True)
-    marks = [Line2D([], [], color=c, linestyle=style, linewidth=1.4) for c, style, _ in lines]
-    look: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (_LEFT - 0.03, 1.0)}
-    look |= {"ncols": len(lines), "frameon": False, "fontsize": 8.5, "labelcolor": INK}
-    look |= {"handlelength": 2.2, "columnspacing": 1.4}
-    figure.legend(marks, [text for *_, text in lines], **look)
-    return figure
+        for name, loads in sweeps.items()
+        for k in (0, 1)
+    ]
+    return chart(panels, across="θ₂ [°]", columns=2, height=1.5, sharey="col")

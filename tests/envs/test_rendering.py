@@ -82,9 +82,10 @@ def correlation_along(joint: Any, tool: Any, direction: Any) -> float:
     return float(np.corrcoef(joint, direction @ tool)[0, 1])
 
 
-def words_of(picture: Picture, env: Any, verdict: str | None = None) -> list[str]:
-    """All that is written, in lines, from the top."""
-    figure = picture.figure(env.batch.episode(0), verdict=verdict)
+def words_of(picture: Picture, shown: Any, verdict: str | None = None) -> list[str]:
+    """All that is written of an environment or an episode, in lines, from the top."""
+    episode = shown.batch.episode(0) if isinstance(shown, DiagnosisEnv) else shown
+    figure = picture.figure(episode, verdict=verdict)
     texts = [text for part in (figure, *figure.axes) for text in part.texts]
     return [line for text in texts for line in text.get_text().split("\n")]
 
@@ -109,7 +110,7 @@ def test_every_arm_can_be_drawn(name: str) -> None:
     assert {str(j + 1) for j in range(arm.n)} | set("xyz"[:d]) <= set(words)
     assert ("seen from above" in words) is (name in ("vera", "planar"))
     episode.pose = arm.random_pose(np.random.default_rng(5))
-    assert not np.array_equal(pixels, env.render())
+    assert not np.array_equal(pixels, picture.draw(episode))
     env.close()
 
 
@@ -135,11 +136,11 @@ def test_a_record_that_shows_nothing_says_why() -> None:
     env = measured(vera())
     picture, episode = Picture(env.batch.nominal), env.batch.episode(0)
     last, episode.last = episode.last, None  # as where gravity leaves the drives no torque
-    words = words_of(picture, env)
+    words = words_of(picture, episode)
     assert "Nothing was shaken" in words[1] and not any("healthy arm" in line for line in words)
     episode.last = replace(last, failure="it diverged")
     episode.slots[:] = 0.0
-    assert "The measurement failed: this record says nothing." in words_of(picture, env)
+    assert "The measurement failed: this record says nothing." in words_of(picture, episode)
 
 
 @pytest.mark.parametrize(("fault", "title"), TITLES, ids=lambda given: getattr(given, "kind", ""))
@@ -150,10 +151,10 @@ def test_the_fault_is_seen_at_the_end_and_not_before(fault: Fault, title: str) -
     episode.fault = fault  # the same readings, whatever hides behind them
     assert np.array_equal(before, picture.draw(episode, verdict="structural_looseness@link2"))
     episode.ended = True
-    words = " ".join(words_of(picture, env, "backlash@joint1"))
+    words = " ".join(words_of(picture, episode, "backlash@joint1"))
     mark = "right" if fault is PLAY else "wrong"
     assert words.startswith(f"{title} Verdict: joint 1 has play – {mark} ")
-    assert "Verdict: unsure" in words_of(picture, env, "unsure")
+    assert "Verdict: unsure" in words_of(picture, episode, "unsure")
     drawing = ArmDrawing(vera())
     plain, pointed = drawing.marks(episode.pose), drawing.marks(episode.pose, fault=fault)
     changed = len(plain) != len(pointed) or any(

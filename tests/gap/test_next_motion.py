@@ -158,7 +158,7 @@ def test_a_rival_is_separated_by_what_it_cannot_do(
     term = open_pairs(answer)[0].rival.term
     fit = answer.selection.solve((term,))
     finding = decide(answer.selection, fit).findings[0]
-    finding = replace(finding, named=True, confusable=(("viscous_friction", "elbow"),))
+    finding = replace(finding, doubt="", confusable=(("viscous_friction", "elbow"),))
     likely = replace(answer, decision=replace(answer.decision, findings=(finding,), fit=fit))
     pairs = {(p.effect and p.effect.words, p.rival.words) for p in open_pairs(likely)}
     assert ("coulomb_friction at elbow", "viscous_friction at elbow") in pairs

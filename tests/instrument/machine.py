@@ -25,7 +25,9 @@ JOINTS, LINKS = ("turn", "lift", "bend"), ("column", "upper", "fore")
 NOMINAL = """<mujoco model="bench">
   <compiler angle="radian"/>
   <worldbody>
-    <body name="column" pos="0 0 .3">
+   <body name="foot" pos="0 0 .3">
+    <inertial pos="0 0 -.1" mass="15" diaginertia=".2 .2 .1"/>
+    <body name="column">
       <joint name="turn" axis="0 0 1" range="-2.5 2.5" armature=".6"/>
       <inertial pos="0 0 .1" mass="9" diaginertia=".05 .05 .04"/>
       <body name="upper" pos="0 0 .25">
@@ -38,6 +40,7 @@ NOMINAL = """<mujoco model="bench">
         </body>
       </body>
     </body>
+   </body>
   </worldbody>
   <sensor><accelerometer name="acc" site="tool"/></sensor>
 </mujoco>
@@ -68,6 +71,10 @@ class Truth:
     """Frequency of the gears' springs against the links [Hz]; 0 for stiff gears."""
     mass: float = 1.03
     """Mass of the links over the model's."""
+    rocks: float = 0.0
+    """Angle by which the foot rocks on its bolts [rad]."""
+    payload: float = 0.0
+    """Mass at the tool that the model lacks [kg]."""
 
 
 def simulated(truth: Truth) -> mujoco.MjModel:
@@ -112,6 +119,14 @@ def simulated(truth: Truth) -> mujoco.MjModel:
             name=joint, type=mujoco.mjtSensor.mjSENS_JOINTPOS,
             objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint,
         )  # fmt: skip
+    if truth.rocks:
+        for name, axis in (("rock_x", [1, 0, 0]), ("rock_y", [0, 1, 0])):
+            bolts = spec.body("foot").add_joint(name=name, axis=axis)
+            bolts.range, bolts.limited = [-truth.rocks / 2, truth.rocks / 2], True
+            bolts.solref_limit, bolts.frictionloss = [1.5e-3, 0.4], 1.0
+    if truth.payload:
+        held = spec.body("fore").add_body(name="held", pos=[0.38, 0, 0.02])
+        held.mass, held.inertia, held.explicitinertial = truth.payload, [1e-3] * 3, True
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     return spec.compile()

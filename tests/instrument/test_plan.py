@@ -136,7 +136,7 @@ def test_a_plan_is_written_read_back_and_ready_to_be_filled(bench: Path, tmp_pat
 def diagnosed(verdict: str, **verdicts: str) -> Diagnosis:
     places = [("structural_looseness", at) for at in LINKS] + [("backlash", at) for at in JOINTS]
     return Diagnosis(
-        verdict=verdict, headline="", remedy="", settled=False, several=False,
+        verdict=verdict, headline="", remedy="", settled=False,
         places=tuple(
             Place(kind=kind, at=at, verdict=verdicts.get(at, "tight"), probability=0.0,
                   rhythm=0.0, tested=1.0)

@@ -68,7 +68,6 @@ def found(verdicts: str, **more: object) -> Diagnosis:
         "headline": "The seat of link upper_arm is loose.",
         "remedy": "Torque the bolts of link upper_arm, then repeat the session.",
         "settled": verdicts[0] == "l",
-        "several": False,
         "places": places,
         "reasons": ("the top band rings in the rhythm of a knock: correlation 0.60",),
         "remarks": ("run-01.csv: what rings does not repeat",),

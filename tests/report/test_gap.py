@@ -95,7 +95,8 @@ def page(solution: GapSolution) -> str:
         warnings=("the step is coarse",),
         channels=(*solution.result.channels, *OPEN),
         pulled=(TolerancePull(name="mass of upper", deviations=-2.4),),
-        doubtful=(NamedEffect(kind="actuator_gain", where="motor2", parameters={"gain": 1.02}),),
+        doubtful=(NamedEffect(kind="actuator_gain", where="motor2", parameters={"gain": 1.02},
+                              doubt="held-out data do not confirm it"),),
     )  # fmt: skip
     assert GapResult.from_json(result.to_json()).preflight == FINDINGS
     assert "critical: In a.csv, sensor.error: runs backwards" in gap_text(result)
@@ -119,7 +120,14 @@ def test_the_page_is_whole_and_what_is_missing_comes_first(page: str) -> None:
 
 
 def test_everything_that_a_result_holds_stands_on_the_page(page: str) -> None:
-    order = ["joint position ", "Another gain (motor2)", "75 %", "cannot tell", "all together"]
+    order = [
+        "joint position ",
+        "Another gain (motor2)",
+        "do not confirm it",
+        "75 %",
+        "cannot tell",
+        "all together",
+    ]
     order += ["Simulate with model.xml", "most is left in run-02.csv", "mass of upper: 2.4"]
     order += ["Invalidates the result", "sensor.error", "Limits the result", "The step is coarse."]
     order += ["Notes", "measured", "Difference: ", "over its command"]
@@ -192,7 +200,7 @@ def test_the_check_lists_what_is_seen_and_what_is_not() -> None:
     assert "elbow  1.2" in text and "80 %" in text
     seen, wanted = text.split("to record next:")
     assert re.search(r"quadratic_drag +any\n", seen)
-    assert re.search(r"actuator_lag +time_constant 0.01 s\n", seen)
+    assert re.search(r"actuator_lag +time_constant from 0.01 s\n", seen)
     assert "(elbow): move at the highest speed" in wanted
     assert "To tell a lag from late commands: command a sweep" in wanted
 
@@ -204,7 +212,9 @@ def test_the_check_says_sizes_of_one_kind_by_their_units() -> None:
         for k, (size, unit) in enumerate([(0.1, "rad"), (0.3, "rad"), (2.0, "rad/s"), (7.0, "m")])
     ]  # fmt: skip
     text = check_text(replace(SHOWN, effects=tuple(effects)))
-    assert re.search(r"sensor_bias +bias 0.1 to 0.3 rad; bias 2 rad/s +s3\n", text)
+    assert re.search(
+        r"sensor_bias +bias from 0.1 rad \(s0\) to 0.3 rad \(s1\); bias from 2 rad/s +s3\n", text
+    )
 
 
 def test_names_with_dollar_signs_are_drawn_as_they_are() -> None:

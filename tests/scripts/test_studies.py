@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from loose_agents.jobs import BackendSettings
 
-from scripts.studies import link_finding
 from scripts.studies import pose_sets as script
 from scripts.studies.pose_sets import Directions, Task
 
@@ -34,7 +33,7 @@ def test_a_run_cut_short_goes_on_where_it_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = worked_out(tmp_path, SMALL, 1)
-    path = script.path_of(tmp_path, SMALL)
+    path = tmp_path / script.ROWS
     stored = json.loads(path.read_text(encoding="utf-8"))
     stored["rows"] = [r for r in stored["rows"] if r["strategy"] != "one joint"]
     path.write_text(json.dumps(stored), encoding="utf-8")
@@ -58,27 +57,13 @@ def test_a_block_has_a_row_for_each_scatter() -> None:
 
 
 @pytest.mark.slow
-def test_both_levels_are_drawn_and_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--quick", "--cases", "2", "--arm", "planar2", "--learned", "--backend", "threading"]
+def test_the_study_is_drawn_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--quick", "--cases", "2", "--arm", "planar2", "--backend", "threading"]
     script.main([*words, "--workers", "1", "--out", str(tmp_path)])
     printed = capsys.readouterr().out
-    assert printed.count("| greedy separation |") == 4
-    assert "Simulated records" in printed
-    assert (tmp_path / "pose_sets.png").stat().st_size > 10_000
-    svg = (tmp_path / "pose_sets.svg").read_bytes()
-    script.main([*words, "--level", "--out", str(tmp_path)])  # from the rows alone
+    assert printed.count("| greedy separation |") == 3
+    picture = (tmp_path / "pose_sets.png").read_bytes()
+    assert len(picture) > 10_000
+    script.main([*words, "--stored", "--out", str(tmp_path)])  # from the rows alone
     assert capsys.readouterr().out == printed
-    assert (tmp_path / "pose_sets.svg").read_bytes() == svg
-
-
-@pytest.mark.slow
-def test_a_quick_run_of_link_finding_prints_both_tables(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    link_finding.main(["--quick", "--arm", "planar4", "--out", str(tmp_path / "link_finding.json")])
-    printed = capsys.readouterr().out
-    assert "scatter 20 degrees" in printed
-    assert "(b) simulated" in printed
-    assert printed.count("images all") == 5
+    assert (tmp_path / "pose_sets.png").read_bytes() == picture

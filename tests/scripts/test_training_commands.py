@@ -95,13 +95,13 @@ def test_a_run_leaves_a_policy_that_plays(
 def begun(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]]]:
     """Seeds and numbers of the episodes that have begun."""
     found: list[tuple[int, int]] = []
-    begin = EpisodeBatch.begin
+    start = EpisodeBatch.start_all
 
-    def spy(self: EpisodeBatch, slot: int, episode: Any) -> Any:
-        found.append((episode.seed, episode.number))
-        return begin(self, slot, episode)
+    def spy(self: EpisodeBatch, slots: Any, **given: Any) -> None:
+        found.extend(zip(given["seeds"], given["numbers"], strict=True))
+        start(self, slots, **given)
 
-    monkeypatch.setattr(EpisodeBatch, "begin", spy)
+    monkeypatch.setattr(EpisodeBatch, "start_all", spy)
     yield found
 
 

@@ -29,17 +29,12 @@ from loose_env.recording import joint_sensors
 from loose_env.typing import Array, ComplexArray
 
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-_DRIVES = 29
-"""Group of the machine's own drives, off in runs without commands."""
-_POSES = 24
-"""States at which the mean operator is read."""
-_NUDGE = 1e-4
-"""Displacement of numerical derivatives [rad, m]."""
+_DRIVES = 29  # group of the machine's own drives, off in runs without commands
+_POSES = 24  # states at which the mean operator is read
+_NUDGE = 1e-4  # displacement of numerical derivatives [rad, m]
 
-_MOST_LOAD = 0.9
-"""Share of a drive's torque from which friction by load would lock it."""
-_MODEL = 1e-4
-"""Error of any torque, as a share of the typical one: rounding, integration."""
+_MOST_LOAD = 0.9  # share of a drive's torque from which friction by load would lock it
+_MODEL = 1e-4  # error of any torque, as a share of the typical one: rounding, integration
 _SPRINGS, _DAMPINGS = 90, (0.02, 0.06, 0.2)
 """Stiffnesses and damping ratios that are tried for an added spring."""
 _STIFFEST = 4.0
@@ -47,8 +42,7 @@ _STIFFEST = 4.0
 _ROUNDS, _CONVERGED = 12, 0.02
 """Rounds of the motion of an added joint whose inertia varies, at most, and the share of its
 acceleration that may be left."""
-_RESONANCES = 3
-"""Springs that are started from."""
+_RESONANCES = 3  # springs that are started from
 
 _SIZES = (
     *("nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "ntendon", "nC", "ngeom", "neq"),
@@ -74,17 +68,13 @@ USUAL = "sliding 4%"
 class Forces:
     """Change of the balance that an effect makes, dry friction apart."""
 
-    smooth: Array
-    """Change of the balance [N·m, N] (T, joints)."""
-    dry: Array
-    """Dry friction to be multiplied by the direction of sliding (T, joints)."""
-    readings: Array
-    """Change of the readings beside the motion (T, R)."""
+    smooth: Array  # Change of the balance [N·m, N] (T, joints)
+    dry: Array  # Dry friction to be multiplied by the direction of sliding (T, joints)
+    readings: Array  # Change of the readings beside the motion (T, R)
     operator: Array
     """Change of the mean inertia, damping and stiffness matrices, drives included (3, joints,
     joints)."""
-    eased: Array | float = 0.0
-    """Share of the time in which a drive holds nothing (joints,)."""
+    eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
 
     def with_contact(self, direction: Array) -> Array:
         """The whole change for a direction of sliding (T, joints + R)."""
@@ -636,16 +626,12 @@ class Balance:
 class _Hidden:
     """One more joint than the machine has."""
 
-    number: int
-    """Its degree of freedom."""
-    seen: Array
-    """Degrees of freedom of the machine's joints (joints,)."""
+    number: int  # Its degree of freedom
+    seen: Array  # Degrees of freedom of the machine's joints (joints,)
     states: Callable[[Array, Array, Array], tuple[Array, Array, Array]]
     """States of all joints for a motion of its own."""
-    force: Array
-    """Force on it while it rests (T,)."""
-    own: Array
-    """Its mean inertia, damping and stiffness (3,)."""
+    force: Array  # Force on it while it rests (T,)
+    own: Array  # Its mean inertia, damping and stiffness (3,)
     coupled: Array
     """Change of the other joints' forces by its acceleration, speed and position (3, joints)."""
 

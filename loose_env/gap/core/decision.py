@@ -7,19 +7,22 @@ interval excludes no effect, and the likelihood of data it was not fitted to ris
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import log
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.gap.core.balance import USUAL
+from loose_env.gap.core.balance import USUAL, Balance
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import append, stretches_of
 from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
-from loose_env.gap.core.selection import Selection, Set, SetFit, at_joint, neighbours
-from loose_env.gap.model.effect import free_of, values_of
+from loose_env.gap.core.selection import KIND, Selection, Set, SetFit, at_joint, neighbours
+from loose_env.gap.model.effect import Mountings, free_of, values_of
+from loose_env.gap.model.effects.inertia import MountedPayload, Payload
+from loose_env.inference import log_determinant
 from loose_env.typing import Array
 
 Verdict = Literal["named", "not needed", "cannot tell", "unexplained"]
@@ -31,68 +34,52 @@ HELD_OUT = 4.0
 evidence (Kass and Raftery 1995)."""
 CONTRADICTED = -10.0
 """The same below which one of the ways to hold out refutes it: very strong evidence against."""
-_RIVAL = 0.05
-"""Probability from which another effect is a rival."""
-_Z = 1.96
-"""Half width of a 95 % interval in standard deviations."""
-_ASIDE = 0.25
-"""Relative step of a shape over which the fall of its evidence is read."""
-_NOISE = 1.6
-"""Held-out residual up to which nothing more is needed [noise standard deviations]."""
+_RIVAL = 0.05  # probability from which another effect is a rival
+_Z = 1.96  # half width of a 95 % interval in standard deviations
+_ASIDE = 0.25  # relative step of a shape over which the fall of its evidence is read
+_NOISE = 1.6  # held-out residual up to which nothing more is needed [noise standard deviations]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Finding:
     """One effect of the answer."""
 
-    term: Term
-    """The effect with its shape."""
-    values: Array
-    """Parameter values (P,)."""
-    low: Array
-    """Lower ends of their 95 % intervals (P,)."""
-    high: Array
-    """Upper ends (P,)."""
-    probability: float
-    """Probability that the machine has it, or one of `confusable` in its place."""
+    term: Term  # The effect with its shape
+    values: Array  # Parameter values (P,)
+    low: Array  # Lower ends of their 95 % intervals (P,)
+    high: Array  # Upper ends (P,)
+    probability: float  # Probability that the machine has it, or one of `confusable` in its place
     confusable: tuple[tuple[str, str], ...]
     """Other effects beside its place that explain the data nearly as well."""
-    z: float
-    """Largest coefficient over its standard deviation."""
-    by_run: float
-    """Rise of twice the log likelihood of held-out runs."""
-    by_stretch: float
-    """The same of held-out stretches of all runs."""
-    named: bool
-    """Whether it is named."""
+    z: float  # Largest coefficient over its standard deviation
+    by_run: float  # Rise of twice the log likelihood of held-out runs
+    by_stretch: float  # The same of held-out stretches of all runs
+    doubt: str  # Reason why it is not named, "" if it is
+
+    @property
+    def named(self) -> bool:
+        """Whether it is named."""
+        return not self.doubt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointVerdict:
     """What is said of one joint."""
 
-    joint: str
-    """Name of the joint."""
-    verdict: Verdict
-    """The word."""
-    effects: tuple[str, ...]
-    """Effects that are named, or that cannot be told apart."""
-    before: float
-    """Held-out residual of the nominal model [noise standard deviations]."""
-    after: float
-    """Held-out residual of the corrected model."""
+    joint: str  # Name of the joint
+    verdict: Verdict  # The word
+    effects: tuple[str, ...]  # Effects that are named, or that cannot be told apart
+    before: float  # Held-out residual of the nominal model [noise standard deviations]
+    after: float  # Held-out residual of the corrected model
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decision:
     """Effects and verdicts."""
 
-    findings: tuple[Finding, ...]
-    """All members of the set, named or not."""
-    joints: tuple[JointVerdict, ...]
-    """Verdicts, joint by joint."""
-    fit: SetFit
-    """The set."""
+    findings: tuple[Finding, ...]  # All members of the set, named or not
+    joints: tuple[JointVerdict, ...]  # Verdicts, joint by joint
+    fit: SetFit  # The set
     rivals: tuple[tuple[float, str, str], ...]
     """Probability, kind and location of effects outside the set."""
 
@@ -126,27 +113,46 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
         by_run, by_stretch = (float(g[number]) for g in gains)
         alike = _confusable(selection, term, chances)
         chance = float(sum(w for names, w in zip(near, weights, strict=True) if names & alike))
-        held = max(by_run, by_stretch) >= HELD_OUT and min(by_run, by_stretch) > CONTRADICTED
+        held = max(by_run, by_stretch) if min(by_run, by_stretch) > CONTRADICTED else -np.inf
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
                 probability=chance, confusable=tuple(sorted(alike - {term.name})),
                 z=z, by_run=by_run, by_stretch=by_stretch,
-                # what leaves most of its channel as it was is beside something that nothing is
-                named=chance >= NAMED
-                and z > _Z
-                and held
-                and not open_[_main(selection, fit, term)],
+                doubt=_doubt(chance, z > _Z, held, bool(open_[_main(selection, fit, term)])),
             )
         )  # fmt: skip
+    return _decision(selection, fit, findings, chances, before, after)
+
+
+def _decision(
+    selection: Selection,
+    fit: SetFit,
+    findings: Sequence[Finding],
+    chances: Mapping[tuple[str, str], float],
+    before: Array,
+    after: Array,
+) -> Decision:
+    """Findings with the rivals beside them, and the verdict of each channel."""
     members = {term.name for term in fit.terms}
-    rivals = sorted(
-        ((p, kind, where) for (kind, where), p in chances.items() if (kind, where) not in members),
-        reverse=True,
-    )
-    rivals = [r for r in rivals if r[0] > _RIVAL]
+    likely = {name: p for name, p in chances.items() if name not in members and p > _RIVAL}
+    rivals = tuple(sorted(((p, *name) for name, p in likely.items()), reverse=True))
     joints = tuple(_verdicts(selection, findings, rivals, before, after))
-    return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=tuple(rivals))
+    return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=rivals)
+
+
+def _doubt(chance: float, sure: bool, gain: float, left: bool) -> str:
+    """Reason why an effect of some probability and held-out gain is not named; "" if it is.
+
+    What leaves most of its channel as it was is beside something that nothing explains.
+    """
+    reasons = {
+        "improbable": chance < NAMED,
+        "its interval includes no effect": not sure,
+        "held-out data do not confirm it": gain < HELD_OUT,
+        "most of what it acts on stays unexplained": left,
+    }
+    return "; ".join(words for words, applies in reasons.items() if applies)
 
 
 def _simulated_ends(fit: ExactFit, number: int) -> list[Array]:
@@ -163,19 +169,7 @@ def decide_simulated(
     visited: Sequence[ExactFit],
     nominal: ExactFit,
 ) -> Decision:
-    """Say what is named of the best set that was searched for in simulation.
-
-    Parameters
-    ----------
-    selection : Selection
-        Evidence and priors.
-    exact : Exact
-        Windows of the runs.
-    visited : sequence of ExactFit
-        Sets, the best first.
-    nominal : ExactFit
-        The nominal model.
-    """
+    """Say what is named of the best set that was searched for in simulation, the first visited."""
     best = visited[0]
     fit = _in_cells(selection, best)
     weights = np.exp(-0.5 * np.array([f.total - best.total for f in visited]))
@@ -196,26 +190,16 @@ def decide_simulated(
     for number, (term, values) in enumerate(zip(best.terms, best.values, strict=True)):
         ends = np.stack(_simulated_ends(best, number))
         sure = not term.effect.interval_includes_null(ends.min(axis=0), ends.max(axis=0))
-        gain = float(gains[number])
-        chance = min(chances[term.name], 1.0)
+        gain, chance = float(gains[number]), min(chances[term.name], 1.0)
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
                 probability=chance, confusable=(), z=np.inf if sure else 0.0, by_run=gain,
                 by_stretch=gain,
-                named=chance >= NAMED
-                and sure
-                and gain >= HELD_OUT
-                and not shown.get(term.name, False),
+                doubt=_doubt(chance, sure, gain, bool(shown.get(term.name))),
             )
         )  # fmt: skip
-    members = {term.name for term in best.terms}
-    rivals = sorted(
-        ((p, *name) for name, p in chances.items() if name not in members), reverse=True
-    )
-    rivals = [r for r in rivals if r[0] > _RIVAL]
-    joints = tuple(_verdicts(selection, findings, rivals, before, after))
-    return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=tuple(rivals))
+    return _decision(selection, fit, findings, chances, before, after)
 
 
 def _in_cells(selection: Selection, fit: ExactFit) -> SetFit:
@@ -457,13 +441,10 @@ def _verdicts(
     after: Array,
 ) -> Iterable[JointVerdict]:
     """One verdict for each joint that the evidence has a channel of."""
-    machine = selection.evidence.balance.machine
     unexplained = _unexplained(before, after)
     for k, channel in enumerate(selection.evidence.channels):
         joint = selection.evidence.balance.channels[channel.joint]
-        places = {joint.removeprefix("sensor.").split(".")[0]}
-        if channel.joint < len(machine.joints):
-            places |= at_joint(machine, joint) | {"all", "tool", "base"}
+        places = places_of(selection.evidence.balance, channel.joint)
         named = [f.term.effect.kind for f in findings if f.named and f.term.effect.where in places]
         open_ = [kind for _, kind, where in rivals if where in places]
         open_ += [
@@ -483,6 +464,15 @@ def _verdicts(
         )  # fmt: skip
 
 
+def places_of(balance: Balance, channel: int) -> set[str]:
+    """Locations of the effects that a channel shows: a reading's own, or all at a joint."""
+    name, joints = balance.channels[channel], balance.machine.joints
+    if channel >= len(joints):
+        return {name.removeprefix("sensor.").split(".")[0]}
+    encoders = {sensor for sensor, joint in balance.encoders.items() if joint == channel}
+    return at_joint(balance.machine, name) | encoders | {"all", "tool", "base"}
+
+
 def held_out_rms(selection: Selection, fit: SetFit) -> Array:
     """Residual of each channel on held-out data, run by run if there are several."""
     channels = selection.evidence.channels
@@ -493,3 +483,114 @@ def held_out_rms(selection: Selection, fit: SetFit) -> Array:
             total[k] += power[held[k]].sum()
             count[k] += channel.count[held[k]].sum()
     return np.asarray(np.sqrt(total / count))
+
+
+# Payloads by runs
+
+_MOST_RUNS = 16  # runs among which payloads are told apart, at most: cost
+_INERTIA = {"payload", "link_mass", "link_com", "gravity_compensation", "base_tilt"}
+"""Kinds that stand in for a payload of some runs."""
+
+Ways = tuple[tuple[int, ...], ...]
+
+
+def by_runs(selection: Selection, best: SetFit) -> SetFit:
+    """The best set with a payload that differs between runs, where data ask for it; else itself.
+
+    Each run gets columns of a payload of its own. Of the Gaussian posterior of their coefficients,
+    mass and first moments run by run, runs that agree are merged step by step, down to one mass
+    with a centre each way. The most probable way is a term like any other, and pays for its choice.
+    """
+    evidence = selection.evidence
+    runs = tuple(dict.fromkeys(run.name for run in evidence.balance.motion.runs))
+    known = any(isinstance(term.effect, Payload) for term in evidence.terms)
+    if not known or not 1 < len(runs) <= _MOST_RUNS:
+        return best
+    before = list(evidence.terms)
+    each = [term for run in runs for term in _terms(selection, ((run,),), runs)]
+    evidence.terms[:] = before
+    if len(each) < len(runs):  # one of them does not feel a payload
+        return best
+    trial, found, tried = selection.on(selection.used), best, set[Mountings]()
+    for kinds in ({"payload"}, _INERTIA):
+        rest = tuple(term for term in best.terms if term.effect.kind not in kinds)
+        ways = tuple(tuple(runs[k] for k in way) for way in _ways(trial, rest, each))
+        if ways in ((), (runs,)) or ways in tried:
+            continue
+        tried.add(ways)
+        for term in _terms(trial, ways, runs):
+            state = trial.thinned(trial.settled(trial.solve((*rest, term))))
+            if any(t.effect.mountings for t in state.terms) and state.total < best.total + KIND:
+                state = pruned(trial, trial.search(state.terms))
+                found = min(found, state, key=lambda f: f.total)
+    mounted = [term for term in found.terms if term.effect.mountings]
+    if not mounted or held_out_gain(selection, best, found) < HELD_OUT:
+        mounted, found = [], best
+    evidence.terms[:] = [*before, *mounted]
+    if not mounted:
+        return best
+    selection.fits.update(trial.fits)
+    return found
+
+
+def _terms(selection: Selection, ways: Mountings, runs: Sequence[str]) -> list[Term]:
+    """Add the columns of a payload that runs have in some ways."""
+    balance = selection.evidence.balance
+    effect = MountedPayload(balance.machine, "tool", ways, runs)
+    found = terms_of(balance, effect, effect.axes, False)
+    append(selection.evidence, *found)
+    return found
+
+
+def _ways(selection: Selection, rest: tuple[Term, ...], each: Sequence[Term]) -> Ways:
+    """Runs of each way in which the payload is most probably mounted, beside some effects."""
+    evidence = selection.evidence
+    fit = selection.fit((*rest, *each))
+    columns = [k for term in each for k in evidence.columns_of(term)]
+    at = fit.places(columns)
+    prior = evidence.precision[columns]
+    # what the data say of the coefficients, without their prior
+    precision = np.linalg.inv(np.linalg.inv(fit.normal)[np.ix_(at, at)])
+    slope = precision @ fit.values[at]
+    precision = precision - np.diag(prior)
+    first = [_by_moments(term) for term in each]
+    edges = np.cumsum([0, *(len(own) for own in first)])
+    width = float(np.mean(prior))
+
+    def cost(ways: Ways) -> float:
+        design = np.zeros((len(prior), 1 + 3 * len(ways)))
+        for number, way in enumerate(ways):
+            for run in way:
+                rows = slice(edges[run], edges[run + 1])
+                design[rows, 0] = first[run][:, 0]
+                design[rows, 1 + 3 * number : 4 + 3 * number] = first[run][:, 1:]
+        normal = design.T @ precision @ design + width * np.eye(design.shape[1])
+        along = design.T @ slope
+        gain = float(along @ np.linalg.solve(normal, along))
+        gain -= log_determinant(normal) - len(normal) * log(width)
+        return 2 * len(each) * log(len(ways) + 1) - gain
+
+    ways: Ways = tuple((k,) for k in range(len(each)))
+    visited = [ways]
+    while ways:
+        ways = min(_fewer(ways), key=cost)
+        visited.append(ways)
+    return min(visited, key=cost)
+
+
+def _fewer(ways: Ways) -> Iterator[Ways]:
+    """Ways with one way less: its runs go to another one, or have no payload."""
+    for k, way in enumerate(ways):
+        others = (*ways[:k], *ways[k + 1 :])
+        yield others
+        for other in ways[:k]:
+            yield tuple(sorted((*w, *way)) if w is other else w for w in others)  # type: ignore[misc]
+
+
+def _by_moments(term: Term) -> Array:
+    """Coefficients of a run's payload for a mass at the tool and for each first moment (K, 4)."""
+    axes = np.array(term.effect.axes)
+    kept = [k for k, axis in enumerate(axes) if tuple(axis) in term.axes]
+    shares = np.eye(4)
+    shares[0, 1:] = -1.0  # a moment is a mass beside the tool less one at it
+    return np.asarray(shares[kept])

@@ -22,19 +22,15 @@ BANDS = 7
 """Bands of a channel, the first around zero, the others of equal ratio."""
 STRETCHES = 8
 """Stretches of a recording, about: enough to see whether a residual repeats."""
-_MOST_STRETCHES = 16
-"""Stretches whose cells are apart; of more runs, several share theirs."""
-_SHORTEST_S = 4.0
-"""Shortest stretch [s]."""
+_MOST_STRETCHES = 16  # stretches whose cells are apart; of more runs, several share theirs
+_SHORTEST_S = 4.0  # shortest stretch [s]
 KNOCK = 16.0
 """Mean square residual over its local median beyond which a stretch is a knock, not motion."""
 _NOISE = 1.1
 """Noise that is believed over its estimate, which takes it for white: filters and rounding colour
 it by some per cent."""
-_REST = 0.01
-"""Speed over the typical one below which a joint is at rest, or four times its noise."""
-_LEAST_SHARE = 0.01
-"""Mean square of a window below which a stretch has no cells."""
+_REST = 0.01  # speed over the typical one below which a joint is at rest, or four times its noise
+_LEAST_SHARE = 0.01  # mean square of a window below which a stretch has no cells
 _FELT = 0.05
 """Squared noise standard deviations of a standard deviation of tolerance below which it is not
 felt."""
@@ -44,40 +40,26 @@ felt."""
 class Channel:
     """Whitened rows and Gram matrices of one joint's balance."""
 
-    joint: int
-    """Index of the joint."""
-    columns: NDArray[np.intp]
-    """Which columns of the problem it has (K,)."""
-    rows: Array
-    """Whitened columns (R, K)."""
-    residual: Array
-    """Whitened residual (R,)."""
-    cell: NDArray[np.intp]
-    """Cell of each row (R,)."""
-    count: Array
-    """Independent values of each cell (C,)."""
-    stretch: NDArray[np.intp]
-    """Stretch of each cell (C,)."""
-    run: NDArray[np.intp]
-    """Run of each cell (C,)."""
-    turn: Array
-    """Centre of each cell's band [rad/s] (C,)."""
+    joint: int  # Index of the joint
+    columns: NDArray[np.intp]  # Which columns of the problem it has (K,)
+    rows: Array  # Whitened columns (R, K)
+    residual: Array  # Whitened residual (R,)
+    cell: NDArray[np.intp]  # Cell of each row (R,)
+    count: Array  # Independent values of each cell (C,)
+    stretch: NDArray[np.intp]  # Stretch of each cell (C,)
+    run: NDArray[np.intp]  # Run of each cell (C,)
+    turn: Array  # Centre of each cell's band [rad/s] (C,)
     growth: Array
     """Relative change of each cell's noise by a coefficient of one of each column (C, K)."""
     held: Array
     """Relative change of the stiffness by which the drive holds the joint, by each column (K,)."""
     beside: Array
     """Part of `growth` that no operator has: of foretold readings, and of late positions (C, K)."""
-    blanked: float
-    """Share of the time that is left out: rest, and knocks."""
-    first: NDArray[np.intp] = field(init=False)
-    """First row of each cell (C,)."""
-    slope: Array = field(init=False)
-    """Products with the residual (C, K)."""
-    square: Array = field(init=False)
-    """Products of each column with itself (C, K)."""
-    power: Array = field(init=False)
-    """Residual sums of squares (C,)."""
+    blanked: float  # Share of the time that is left out: rest, and knocks
+    first: NDArray[np.intp] = field(init=False)  # First row of each cell (C,)
+    slope: Array = field(init=False)  # Products with the residual (C, K)
+    square: Array = field(init=False)  # Products of each column with itself (C, K)
+    power: Array = field(init=False)  # Residual sums of squares (C,)
 
     def __post_init__(self) -> None:
         """Sum products over each cell."""
@@ -101,34 +83,20 @@ class Channel:
 class Evidence:
     """All channels, with the priors of the columns."""
 
-    balance: Balance
-    """The balance that they show."""
-    channels: list[Channel]
-    """Channels that were measured and move."""
-    terms: list[Term]
-    """Candidates."""
-    places: dict[int, tuple[int, ...]]
-    """Columns of each term, by its identity."""
-    centre: Array
-    """Prior means of the coefficients (K,)."""
-    precision: Array
-    """Prior precisions (K,)."""
-    low: Array
-    """Smallest coefficients (K,)."""
-    high: Array
-    """Largest coefficients (K,)."""
-    inexact: Array
-    """Part of its force that the law of each column misses (K,)."""
-    operators: Array
-    """Change of the operator by each column (K, 3, joints, joints)."""
-    law: float
-    """What the law of an effect of a joint or a drive misses, as a share of its force."""
-    tolerances: int
-    """How many of the columns, the first ones, are combinations of tolerances."""
-    mixed: Array
-    """Tolerances in each of these combinations (tolerances, combinations)."""
-    nuisances: tuple[Nuisance, ...]
-    """The tolerances."""
+    balance: Balance  # The balance that they show
+    channels: list[Channel]  # Channels that were measured and move
+    terms: list[Term]  # Candidates
+    places: dict[int, tuple[int, ...]]  # Columns of each term, by its identity
+    centre: Array  # Prior means of the coefficients (K,)
+    precision: Array  # Prior precisions (K,)
+    low: Array  # Smallest coefficients (K,)
+    high: Array  # Largest coefficients (K,)
+    inexact: Array  # Part of its force that the law of each column misses (K,)
+    operators: Array  # Change of the operator by each column (K, 3, joints, joints)
+    law: float  # What the law of an effect of a joint or a drive misses, as a share of its force
+    tolerances: int  # How many of the columns, the first ones, are combinations of tolerances
+    mixed: Array  # Tolerances in each of these combinations (tolerances, combinations)
+    nuisances: tuple[Nuisance, ...]  # The tolerances
 
     _products: dict[tuple[int, ...], list[tuple[NDArray[np.intp], Array]]] = field(
         default_factory=dict, init=False
@@ -154,48 +122,58 @@ class Evidence:
 def whiten(
     balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisance], *, law: float = 0.0
 ) -> Evidence:
-    """Whiten the residual, the columns of all terms and the tolerances into cells."""
-    columns = [column for term in terms for column in term.columns]
-    starts = np.cumsum([0, *(len(term.columns) for term in terms)])
-    free = len(tolerances)
-    wide = [n.change for n in tolerances] + [c.change for c in columns]
-    operators = np.stack([n.operator for n in tolerances] + [c.operator for c in columns])
-    late = [None] * free + [c.late for c in columns]
-    eased = [0.0] * free + [c.eased for c in columns]
-    channels = [
-        _channel(balance, joint, wide, free, operators, late, eased)
-        for joint in range(len(balance.channels))
-        if _compared(balance, joint)
-    ]
-    mixed = _felt(channels, free)
-    kept = mixed.shape[1]
-    for channel in channels:
-        _combine(channel, mixed, free)
-    operators = np.concatenate([np.tensordot(mixed.T, operators[:free], 1), operators[free:]])
-    places = {
-        id(term): tuple(range(kept + first, kept + last))
-        for term, first, last in zip(terms, starts, starts[1:], strict=False)
+    """Whiten the residual, the tolerances and the columns of all terms into cells."""
+    wide = [n.change for n in tolerances]
+    operators = np.stack([n.operator for n in tolerances])
+    compared = [joint for joint in range(len(balance.channels)) if _compared(balance, joint)]
+    rows = {
+        joint: _rows(
+            balance, joint, np.column_stack([_at(wide, joint), balance.residual[:, joint]])
+        )
+        for joint in compared
     }
-
-    def priors(name: str, value: float) -> Array:
-        return np.array([value] * kept + [getattr(c, name) for c in columns])
-
-    return Evidence(
+    # combinations of unit prior width that the data feel, beside the true effects: beside what the
+    # nominal model leaves most would not be felt
+    grams = (own.whitened[:, :-1].T @ own.whitened[:, :-1] for own in rows.values())
+    values, vectors = np.linalg.eigh(sum(grams, np.zeros((len(wide), len(wide)))))
+    mixed = np.asarray(vectors[:, values > _FELT])
+    kept = mixed.shape[1]
+    channels = []
+    for joint, own in rows.items():
+        noise = _noise_of(balance, joint, own.turn, wide, operators)
+        channels.append(
+            Channel(
+                joint=joint,
+                columns=np.arange(kept),
+                rows=own.whitened[:, :-1] @ mixed,
+                residual=own.whitened[:, -1],
+                cell=own.cell,
+                count=own.count,
+                stretch=own.stretch,
+                run=own.run,
+                turn=own.turn,
+                **{name: part @ mixed for name, part in noise.items()},
+                blanked=float(np.mean(weight_of(balance, joint) < 0.5)),
+            )
+        )
+    evidence = Evidence(
         balance=balance,
         channels=channels,
-        terms=list(terms),
-        places=places,
-        centre=priors("centre", 0.0),
-        precision=priors("spread", 1.0) ** -2,
-        low=priors("low", -np.inf),
-        high=priors("high", np.inf),
-        inexact=np.concatenate([np.zeros(kept), *(_inexact(term, law) for term in terms)]),
-        operators=operators,
+        terms=[],
+        places={},
+        centre=np.zeros(kept),
+        precision=np.ones(kept),
+        low=np.full(kept, -np.inf),
+        high=np.full(kept, np.inf),
+        inexact=np.zeros(kept),
+        operators=np.tensordot(mixed.T, operators, 1),
         law=law,
         tolerances=kept,
         mixed=mixed,
         nuisances=tuple(tolerances),
     )
+    append(evidence, *terms)
+    return evidence
 
 
 def _inexact(term: Term, law: float) -> Array:
@@ -214,41 +192,59 @@ def _compared(balance: Balance, channel: int) -> bool:
     return len(_grid(balance, channel).pieces) > 0
 
 
-def append(evidence: Evidence, term: Term) -> None:
-    """Add the columns of one more term."""
+def append(evidence: Evidence, *terms: Term) -> None:
+    """Add the columns of more terms."""
+    columns = [column for term in terms for column in term.columns]
+    if not columns:
+        return
+    first, balance = len(evidence.centre), evidence.balance
+    for term in terms:
+        evidence.places[id(term)] = tuple(range(first, first + len(term.columns)))
+        first += len(term.columns)
     first = len(evidence.centre)
-    numbers = tuple(range(first, first + len(term.columns)))
-    evidence.places[id(term)] = numbers
-    evidence.terms.append(term)
+    evidence.terms += terms
     for channel in evidence.channels:
-        own = [k for k, c in enumerate(term.columns) if c.change.reaches(channel.joint)]
-        if own:
-            wide = [term.columns[k].change for k in own]
-            rows = _rows(evidence.balance, channel.joint, wide).whitened
-            channel.columns = np.concatenate([channel.columns, [numbers[k] for k in own]])
-            new = rows[:, :-1]
-            slope = channel.by_cell(new * channel.residual[:, None])
-            channel.rows = _widened(channel.rows, new)
-            channel.slope = _widened(channel.slope, slope)
-            channel.square = _widened(channel.square, channel.by_cell(new**2))
-            more = np.stack([term.columns[k].operator for k in own])
-            late = [term.columns[k].late for k in own]
-            beside = _beside(evidence.balance, channel.joint, channel.turn, wide, late)
-            growth = _growth(evidence.balance, channel.joint, channel.turn, more) + beside
-            channel.growth = np.hstack([channel.growth, growth])
-            channel.beside = np.hstack([channel.beside, beside])
-            channel.held = np.append(
-                channel.held,
-                _held(evidence.balance, channel.joint, more, [term.columns[k].eased for k in own]),
-            )
+        own = [k for k, c in enumerate(columns) if c.change.reaches(channel.joint)]
+        if not own:
+            continue
+        wide, operators = zip(*((columns[k].change, columns[k].operator) for k in own), strict=True)
+        new = _rows(balance, channel.joint, _at(wide, channel.joint)).whitened
+        slope = channel.by_cell(new * channel.residual[:, None])
+        channel.columns = np.concatenate([channel.columns, first + np.array(own)])
+        channel.rows = _widened(channel.rows, new)
+        channel.slope = _widened(channel.slope, slope)
+        channel.square = _widened(channel.square, channel.by_cell(new**2))
+        noise = _noise_of(
+            balance, channel.joint, channel.turn, wide, np.stack(operators),
+            [columns[k].late for k in own], [columns[k].eased for k in own],
+        )  # fmt: skip
+        for name, part in noise.items():
+            setattr(channel, name, np.concatenate([getattr(channel, name), part], axis=-1))
     for name in ("centre", "low", "high"):
-        grown = [getattr(c, name) for c in term.columns]
-        setattr(evidence, name, np.concatenate([getattr(evidence, name), grown]))
-    spreads = np.array([c.spread for c in term.columns])
+        more = [getattr(c, name) for c in columns]
+        setattr(evidence, name, np.concatenate([getattr(evidence, name), more]))
+    spreads = np.array([c.spread for c in columns])
     evidence.precision = np.concatenate([evidence.precision, spreads**-2])
-    evidence.inexact = np.concatenate([evidence.inexact, _inexact(term, evidence.law)])
-    changes = np.stack([c.operator for c in term.columns])
+    laws = (_inexact(term, evidence.law) for term in terms)
+    evidence.inexact = np.concatenate([evidence.inexact, *laws])
+    changes = np.stack([c.operator for c in columns])
     evidence.operators = np.concatenate([evidence.operators, changes])
+
+
+def _noise_of(
+    balance: Balance,
+    joint: int,
+    turn: Array,
+    wide: Sequence[Change],
+    operators: Array,
+    late: Sequence[Late] = (),
+    eased: Sequence[Array | float] = (),
+) -> dict[str, Array]:
+    """Relative changes of a channel's noise and of what its drive holds, by each column."""
+    beside = _beside(balance, joint, turn, wide, late)
+    held = _held(balance, joint, operators, eased or [0.0] * len(operators))
+    return {"growth": _growth(balance, joint, turn, operators) + beside, "held": held,
+            "beside": beside}  # fmt: skip
 
 
 def _widened(known: Array, more: Array) -> Array:
@@ -275,41 +271,14 @@ class _Rows:
     turn: Array
 
 
-def _channel(
-    balance: Balance,
-    joint: int,
-    wide: Sequence[Change],
-    free: int,
-    operators: Array,
-    late: list[Late],
-    eased: Sequence[Array | float],
-) -> Channel:
-    """Whiten one joint's balance."""
-    felt = [k for k, change in enumerate(wide) if k < free or change.reaches(joint)]
-    found = _rows(balance, joint, [wide[k] for k in felt])
-    weight = weight_of(balance, joint)
-    beside = _beside(balance, joint, found.turn, [wide[k] for k in felt], [late[k] for k in felt])
-    return Channel(
-        joint=joint,
-        columns=np.array(felt),
-        rows=found.whitened[:, :-1],
-        residual=found.whitened[:, -1],
-        cell=found.cell,
-        count=found.count,
-        stretch=found.stretch,
-        run=found.run,
-        turn=found.turn,
-        growth=_growth(balance, joint, found.turn, operators[felt]) + beside,
-        held=_held(balance, joint, operators[felt], [eased[k] for k in felt]),
-        beside=beside,
-        blanked=float(np.mean(weight < 0.5)),
-    )
+def _at(wide: Sequence[Change], joint: int) -> Array:
+    """Columns at one channel (T, K)."""
+    return np.stack([change.at(joint) for change in wide], axis=1)
 
 
-def _rows(balance: Balance, joint: int, wide: Sequence[Change]) -> _Rows:
-    """Whitened rows of some columns and, last, of the residual."""
+def _rows(balance: Balance, joint: int, stacked: Array) -> _Rows:
+    """Whitened rows of some columns (T, K) of a channel."""
     grid = _grid(balance, joint)
-    stacked = np.stack([*(c.at(joint) for c in wide), balance.residual[:, joint]], axis=1)
     parts = []
     for rows, window, scale, kept in grid.pieces:
         spectrum = np.fft.rfft(stacked[rows] * window, axis=0)[kept] * scale
@@ -323,10 +292,8 @@ class _Grid:
 
     pieces: list[tuple[slice, Array, Array, NDArray[np.intp]]]
     """Samples, taper, scale and kept frequencies of each stretch."""
-    order: NDArray[np.intp]
-    """Order of the rows by cells."""
-    rows: _Rows
-    """Cells, without rows."""
+    order: NDArray[np.intp]  # Order of the rows by cells
+    rows: _Rows  # Cells, without rows
 
 
 def _grid(balance: Balance, joint: int) -> _Grid:
@@ -385,7 +352,7 @@ def _windowed(variance: Array, window: Array) -> Array:
 
 def cell_powers(balance: Balance, channel: int, change: Array) -> Array:
     """Power of a change of the balance in each cell of a channel, in noise variances (C,)."""
-    found = _rows(balance, channel, [Change(change)])
+    found = _rows(balance, channel, change[:, [channel]])
     return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count)).astype(float)
 
 
@@ -494,8 +461,7 @@ def _knocks(balance: Balance, joint: int) -> Array:
     columns = columns / (np.sqrt(np.mean(columns**2, axis=0)) + 1e-12)
     y = balance.residual[:, joint]
     width = max(int(1 / motion.band / step), 2)
-    kernel = np.hanning(2 * width + 3)
-    kernel /= kernel.sum()
+    kernel = _bell(width)
     weight, bad = np.ones(len(y)), np.zeros(len(y), bool)
     for _ in range(2):
         normal = (columns * weight[:, None]).T @ columns + 1e-4 * len(y) * np.eye(columns.shape[1])
@@ -510,8 +476,18 @@ def _knocks(balance: Balance, joint: int) -> Array:
         weight = np.where(bad, 0.0, 1.0)
     if bad.mean() > 0.3:
         return np.ones(len(y))
-    near = np.convolve(bad, np.ones(width + 1), "same") > 0.5
-    return np.asarray(1 - np.clip(np.convolve(near, kernel, "same"), 0, 1))
+    return _without(np.convolve(bad, np.ones(width + 1), "same") > 0.5, kernel)
+
+
+def _bell(width: int) -> Array:
+    """Weights of a smooth fade over so many samples."""
+    kernel = np.hanning(2 * width + 3)
+    return np.asarray(kernel / kernel.sum())
+
+
+def _without(marked: NDArray[np.bool_], kernel: Array) -> Array:
+    """Weight that fades to nothing where samples are marked."""
+    return np.asarray(1 - np.clip(np.convolve(marked, kernel, "same"), 0, 1))
 
 
 def _sliding(balance: Balance, joint: int) -> Array:
@@ -521,8 +497,7 @@ def _sliding(balance: Balance, joint: int) -> Array:
     noisy = float(motion.noise[0, joint]) * turn * np.sqrt(2 * motion.band * motion.step / 3)
     limit = max(4 * noisy, _REST * float(np.percentile(np.abs(speed), 95)))
     width = max(int(1 / motion.band / motion.step), 2)
-    kernel = np.hanning(2 * width + 3)
-    kernel /= kernel.sum()
+    kernel = _bell(width)
     span = np.ones(max(width, 3))
     for run, own in zip(motion.runs, motion.split(speed), strict=True):
         still = np.convolve(np.abs(own) < limit, span, "same") > len(span) - 0.5
@@ -531,7 +506,7 @@ def _sliding(balance: Balance, joint: int) -> Array:
         if still.mean() <= 0.01 or (still.mean() >= 0.85 and run.form != "free"):
             found.append(np.ones(len(own)))
         else:
-            found.append(1 - np.clip(np.convolve(still, kernel, "same"), 0, 1))
+            found.append(_without(still, kernel))
     return np.concatenate(found)
 
 
@@ -539,42 +514,6 @@ def _within(balance: Balance, joint: int) -> Array:
     """Weight of samples, none within one and a half periods of the band from a drive's limit."""
     motion = balance.motion
     width = max(int(1.5 / motion.band / motion.step), 1)
-    kernel = np.hanning(2 * width + 3)
-    kernel /= kernel.sum()
-    found = []
-    for run in motion.runs:
-        at_limit = np.convolve(run.limited[:, joint], np.ones(2 * width + 1), "same") > 0
-        found.append(1 - np.clip(np.convolve(at_limit, kernel, "same"), 0, 1))
-    return np.concatenate(found)
-
-
-def _felt(channels: list[Channel], free: int) -> Array:
-    """Combinations of tolerances that the data feel, of unit prior width (tolerances, kept).
-
-    Beside what the nominal model leaves most would not be felt, beside the true effects they are.
-    """
-    total = np.zeros((free, free))
-    for channel in channels:
-        own = np.flatnonzero(channel.columns < free)
-        at = channel.columns[own]
-        total[np.ix_(at, at)] += channel.products(np.ones(len(channel.count)), own, own)
-    values, vectors = np.linalg.eigh(total)
-    return np.asarray(vectors[:, values > _FELT])
-
-
-def _combine(channel: Channel, mixed: Array, free: int) -> None:
-    """Replace the tolerances of a channel by their combinations."""
-    own, kept = channel.columns < free, mixed.shape[1]
-    others = channel.columns[~own]
-    channel.rows = np.hstack(
-        [channel.rows[:, own] @ mixed[channel.columns[own]], channel.rows[:, ~own]]
-    )
-    channel.growth = np.hstack(
-        [channel.growth[:, own] @ mixed[channel.columns[own]], channel.growth[:, ~own]]
-    )
-    channel.beside = np.hstack(
-        [channel.beside[:, own] @ mixed[channel.columns[own]], channel.beside[:, ~own]]
-    )
-    channel.held = np.append(channel.held[own] @ mixed[channel.columns[own]], channel.held[~own])
-    channel.columns = np.concatenate([np.arange(kept), others - free + kept])
-    channel.__post_init__()
+    near = np.ones(2 * width + 1)
+    limited = (np.convolve(run.limited[:, joint], near, "same") > 0 for run in motion.runs)
+    return np.concatenate([_without(own, _bell(width)) for own in limited])

@@ -15,6 +15,7 @@ from loose_env.gap.core.catalogue import catalogue
 from loose_env.gap.core.decision import (
     HELD_OUT,
     Decision,
+    by_runs,
     decide,
     decide_simulated,
     left_open,
@@ -23,12 +24,10 @@ from loose_env.gap.core.decision import (
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import Exact, ExactFit, leading, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, smooth
-from loose_env.gap.core.mountings import by_runs
 from loose_env.gap.core.selection import Selection, SetFit
-from loose_env.gap.core.tolerances import nuisances
+from loose_env.gap.core.tolerances import GapSettings, nuisances
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.settings import GapSettings
 from loose_env.recording import Recording
 
 Say = Callable[[str], None]

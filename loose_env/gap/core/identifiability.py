@@ -25,13 +25,7 @@ from loose_env.typing import Array
 
 
 def identifiability(selection: Selection) -> Identifiability:
-    """Ask what the recording could show of every joint and every effect.
-
-    Parameters
-    ----------
-    selection : Selection
-        Evidence of the recording.
-    """
+    """Ask what the recording of some evidence could show of every joint and every effect."""
     return Identifiability(joints=_joints(selection), effects=_effects(selection))
 
 
@@ -40,21 +34,10 @@ def unexplained(
 ) -> Array:
     """Squared distance of forces from what some columns can do, and what that costs (I,).
 
+    By the squares of the forces in noise standard deviations (I,), products of the columns with
+    them (K, I) and with each other (K, K), and the precision of the coefficients about a centre.
     What it rises by with a motion is the expected gain of that motion: twice the log evidence by
     which the machine with these forces is told from one with these columns.
-
-    Parameters
-    ----------
-    square : ndarray (I,)
-        Squares of the forces in noise standard deviations.
-    cross : ndarray (K, I)
-        Products of the columns with the forces.
-    normal : ndarray (K, K)
-        Products of the columns.
-    prior : ndarray (K, K)
-        Precision of their coefficients so far.
-    centre : ndarray (K,), optional
-        Coefficients about which that is; by default 0.
     """
     pulled = np.zeros(len(prior)) if centre is None else prior @ centre
     slope = cross + pulled[:, None]
@@ -87,8 +70,7 @@ class _Shown:
     term: Term
     at: list[int]
     precision: Array
-    needed: float
-    """Number of standard deviations at which it pays for its prior."""
+    needed: float  # Number of standard deviations at which it pays for its prior
 
     def smallest(self, precision: Array) -> Array:
         """Smallest visible coefficients at some precision."""
@@ -134,6 +116,7 @@ def _effects(selection: Selection) -> tuple[VisibleEffect, ...]:
             VisibleEffect(
                 kind=name[0], where=name[1], smallest=_sizes(shown),
                 units={p.name: p.unit for p in shown.term.effect.parameters},
+                below="high" in dict(shown.term.effect.limit).values(),
                 visible=visible, confusable_with=rival,
             )
         )  # fmt: skip
@@ -169,11 +152,12 @@ def _rival(
 
 
 def _sizes(shown: _Shown) -> dict[str, float]:
-    """Smallest visible value of each parameter, the others as without the effect."""
+    """Smallest visible change of each parameter, the others as without the effect."""
     effect, term = shown.term.effect, shown.term
     names = [p.name for p in effect.parameters]
     if term.law:
-        return dict(zip(names, term.axes[0], strict=True))
+        null = np.array(effect.null_values or 0.0)
+        return dict(zip(names, np.abs(np.array(term.axes[0]) - null).tolist(), strict=True))
     nothing = term.values(np.zeros(len(term.axes)))
     found: dict[str, float] = {}
     for k, size in enumerate(shown.smallest(shown.precision)):
@@ -184,5 +168,6 @@ def _sizes(shown: _Shown) -> dict[str, float]:
         if effect.proportional is not None:
             changed = [effect.proportional]
         if changed:
-            found.setdefault(names[changed[0]], float(values[changed[0]]))
+            first = changed[0]
+            found.setdefault(names[first], float(abs(values[first] - nothing[first])))
     return found

@@ -27,12 +27,10 @@ LOWEST_HZ = 1.5
 _PER_CYCLE = 6
 """Samples per period of the highest frequency that are kept: three times Nyquist's rate, room for
 the harmonics of dry friction."""
-_LEAST_RATE = 40.0
-"""Lowest rate to which a recording is thinned [1/s]."""
+_LEAST_RATE = 40.0  # lowest rate to which a recording is thinned [1/s]
 _FLAT = 1.35
 """Half-amplitude frequency of the low-pass over the end of the band, and:"""
-_ORDER = 16
-"""its order: flat to 1 % at the end of the band."""
+_ORDER = 16  # its order: flat to 1 % at the end of the band
 _MOST_SAMPLES = 12_000
 """Thinned samples of all runs, at most: minutes of motion; of longer runs the middle is taken."""
 _NEAR = 0.5
@@ -43,36 +41,22 @@ _NEAR = 0.5
 class RunMotion:
     """Motion of one run on its thinned, even grid."""
 
-    name: str
-    """File of the run."""
-    form: str
-    """"forward", "inverse" or "free"."""
-    step: float
-    """Interval of the samples [s]."""
-    position: Array
-    """Joint positions [rad, m] (T, joints)."""
-    speed: Array
-    """Joint speeds (T, joints)."""
-    acceleration: Array
-    """Joint accelerations (T, joints)."""
-    derived: Array
-    """Joint speeds from the positions alone (T, joints)."""
-    readings: Array
-    """Readings of `Motion.sensors` in the same band (T, R)."""
+    name: str  # File of the run
+    form: str  # "forward", "inverse" or "free"
+    step: float  # Interval of the samples [s]
+    position: Array  # Joint positions [rad, m] (T, joints)
+    speed: Array  # Joint speeds (T, joints)
+    acceleration: Array  # Joint accelerations (T, joints)
+    derived: Array  # Joint speeds from the positions alone (T, joints)
+    readings: Array  # Readings of `Motion.sensors` in the same band (T, R)
     commands: Array
     """Commands as held from sample to sample, in the band of the motion (T, actuators)."""
-    sampled: Array
-    """Commands as sampled, not held, in the same band (T, actuators)."""
-    straight: Array
-    """Commands along straight lines from sample to sample (T, actuators)."""
-    torques: Array
-    """Measured joint torques, NaN of joints without (T, joints)."""
-    limited: Array
-    """Share of a sample in which the nominal drive is at its limit (T, joints)."""
-    log_step: float
-    """Interval of the log [s]."""
-    begin: float
-    """Time of the first sample after the log's first one [s]."""
+    sampled: Array  # Commands as sampled, not held, in the same band (T, actuators)
+    straight: Array  # Commands along straight lines from sample to sample (T, actuators)
+    torques: Array  # Measured joint torques, NaN of joints without (T, joints)
+    limited: Array  # Share of a sample in which the nominal drive is at its limit (T, joints)
+    log_step: float  # Interval of the log [s]
+    begin: float  # Time of the first sample after the log's first one [s]
 
     @property
     def time(self) -> Array:
@@ -84,16 +68,13 @@ class RunMotion:
 class Motion:
     """Motion of all runs."""
 
-    runs: tuple[RunMotion, ...]
-    """The runs."""
-    band: float
-    """End of the band in which the motion shows over its noise [Hz]."""
+    runs: tuple[RunMotion, ...]  # The runs
+    band: float  # End of the band in which the motion shows over its noise [Hz]
     noise: Array
     """Noise of a thinned sample's position, speed and torque (3, joints); infinite if not read."""
     sensors: tuple[tuple[str, int], ...]
     """Velocity and inertial sensors read in every run, with the axis, -1 of a scalar."""
-    sensor_noise: Array
-    """Noise of a thinned sample of each of these readings (R,)."""
+    sensor_noise: Array  # Noise of a thinned sample of each of these readings (R,)
 
     @property
     def step(self) -> float:

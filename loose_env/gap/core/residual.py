@@ -30,14 +30,10 @@ LAGS = 50
 """Lags of correlations that are looked at."""
 OVERLAY_S = 4.0
 """Length of the stretch that is shown of a channel [s]."""
-_EDGE_PERIODS = 2.0
-"""Ends of a run that are not shown [periods of the end of the band]."""
-_MOVING = 0.1
-"""Speed over its root mean square above which a joint is shown moving."""
-_TAPER = 0.3
-"""Share of a run that is faded, at both ends together, before its spectrum is divided."""
-_PLAYED_S = 60.0
-"""Length of runs that are simulated for frequency responses, about: cost [s]."""
+_EDGE_PERIODS = 2.0  # ends of a run that are not shown [periods of the end of the band]
+_MOVING = 0.1  # speed over its root mean square above which a joint is shown moving
+_TAPER = 0.3  # share of a run that is faded, at both ends together, before its spectrum is divided
+_PLAYED_S = 60.0  # length of runs that are simulated for frequency responses, about: cost [s]
 _SEGMENTS = 4
 """Segments of a run in a frequency response, overlapping by half; runs are averaged, too."""
 
@@ -179,20 +175,13 @@ def residual_tests(
 class Overlay:
     """The stretch of a channel in which the nominal model misses most of the motion."""
 
-    channel: str
-    """Joint, or reading with its axis."""
-    run: str
-    """File of the run."""
-    unit: str
-    """Unit of the values."""
-    time: Array
-    """Times from the beginning of the stretch [s] (T,)."""
-    measured: Array
-    """Force of the drive, or what was read (T,)."""
-    nominal: Array
-    """The same as the nominal model needs or foretells it (T,)."""
-    corrected: Array
-    """The same of the corrected model (T,)."""
+    channel: str  # Joint, or reading with its axis
+    run: str  # File of the run
+    unit: str  # Unit of the values
+    time: Array  # Times from the beginning of the stretch [s] (T,)
+    measured: Array  # Force of the drive, or what was read (T,)
+    nominal: Array  # The same as the nominal model needs or foretells it (T,)
+    corrected: Array  # The same of the corrected model (T,)
 
 
 def overlays(selection: Selection, before: Array, after: Array, most: int) -> tuple[Overlay, ...]:
@@ -346,12 +335,9 @@ class Played:
 class Response:
     """Frequency response of a joint to the command of its drive."""
 
-    joint: str
-    """Name of the joint."""
-    frequency: Array
-    """Frequencies [Hz] (F,)."""
-    gains: Mapping[str, ComplexArray]
-    """"measured", "nominal" and "corrected" -> complex gain (F,)."""
+    joint: str  # Name of the joint
+    frequency: Array  # Frequencies [Hz] (F,)
+    gains: Mapping[str, ComplexArray]  # "measured", "nominal" and "corrected" -> complex gain (F,)
 
 
 def responses(shown: Played, band: float) -> tuple[Response, ...]:

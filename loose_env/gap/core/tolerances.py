@@ -1,4 +1,4 @@
-"""Tolerances of a nominal model: what a user's model never has exactly.
+"""Settings, and tolerances of a nominal model: what a user's model never has exactly.
 
 Nuisances are fitted with every hypothesis, each with a Gaussian prior of the width that stands
 here, and are never reported. An effect is named only where the data pull it clearly out of them.
@@ -7,11 +7,12 @@ here, and are never reported. An effect is named only where the data pull it cle
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import mujoco
 import numpy as np
+from annotated_types import Ge, Le
 
 from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.motion import rates
@@ -27,7 +28,7 @@ from loose_env.gap.model.effects.mjcf import (
 from loose_env.gap.model.effects.sensors import EncoderOffset, SensorDelay
 from loose_env.gap.model.hypothesis import scale
 from loose_env.gap.model.nominal_model import NominalModel, link_ends
-from loose_env.io import Checked, Positive
+from loose_env.io import Checked, Positive, Rule, check_fields
 from loose_env.typing import Array
 
 Edit = Callable[[mujoco.MjSpec, float], None]
@@ -77,24 +78,51 @@ class Tolerances(Checked):
     """Shift of their readings against the positions [intervals of the log]."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class GapSettings:
+    """Settings of the comparison of a recording with its model.
+
+    Examples
+    --------
+    >>> GapSettings(threads=-1)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: GapSettings.threads must be a whole number, 0 to 10000; got -1
+    """
+
+    kinds: tuple[str, ...] = ()
+    """Kinds of effect that are considered, such as coulomb_friction; by default the whole
+    catalogue."""
+    held_out: tuple[str, ...] = ()
+    """Runs kept out of everything and predicted at the end: their files, or the beginning of their
+    names. By default every run is held out once, in turn."""
+    simulate: bool = True
+    """Whether full simulation decides among the leading sets of effects, where there are
+    commands; without it the force balance alone decides, in a fraction of the time."""
+    threads: Annotated[int, Rule("a whole number, 0 to 10000", (Ge(0), Le(10_000)))] = 0
+    """Threads of the simulation; 0 for all processors."""
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    """Standard deviations of what the nominal model states."""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        check_fields(self, GapSettings)  # a command line has more
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nuisance:
     """One tolerance: the change of the balance by one standard deviation."""
 
-    name: str
-    """Name for the reader."""
-    change: Change
-    """Change of the balance (T, joints)."""
-    operator: Array
-    """Change of the mean inertia, damping and stiffness (3, joints, joints)."""
+    name: str  # Name for the reader
+    change: Change  # Change of the balance (T, joints)
+    operator: Array  # Change of the mean inertia, damping and stiffness (3, joints, joints)
     edit: Edit | None = None
     """Edit of a spec by a number of standard deviations; None if no model has it."""
     late: tuple[int, float] | None = None
     """Actuator whose commands are shifted, and by how much [s]."""
 
 
-_STEP = 1e-3
-"""Relative step of numerical derivatives."""
+_STEP = 1e-3  # relative step of numerical derivatives
 
 
 def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
@@ -174,13 +202,13 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for joint, name in enumerate(machine.joints):
         shifted = _sized(EncoderOffset(machine, name), tolerances.zero)
         yield _edited(f"zero of {name}", shifted, balance)
-        for field, width in (
+        for part, width in (
             ("armature", tolerances.armature),
             ("damping", tolerances.damping),
             ("frictionloss", tolerances.damping),
         ):
-            if float(getattr(model, f"dof_{field}")[int(model.joint(name).dofadr[0])]) > 0:
-                yield _edited(f"{field} of {name}", _scaled(field, name, width), balance)
+            if float(getattr(model, f"dof_{part}")[int(model.joint(name).dofadr[0])]) > 0:
+                yield _edited(f"{part} of {name}", _scaled(part, name, width), balance)
         one = np.eye(len(machine.joints))[joint]
         size = max(
             tolerances.offset * float(machine.load_scales[joint]),

@@ -1,8 +1,8 @@
 r"""Ablation of `loose gap`: the suite again with one thing changed at a time.
 
 `NUMBERS` is the one list of numbers that decide what is named. Each is halved and doubled, and five
-parts of the method are left out. Rows are kept with their whole configuration, so that the same
-command goes on where it was stopped; those of the method as shipped are the suite's own.
+parts of the method are left out. Each variant is a tool of its own, ``loose_gap@VARIANT``, with its
+own rows; those of the method as shipped are the suite's.
 
     python -m scripts.suites.gap.run --numbers 0-59 --ablate --most-seconds 20
     python -m scripts.suites.gap.run --numbers 0-59 --ablate without core.decision --show
@@ -12,17 +12,16 @@ command goes on where it was stopped; those of the method as shipped are the sui
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from loose_env.errors import InvalidSetting
 from loose_env.gap import GapSettings
-from scripts.suites.rows import Row, check_code, kept, run_cases
+from scripts.suites.rows import Row
 
 PACKAGE = "loose_env.gap"
 """Package whose numbers are changed."""
@@ -98,6 +97,8 @@ NUMBERS: tuple[Number, ...] = (
            reason="below, presliding: dry friction takes any value"),
     Number(name="core.motion.HIGHEST_HZ", unit="Hz",
            reason="structural modes of any arm lie above"),
+    Number(name="core.catalogue._MOVING", unit="noise sd",
+           reason="a range of motion beyond drift and rounding of an encoder at rest"),
     Number(name="core.balance._MOST_LOAD", unit="of the load", tried=(0.45, 0.95),
            reason="with more friction by load a drive would lock"),
     # exact fits
@@ -112,10 +113,14 @@ NUMBERS: tuple[Number, ...] = (
     # decision
     Number(name="core.decision.NAMED", unit="probability", tried=(0.25, 0.75),
            reason="as likely as not"),
+    Number(name="core.decision._Z", unit="sd", tried=(1.64, 2.58),
+           reason="95 of 100 intervals contain the true value"),
     Number(name="core.decision.HELD_OUT", unit="2 ln likelihood",
            reason="positive evidence (Kass and Raftery 1995)"),
     Number(name="core.decision.CONTRADICTED", unit="2 ln likelihood",
            reason="very strong evidence (Kass and Raftery 1995)"),
+    Number(name="core.decision._NOISE", unit="noise sd", tried=(1.3, 2.4),
+           reason="noise alone where its estimate is a third too small needs no effect"),
 )  # fmt: skip
 """The numbers that decide, in the order of the method; half and double of each are tried."""
 
@@ -157,14 +162,6 @@ def _everywhere(name: str, value: float) -> Changes:
     return dict.fromkeys(number.places(), value)
 
 
-def configuration(changes: Changes) -> dict[str, Any]:
-    """All numbers, tolerances and settings of a variant."""
-    settings = GapSettings()
-    whole: dict[str, Any] = {number.name: number.value for number in NUMBERS}
-    whole |= {f"tolerances.{name}": own for name, own in asdict(settings.tolerances).items()}
-    return {**whole, "settings.simulate": settings.simulate, **changes}
-
-
 def changes_of(name: str) -> Changes:
     """Changes of a variant, by its name."""
     known = variants()
@@ -196,34 +193,6 @@ def chosen(prefixes: Sequence[str]) -> list[str]:
             f"no variant begins with {prefixes}; there are {', '.join(variants())}"
         )
     return names
-
-
-def ablated(
-    shipped: Sequence[Row],
-    words: Sequence[str],
-    work: Callable[[str, int], Row],
-    file: Path,
-    *,
-    code: str,
-    workers: int = 1,
-    say: Callable[[Row], str] = str,
-    show: bool = False,
-) -> dict[str, list[Row]]:
-    """Rows of the variants that begin with some words; those that the file lacks are run."""
-    known, names = variants(), chosen(words)
-    keys = {f"{name} {row['number']}": (name, row["number"]) for name in names for row in shipped}
-    check_code(kept(file), code, file)
-
-    def one(key: str) -> Row:
-        name, number = keys[key]
-        row = work(name, number)
-        return {"key": key, "variant": name, "configuration": configuration(known[name]), **row}
-
-    if show:
-        rows = [row for row in kept(file) if row["key"] in keys]
-    else:
-        rows = run_cases(keys, one, file, workers=workers, say=say, key="key")
-    return {name: own for name in names if (own := [row for row in rows if row["variant"] == name])}
 
 
 # ---------------------------------------------------------------------------------- tables

@@ -219,12 +219,39 @@ def run(given: RunSettings) -> None:
         make(numbers, given.phrase, given.make)
         return
     tool_of(given.tool)
-    ablation.chosen(given.ablate or ())
+    variants = ablation.chosen(given.ablate or ())
     if given.recording is not None:
         ask(given.tool, given.recording, given.out or OUT)
         return
     out = (given.out or OUT / given.tool.replace(":", ".")).resolve()
-    file, code = out / "rows.jsonl", code_of(given.tool)
+    rows = rows_of(given, given.tool, numbers, out)
+    if not rows:
+        raise InvalidSetting(f"{out} has no rows of these cases; run them first")
+    if given.ablate is not None:
+        cheap = [row for row in rows if row.get("cpu", math.inf) <= given.most_seconds]
+        if not cheap or given.tool != "loose_gap":
+            raise InvalidSetting(
+                f"{len(cheap)} of {len(rows)} cases of {given.tool} took {given.most_seconds:g} s "
+                "or less; ablate loose_gap, with more --most-seconds"
+            )
+        own = [row["number"] for row in cheap]
+        found = {
+            name: rows_of(given, f"loose_gap@{name}", own, out / "ablation" / name)
+            for name in variants
+        }
+        printed = ablation.summary(cheap, found, of=len(rows), most_seconds=given.most_seconds)
+        file = out / "ablation.md"
+    else:
+        who = f"tool {given.tool}" if given.answers is None else f"answers in {given.answers}"
+        printed = f"{len(rows)} cases of {len(numbers)}, {who}.\n\n{table(rows)}\n"
+        file = out / "summary.md"
+    print(f"\n{printed}")
+    write_text(file, printed)
+
+
+def rows_of(given: RunSettings, tool: str, numbers: Sequence[int], out: Path) -> list[Row]:
+    """Rows of a tool, kept in a folder; those that it lacks are run, or left out by --show."""
+    file, code = out / "rows.jsonl", code_of(tool)
     if given.afresh:
         file.unlink(missing_ok=True)
     check_code(kept(file), code, file)
@@ -232,56 +259,11 @@ def run(given: RunSettings) -> None:
         raise InvalidSetting(f"{file} has rows of another phrase; give another --out")
     if given.show:
         names = {name_of(number, given.phrase) for number in numbers}
-        rows = [row for row in kept(file) if row["case"] in names]
-        if not rows:
-            raise InvalidSetting(f"{file} has no rows of these cases; run them first")
-    else:
-        blind = (given.blind or OUT / "blind").resolve()
-        work = functools.partial(
-            run_case,
-            tool=given.tool,
-            answers=given.answers,
-            phrase=given.phrase,
-            out=out,
-            blind=blind,
-            code=code,
-        )
-        rows = run_cases(numbers, work, file, workers=given.workers, say=line_of)
-    if given.ablate is not None:
-        _ablate(given, rows, out, code)
-        return
-    who = f"tool {given.tool}" if given.answers is None else f"answers in {given.answers}"
-    printed = f"{len(rows)} cases of {len(numbers)}, {who}.\n\n{table(rows)}\n"
-    print(f"\n{printed}")
-    write_text(file.with_name("summary.md"), printed)
-
-
-def _ablate(given: RunSettings, rows: Sequence[Row], out: Path, code: str) -> None:
-    """Run the variants on the cheaper cases, and print their table."""
-    cheap = [row for row in rows if row.get("cpu", math.inf) <= given.most_seconds]
-    if not cheap or given.tool != "loose_gap":
-        raise InvalidSetting(
-            f"{len(cheap)} of {len(rows)} cases of {given.tool} took {given.most_seconds:g} s or "
-            "less; ablate loose_gap, with more --most-seconds"
-        )
-    blind = (given.blind or OUT / "blind").resolve()
-
-    def work(variant: str, number: int) -> Row:
-        return run_case(
-            number, tool=f"loose_gap@{variant}", answers=None, phrase=given.phrase,
-            out=out / "ablation" / variant, blind=blind, code=code,
-        )  # fmt: skip
-
-    file = out / "ablation.jsonl"
-    if given.afresh:
-        file.unlink(missing_ok=True)
-    found = ablation.ablated(
-        cheap, given.ablate or (), work, file, code=code, workers=given.workers,
-        say=lambda row: f"{row['variant']}: {line_of(row)}", show=given.show,
-    )  # fmt: skip
-    printed = ablation.summary(cheap, found, of=len(rows), most_seconds=given.most_seconds)
-    print(f"\n{printed}")
-    write_text(file.with_suffix(".md"), printed)
+        return [row for row in kept(file) if row["case"] in names]
+    blind, phrase = (given.blind or OUT / "blind").resolve(), given.phrase
+    common: dict[str, Any] = {"phrase": phrase, "out": out, "blind": blind, "code": code}
+    work = functools.partial(run_case, tool=tool, answers=given.answers, **common)
+    return run_cases(numbers, work, file, workers=given.workers, say=line_of)
 
 
 def line_of(row: Row) -> str:

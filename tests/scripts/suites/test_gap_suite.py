@@ -16,6 +16,7 @@ pytest.importorskip("joblib")
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap import Tolerances
 from scripts.suites.gap import ablation
+from scripts.suites.gap import run as suite
 from scripts.suites.gap.cases import name_of, role_of
 from scripts.suites.gap.grading import failed, grade, methods_table, table
 from scripts.suites.gap.run import RunSettings, run, tool_of
@@ -206,9 +207,8 @@ def test_a_variant_changes_a_number_wherever_it_is_known(
 
 def test_every_number_that_decides_exists_and_is_changed_both_ways() -> None:
     known = ablation.variants()
-    shipped = ablation.configuration({})
     assert len(known) == 7 + 2 * len(ablation.NUMBERS)
-    assert all(ablation.configuration(changes) != shipped for changes in known.values())
+    assert all(known.values())
     assert ablation.changed("without exact fit") == {
         "tolerances": Tolerances(), "simulate": False
     }  # fmt: skip
@@ -218,33 +218,38 @@ def test_every_number_that_decides_exists_and_is_changed_both_ways() -> None:
         tool_of("loose_gap@without care")(Path())
 
 
-def test_an_ablation_goes_on_and_tells_names_that_change(tmp_path: Path) -> None:
+def test_an_ablation_runs_the_cheap_cases_and_tells_names_that_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     true = [truth("one", FRICTION), truth("none")]
     right = [grade(said("named", NAMED_FRICTION), true[0]), grade(said("no_gap"), true[1])]
     wrong = [grade(said("unexplained"), true[0]), grade(said("named", NAMED_PLAY), true[1])]
-    common = {"code": "a", "error": "", "cpu": 2.0}
-    shipped = [marks | common | {"number": k} for k, marks in enumerate(right)]
     asked: list[tuple[str, int]] = []
 
-    def work(name: str, number: int) -> dict[str, Any]:
-        asked.append((name, number))
-        return wrong[number] | common | {"number": number}
+    def work(number: int, *, tool: str, **_: Any) -> dict[str, Any]:
+        asked.append((tool, number))
+        if number == 2:
+            return right[1] | {"code": "a", "error": "", "cpu": 9.0, "number": 2, "phrase": ""}
+        marks = (right if tool == "loose_gap" else wrong)[number]
+        return marks | {"code": "a", "error": "", "cpu": 2.0, "number": number, "phrase": ""}
 
-    file = tmp_path / "ablation.jsonl"
+    monkeypatch.setattr(suite, "run_case", work)
+    monkeypatch.setattr(suite, "code_of", lambda tool: "a")
 
-    def ablated(words: str, cases: int = 2) -> dict[str, Any]:
-        return ablation.ablated(shipped[:cases], [words], work, file, code="a")
+    def ablated(words: str, *numbers: str) -> str:
+        run(RunSettings(numbers=numbers, out=tmp_path, ablate=(words,), most_seconds=5.0))
+        return capsys.readouterr().out
 
-    ablated("without exact", 1)
-    found = ablated("without exact")
-    assert asked == [("without exact fit", 0), ("without exact fit", 1)]
-    assert kept(file)[0]["configuration"]["settings.simulate"] is False
-    printed = ablation.summary(shipped, found, of=9, most_seconds=5.0)
-    assert "2 of 9 cases, those that took 5 s" in printed
+    ablated("without exact", "0")
+    printed = ablated("without exact", "0", "1", "2")
+    named = ["loose_gap", "loose_gap@without exact fit"]
+    assert asked == [(named[0], 0), (named[1], 0), (named[0], 1), (named[0], 2), (named[1], 1)]
+    assert "2 of 3 cases, those that took 5 s" in printed
     assert "| as shipped | 1/1 | none | 1/1 | none | 0 | 0/2 | 2 s |" in printed
     assert "| without exact fit | 0/1 | none | 0/1 | none | 1 | 2/2 | 2 s |" in printed
     assert "0: -coulomb_friction@joint2; 1: +backlash@joint2" in printed
-    with pytest.raises(InvalidSetting, match="rows of other code"):
-        ablation.ablated(shipped, (), work, file, code="b")
     with pytest.raises(InvalidSetting, match="no variant begins with"):
-        ablated("with care")
+        ablated("with care", "0")
+    monkeypatch.setattr(suite, "code_of", lambda tool: "b")
+    with pytest.raises(InvalidSetting, match="rows of other code"):
+        ablated("without exact", "0")

@@ -1,8 +1,8 @@
 """Effects that add a degree of freedom: springs, play, and looseness in joints, links and base.
 
 A compliant drive is a spring and a damper between motor side and link side of a joint, backlash a
-clearance with stops there. A flexible link is cut in two parts with a hinge; a loose one slides on
-its seat. A base on rubber feet, or not bolted down, rocks.
+clearance with stops there. A flexible link turns about a pivot along it; a loose one slides on its
+seat. A base on rubber feet, or not bolted down, rocks.
 """
 
 from __future__ import annotations
@@ -18,19 +18,13 @@ from loose_env.gap.model.effect import Effect, JointEffect, Parameter
 from loose_env.gap.model.effects.inertia import LinkEffect, links_with_mass
 from loose_env.gap.model.effects.mjcf import (
     FASTEST,
-    Inertial,
     add_extra_joint,
     added_name,
-    inertial_of,
     insert_first,
     joint_inertia,
-    keep_from_touching,
     keep_motor_side,
     make_it_stick,
-    move_beyond,
-    set_inertial,
     set_stops,
-    steiner,
 )
 from loose_env.gap.model.nominal_model import (
     NominalModel,
@@ -41,17 +35,13 @@ from loose_env.gap.model.nominal_model import (
 )
 from loose_env.typing import Array
 
-_SLOWEST_HZ = 0.3
-"""Mode of the softest spring that is tried."""
-_START_HZ = (4.0, 12.0, 35.0)
-"""Modes of the springs from which fits start."""
-_LIKELY_DAMPING = 0.05
-"""Damping ratio of a metal drive."""
+_SLOWEST_HZ = 0.3  # mode of the softest spring that is tried
+_START_HZ = (4.0, 12.0, 35.0)  # modes of the springs from which fits start
+_LIKELY_DAMPING = 0.05  # damping ratio of a metal drive
 _START_DAMPING = 0.4
 """Damping ratio from which fits start: a lightly damped mode rings, and what it rings agrees with
 a measurement only within some per cent of the true frequency; a damped one is led there."""
-_MOST_JOINTS = 6
-"""Joints of a body."""
+_MOST_JOINTS = 6  # joints of a body
 
 
 class AddedJoint(Effect):
@@ -151,78 +141,49 @@ class JointCompliance(SplitJoint, SpringEffect):
     kind = "joint_compliance"
 
 
-_DRAG_RATE = 2.0
-"""How fast oil stops a link that floats in the gap [1/s]."""
+_DRAG_RATE = 2.0  # how fast oil stops a link that floats in the gap [1/s]
 _FASTEST = 1.2
 """Largest angle by which a mode on a stop may turn in a step, at the model's zero [rad]: more than
 that of an added spring, since a stop is damped."""
-_LEAST_LOAD = 0.05
-"""Least usual load of a joint, as a share of that of the most loaded one."""
+_LEAST_LOAD = 0.05  # least usual load of a joint, as a share of that of the most loaded one
 _STARTS = (0.02, 0.06, 0.15, 0.3, 0.7, 3.0)
 """Gaps from which fits start, as shares of a hundredth of a radian or of the reach."""
-_TRAVEL_S = 0.5
-"""Time in which a slide travels a typical distance at its typical speed [s]."""
-_RUBBING_STARTS = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""The same for play in front of a friction, where a wide gap is common."""
+_TRAVEL_S = 0.5  # time in which a slide travels a typical distance at its typical speed [s]
 _SOFTER = (1.0, 0.3, 0.1)
 """Stiffnesses of stops from which fits start, over the usual one: on soft stops a wrong gap or
 friction is told from none, and a fit finds the right ones from further off."""
-_DAMPING = 0.3
-"""Damping ratio of a mode on a stop."""
+_DAMPING = 0.3  # damping ratio of a mode on a stop
 
 
 class Backlash(SplitJoint):
-    """Backlash: an extra joint between stops, which are spring-dampers.
-
-    Variant "rubbing": what lies beyond the play is held by dry friction, as in a damper or a brake
-    with slack. Either explains little alone: friction at the motor side acts in the gap as well,
-    and play in front of a free link hardly shows in a torque. It is the friction of a tendon over
-    both joints, whose length is the position of the link.
-    """
+    """Backlash: an extra joint between stops, which are spring-dampers."""
 
     kind = "backlash"
     has_stops = True
     limit = (("gap", "low"), ("stiffness", "high"))
-    variants = ("", "rubbing")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Clearance, stiffness of the stops, damping ratio on them, friction beyond the play."""
-        length, starts = 1.0, _RUBBING_STARTS if self.variant else _STARTS
+        """Clearance, stiffness of the stops, and damping ratio on them."""
+        length = 1.0
         if not self.turns:
             # a lone slide has no reach, but it travels
             length = max(reach_of(self.machine), _TRAVEL_S * self.speed)
         gap = Parameter.sized(
-            "gap", self.angle_unit, 0.01 * length, 1e-3, 50, scale=1, starts=starts, log=True
+            "gap", self.angle_unit, 0.01 * length, 1e-3, 50, scale=1, starts=_STARTS, log=True
         )
-        play = (gap, *_stops(self.inertia[1], self.machine.time_step, self.unit))
-        if not self.variant:
-            return play
-        unit, some = self.torque_unit, (0.3, 1.0)
-        friction = Parameter.sized(
-            "friction", unit, self.load, 1e-3, 20, scale=0.3, starts=some, log=True
-        )
-        return (*play, friction)
+        return (gap, *_stops(self.inertia[1], self.machine.time_step, self.unit))
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
         """Starts: clearances of 0.01° to 2°; a wrong one fits no better than none."""
         starts = super().starts
-        if self.variant:
-            return starts
         return tuple((gap, soft * k, ratio) for soft in _SOFTER for gap, k, ratio in starts)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the clearance behind the joint."""
         joint = self._insert(spec, 0.0, _DRAG_RATE * self.carried)
-        gap, stiffness, ratio, *friction = (float(v) for v in values)
-        if friction:
-            tendon = spec.add_tendon(
-                name=f"{joint.name}_{self.variant}", frictionloss=friction[0], limited=False
-            )
-            tendon.wrap_joint(self.where, 1.0)
-            tendon.wrap_joint(joint.name, 1.0)
-            make_it_stick(tendon, spec.option.timestep)
+        gap, stiffness, ratio = (float(v) for v in values)
         # a small load is raised to that of slight shaking
         load = max(self.load, _LEAST_LOAD * float(np.max(self.machine.load_scales)))
         weight = self.inertia[1]
@@ -246,10 +207,8 @@ def _ratio(low: float, high: float, scale: float, start: float) -> Parameter:
     return Parameter.sized("damping_ratio", "", 1, low, high, scale=scale, starts=[start], log=True)
 
 
-_SAME = 0.999
-"""Cosine between two axes from which they are parallel."""
-_APART = 0.02
-"""Distance of parallel axes that makes them two, in lengths of the machine."""
+_SAME = 0.999  # cosine between two axes from which they are parallel
+_APART = 0.02  # distance of parallel axes that makes them two, in lengths of the machine
 
 
 class BaseCompliance(SpringEffect):
@@ -321,13 +280,30 @@ def _axis(machine: NominalModel, variant: str) -> Array:
     return np.eye(3)["xyz".index(variant)] if normal is None else normal
 
 
-_GRAVITY = 9.81
-"""Usual load of a seat, over the mass on it [m/s²]."""
-_GAPS = (1e-4, 6e-4)
-"""Gaps of a seat from which fits start, as shares of the reach."""
+class _MovedLink(LinkEffect, AddedJoint):
+    """A link with one more joint behind its own."""
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return links with room for another joint, and two more in a corrected model."""
+        count = machine.model.body_jntnum
+        room = _MOST_JOINTS - 3
+        return tuple(n for n in machine.links if count[machine.model.body(n).id] <= room)
+
+    def keep_driven_side(self, spec: mujoco.MjSpec, *, turns: bool) -> None:
+        """Keep inertia on the drive's side of joints whose motion may be like the added one's."""
+        machine = self.machine
+        body = machine.model.body(self.where).id
+        for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
+            if owner == body and machine.turns(joint) == turns:
+                keep_motor_side(machine, spec, joint, machine.inertia(joint))
 
 
-class StructuralLooseness(LinkEffect, AddedJoint):
+_GRAVITY = 9.81  # usual load of a seat, over the mass on it [m/s²]
+_GAPS = (1e-4, 6e-4)  # gaps of a seat from which fits start, as shares of the reach
+
+
+class StructuralLooseness(_MovedLink):
     """Structural looseness: a slide behind the link's joint, with stops and friction.
 
     Its direction is fixed in the link. In a machine that moves in a plane it lies in that plane, at
@@ -338,13 +314,6 @@ class StructuralLooseness(LinkEffect, AddedJoint):
     kind = "structural_looseness"
     limit = (("friction", "high"),)
     has_stops = True
-
-    @classmethod
-    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return links with room for another joint, and two more in a corrected model."""
-        count = machine.model.body_jntnum
-        room = _MOST_JOINTS - 3
-        return tuple(n for n in machine.links if count[machine.model.body(n).id] <= room)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
@@ -400,11 +369,7 @@ class StructuralLooseness(LinkEffect, AddedJoint):
         self, spec: mujoco.MjSpec, direction: Array, friction: float = 0.0
     ) -> mujoco.MjsJoint:
         """Add the slide, and keep inertia on the drive's side of others, which may lie along it."""
-        machine = self.machine
-        body = machine.model.body(self.where).id
-        for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
-            if owner == body and not machine.turns(joint):
-                keep_motor_side(machine, spec, joint, machine.inertia(joint))
+        self.keep_driven_side(spec, turns=False)
         return add_extra_joint(
             spec.body(self.where), added_name(spec, self.where, self.kind), turns=False,
             axis=direction, pos=np.zeros(3), friction=friction,
@@ -421,23 +386,25 @@ class StructuralLooseness(LinkEffect, AddedJoint):
         return float(np.exp(np.mean([np.log(self._weight(axis)) for axis in axes])))
 
 
-_SHORTEST = 0.03
-"""Shortest link that can bend, in lengths of the machine."""
+_SHORTEST = 0.03  # shortest link that can bend, in lengths of the machine
 _ALONG = 0.1
 """Sine of the smallest angle between joint and link at which the joint's axis is one of bending."""
-_MIDDLE, _SCATTER, _NEAREST = 0.5, 0.1, 0.25
-"""Where along it a link gives way: mean, scatter, and nearest to its joint, as shares of its
-length."""
+_PIVOTS, _MIDDLE, _SCATTER = (0.1, 0.6), 0.3, 0.1
+"""Where along it a link gives way: range, mean and scatter, as shares of its length."""
 
 
-class LinkFlexibility(LinkEffect, SpringEffect):
-    """A flexible link: two parts with a hinge, a spring and a damper between them.
+class LinkFlexibility(_MovedLink, SpringEffect):
+    """A flexible link: it turns on a spring and a damper about a pivot along it.
 
-    The near part keeps the body's name and its joint; the far part, a body of its own, carries
-    everything beyond the hinge: bodies, sites, geoms. Mass, centre and inertia of the straight link
-    stay. The location of the hinge along the link is fitted too, since the stiffness depends on it.
-    Variant "": it bends about its joint's axis, in a machine that moves in a plane within that
-    plane; variant "across": about the axis perpendicular to that and the link.
+    The pseudo-rigid-body model of a cantilever, whose pivot lies at 0.15 of its length under a load
+    at its end, and further out as the load turns it. The location of the pivot is fitted too, since
+    the stiffness depends on it. Variant "": it bends about its joint's axis, in a machine that
+    moves in a plane within that plane; variant "across": about the axis perpendicular to that and
+    the link.
+
+    References
+    ----------
+    Howell, Compliant Mechanisms (2001), chapter 5.
     """
 
     kind = "link_flexibility"
@@ -445,12 +412,12 @@ class LinkFlexibility(LinkEffect, SpringEffect):
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return links with mass that are not too short."""
-        shortest = _SHORTEST * reach_of(machine)
+        """Return links with mass and room for another joint that are not too short."""
+        shortest, heavy = _SHORTEST * reach_of(machine), links_with_mass(machine)
         return tuple(
             link
-            for link in links_with_mass(machine)
-            if np.linalg.norm(np.subtract(*link_ends(machine, link))) > shortest
+            for link in super().locations(machine)
+            if link in heavy and np.linalg.norm(np.subtract(*link_ends(machine, link))) > shortest
         )
 
     @classmethod
@@ -476,92 +443,17 @@ class LinkFlexibility(LinkEffect, SpringEffect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness, damping ratio with the near part locked, and location of the hinge."""
-        low, high = _NEAREST, 1 - _NEAREST
+        """Stiffness, damping ratio with the joint locked, and location of the pivot."""
+        low, high = _PIVOTS
         place = Parameter.sized("position", "", 1, low, high, scale=_SCATTER, starts=[_MIDDLE])
         return (*super().parameters, place)
 
     def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
-        """Cut the link at a share of its length; return the hinge, named as the far part is."""
+        """Add the pivot behind the link's joints, at a share of its length."""
         stiffness, damping, share = spring if len(spring) > 2 else (*spring, _MIDDLE)
-        name = added_name(spec, self.where, self._name)
-        whole = inertial_of(self.machine, spec, self.where)
-        start, end = self._start, self._start + self._length * self._along
-        near, far = parts(whole, start, end, share)
-        old, here = spec.body(self.where), start + share * (end - start)
-        new = old.add_body(name=name, pos=here)
-        move_beyond(self.machine, spec, old, new, self._along)
-        set_inertial(self.machine, spec, self.where, near)
-        set_inertial(self.machine, spec, name, replace(far, centre=far.centre - here))
-        hinge = add_extra_joint(
-            new, name, turns=True, axis=self._axis, pos=np.zeros(3), stiffness=stiffness,
-            damping=damping,
+        self.keep_driven_side(spec, turns=True)
+        return add_extra_joint(
+            spec.body(self.where), added_name(spec, self.where, self._name), turns=True,
+            axis=self._axis, pos=self._start + share * self._length * self._along,
+            stiffness=stiffness, damping=damping,
         )  # fmt: skip
-        keep_from_touching(spec, old, new)
-        return hinge
-
-
-def parts(
-    whole: Inertial, start: Array, end: Array, share: float = _MIDDLE
-) -> tuple[Inertial, Inertial]:
-    """Split a body into two that together have the same mass, centre and inertia.
-
-    They are the pieces of a bar whose mass per length rises or falls linearly, so that its centre
-    lies where the link's does. Their centres are as far apart as those pieces' are, or less where
-    the link's inertia does not allow that.
-    """
-    length = float(np.linalg.norm(end - start))
-    along = (end - start) / length
-    mass, apart, spread = _cut_bar(float((whole.centre - start) @ along) / length, share)
-    lever = apart * length * along
-    reduced = mass * (1 - mass) * whole.mass
-    left = whole.tensor - steiner(reduced, lever)
-    while lever.any() and not _solid(left):
-        lever = 0.9 * lever * (np.linalg.norm(0.9 * lever) >= 1e-6 * length)
-        left = whole.tensor - steiner(reduced, lever)
-    near = _piece(left, along, mass, spread)
-    if not (_solid(near) and _solid(left - near)):
-        near = mass * left
-    return (
-        Inertial(mass * whole.mass, whole.centre - (1 - mass) * lever, near),
-        Inertial((1 - mass) * whole.mass, whole.centre + mass * lever, left - near),
-    )
-
-
-def _cut_bar(centre: float, share: float) -> tuple[float, float, float]:
-    """Cut a bar of unit length and mass.
-
-    Its mass per length is 1 + fall (1 - 2 x), nowhere below zero.
-    """
-    fall = float(np.clip(6 * (0.5 - centre), -1.0, 1.0))
-    near, whole = (
-        np.array(
-            [
-                x + fall * (x - x**2),
-                x**2 / 2 + fall * (x**2 / 2 - 2 * x**3 / 3),
-                x**3 / 3 + fall * (x**3 / 3 - x**4 / 2),
-            ]
-        )
-        for x in (share, 1.0)
-    )
-    far = whole - near
-    own = [float(m[2] - m[1] ** 2 / m[0]) for m in (near, far)]
-    return float(near[0]), float(far[1] / far[0] - near[1] / near[0]), own[0] / sum(own)
-
-
-def _piece(tensor: Array, along: Array, mass: float, spread: float) -> Array:
-    """Inertia (3, 3) of one of two pieces of a bar, from their joint inertia.
-
-    It has its share of the mass spread lengthwise, and of that across in proportion to its mass.
-    """
-    moments = 0.5 * np.trace(tensor) * np.eye(3) - tensor
-    lengthwise = np.outer(along, along)
-    scale = np.sqrt(mass) * (np.eye(3) - lengthwise) + np.sqrt(spread) * lengthwise
-    own = scale @ moments @ scale
-    return np.asarray(np.trace(own) * np.eye(3) - own)
-
-
-def _solid(tensor: Array) -> bool:
-    """Return whether an inertia (3, 3) is physically possible."""
-    low, middle, high = np.linalg.eigvalsh(tensor)
-    return bool(low > 1e-3 * high and high < (low + middle) * (1 - 1e-9))

@@ -1,7 +1,7 @@
 """Edits of an MJCF spec that effects share.
 
 Names and units, actuators without input, dry friction that holds, mass and inertia of a body, extra
-joints with their stops, and the split of a body, whose children, sites and geoms move to a new one.
+joints with their stops.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -24,17 +23,9 @@ from loose_env.gap.model.nominal_model import (
 from loose_env.typing import Array
 
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
-_OPEN_CIRCUIT = 1e12
-"""Resistance at which no current brakes the rotor [ohm]."""
-_MOVED = "moved_"
-"""Prefix of what is on its way; only copies of the model's defaults keep it."""
-_NOT_COPIED = frozenset(
-    (
-        "id", "parent", "signature", "frame", "name", "info", "plugin", "classname", "compiler",
-        "pos", "quat", "fromto",
-    )
-)  # fmt: skip
-_ROUNDING = 1e-9
+_OPEN_CIRCUIT = 1e12  # resistance at which no current brakes the rotor [ohm]
+_NOT_COPIED = ("id", "parent", "signature", "frame", "name", "info", "classname", "compiler")
+"""Attributes of a joint that its copy has of its own."""
 FASTEST = 0.8
 """Largest angle by which an added spring's mode may turn in a step, at the model's zero [rad]."""
 MOTOR_SHARE = 0.02
@@ -108,8 +99,8 @@ def add_friction(spec: mujoco.MjSpec, joint: str, friction: float) -> None:
     make_it_stick(own, spec.option.timestep)
 
 
-def make_it_stick(joint: mujoco.MjsJoint | mujoco.MjsTendon, step: float) -> None:
-    """Set a joint's or tendon's friction to the largest stiffness stable at a step [s]."""
+def make_it_stick(joint: mujoco.MjsJoint, step: float) -> None:
+    """Set a joint's friction to the largest stiffness stable at a step [s]."""
     joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]
     joint.solref_friction = [2 * step, 1.0]
 
@@ -118,12 +109,9 @@ def make_it_stick(joint: mujoco.MjsJoint | mujoco.MjsTendon, step: float) -> Non
 class Inertial:
     """Mass distribution of a body."""
 
-    mass: float
-    """Mass [kg]."""
-    centre: Array
-    """Centre of mass, in the body's frame [m] (3,)."""
-    tensor: Array
-    """Inertia about the centre, along the body's axes [kg·m²] (3, 3)."""
+    mass: float  # Mass [kg]
+    centre: Array  # Centre of mass, in the body's frame [m] (3,)
+    tensor: Array  # Inertia about the centre, along the body's axes [kg·m²] (3, 3)
 
 
 def inertial_of(machine: NominalModel, spec: mujoco.MjSpec, body: str) -> Inertial:
@@ -143,11 +131,6 @@ def set_inertial(machine: NominalModel, spec: mujoco.MjSpec, body: str, inertial
     moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-15))
     quat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     write_inertial(spec.body(body), inertial.mass, inertial.centre, quat, moments)
-
-
-def steiner(mass: float, lever: Array) -> Array:
-    """Inertia (3, 3) [kg·m²] of a point mass [kg] at a lever (3,) [m]."""
-    return mass * (lever @ lever * np.eye(3) - np.outer(lever, lever))
 
 
 def add_extra_joint(
@@ -249,147 +232,19 @@ def site_pose(machine: NominalModel, site: mujoco.MjsSite) -> tuple[Array, Array
     return place, turned
 
 
-def move_beyond(
-    machine: NominalModel,
-    spec: mujoco.MjSpec,
-    old: mujoco.MjsBody,
-    new: mujoco.MjsBody,
-    along: Array,
-) -> None:
-    """Move what lies on the far side of ``new`` from ``old`` to it: bodies, sites and geoms.
-
-    Geoms in frames stay.
-    """
-    here = np.array(new.pos)
-
-    def beyond(place: Array) -> bool:
-        return bool((place - here) @ along >= -_ROUNDING)
-
-    moving = []
-    for child in list(old.bodies):
-        place, turn = _pose(machine, child)
-        if child.name != new.name and beyond(place):
-            moving.append((child.name, place - here, turn))
-    if moving:
-        _move_bodies(spec, new, moving)
-    for site in list(old.sites):
-        place, turn = site_pose(machine, site)
-        if beyond(place):
-            moved = new.add_site()
-            _move(spec, site, moved, {"pos": place - here, "quat": turn})
-            moved.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-    for geom in list(old.geoms):
-        ends = np.array(geom.fromto).reshape(2, 3)
-        spanned = bool(np.isfinite(ends).all())
-        place = ends.mean(axis=0) if spanned else np.array(geom.pos)
-        if geom.frame is None and beyond(place):
-            placed = {"pos": place - here, "quat": geom.quat}
-            placed = {"fromto": (ends - here).ravel()} if spanned else placed
-            _move(spec, geom, new.add_geom(), placed)
-
-
-def _move_bodies(
-    spec: mujoco.MjSpec, new: mujoco.MjsBody, moving: Sequence[tuple[str, Array, Array | None]]
-) -> None:
-    """Move bodies with their subtrees: name, position and quaternion of each.
-
-    MuJoCo cannot move a body within a spec; a copy of it is attached instead. References by name,
-    actuators and sensors among them, keep their order: the names are released before the originals
-    are deleted and reassigned to the copies.
-    """
-    copy = spec.copy()
-    for several in (
-        copy.actuators, copy.sensors, copy.equalities, copy.tendons, copy.keys, copy.excludes,
-        copy.pairs,
-    ):  # fmt: skip
-        for element in list(several):
-            copy.delete(element)
-    frame = new.add_frame()
-    for name, place, turn in moving:
-        original = spec.body(name)
-        for element in _elements(original):
-            if element.name:
-                element.name = _MOVED + "old_" + element.name
-        spec.delete(original)
-        prefix = f"{_MOVED}{name}_"  # a separate copy, since every copy brings the defaults along
-        moved = frame.attach_body(copy.body(name), prefix, "")
-        moved.pos = place
-        if turn is not None:
-            moved.quat = turn
-            moved.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        for element in _elements(moved):
-            element.name = element.name.removeprefix(prefix)
-
-
 def insert_first(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
     """Move a joint of a body before its others, which MuJoCo's order of creation does not allow.
 
     The others are copied behind it; references by name are kept.
     """
-    for joint in list(body.joints):
-        if joint.name != name:
-            _move(spec, joint, body.add_joint(), {"pos": np.array(joint.pos)})
-
-
-def keep_from_touching(spec: mujoco.MjSpec, near: mujoco.MjsBody, far: mujoco.MjsBody) -> None:
-    """Exclude contacts that the link could not have before it was cut.
-
-    MuJoCo excludes contacts between a body and its parent, and bodies fixed to either. Once ``far``
-    is a child of ``near``, the links beyond it are no longer children of ``near``, and it is no
-    longer a child of the parent of ``near``.
-    """
-    if spec.option.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
-        return
-    carrier = near.parent
-    while carrier.name != "world" and not list(carrier.joints):
-        carrier = carrier.parent
-    ends = _fixed_together(far)
-    beyond = [b for end in ends for link in end.bodies if list(link.joints)
-              for b in _fixed_together(link)]  # fmt: skip
-    pairs = [(a, b) for a in _fixed_together(near) for b in beyond]
-    if carrier.name != "world":
-        pairs += [(a, b) for a in _fixed_together(carrier) for b in ends]
-    for several in pairs:
-        for number, body in enumerate(several):
-            if not body.name:
-                body.name = added_name(spec, far.name, f"part_{number}")
-        spec.add_exclude(bodyname1=several[0].name, bodyname2=several[1].name)
-
-
-def _fixed_together(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
-    """Return a body and those that are fixed to it."""
-    fixed = [child for child in body.bodies if not list(child.joints)]
-    return [body, *(each for child in fixed for each in _fixed_together(child))]
-
-
-def _move(spec: mujoco.MjSpec, old: Any, new: Any, placed: dict[str, Array]) -> None:
-    """Transfer all of ``old`` but its pose to ``new``, name included; delete ``old``."""
-    for name in dir(old):
-        value = getattr(old, name)
-        if name.startswith("_") or name in _NOT_COPIED or callable(value):
+    for old in list(body.joints):
+        if old.name == name:
             continue
-        if name == "alt":
-            for part in ("type", "axisangle", "xyaxes", "zaxis", "euler"):
-                setattr(new.alt, part, getattr(value, part))
-        else:
-            setattr(new, name, value)
-    for name, value in placed.items():
-        setattr(new, name, value)
-    name, old.name = old.name, f"{_MOVED}old_{old.name}" if old.name else ""
-    spec.delete(old)
-    new.name = name
-
-
-def _elements(body: mujoco.MjsBody) -> list[Any]:
-    """List all elements in a body and in its subtree."""
-    kinds = ("body", "joint", "geom", "site", "camera", "light")
-    return [body, *(element for kind in kinds for element in body.find_all(kind))]
-
-
-def _pose(machine: NominalModel, body: mujoco.MjsBody) -> tuple[Array, Array | None]:
-    """Pose of a body in its parent; its quaternion too if a frame lies in between."""
-    model = machine.model
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body.name)
-    if body.frame is None or number < 0:
-        return np.array(body.pos), None
-    return np.array(model.body_pos[number]), np.array(model.body_quat[number])
+        new = body.add_joint()
+        for field in dir(old):
+            value = getattr(old, field)
+            if not (field.startswith("_") or field in _NOT_COPIED or callable(value)):
+                setattr(new, field, value)
+        own, old.name = old.name, f"moved_{old.name}"
+        spec.delete(old)
+        new.name = own
