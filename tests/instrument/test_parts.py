@@ -52,6 +52,15 @@ def test_lines_are_odd_and_some_are_left_out() -> None:
     assert share < 1e-6 * np.abs(np.fft.rfft(waves, axis=0)).max()
 
 
+def test_commands_begin_and_end_at_rest() -> None:
+    signal, peak = multisine(2, 25.0, np.random.default_rng(1)), np.array([8.0, 5.0])
+    for kind in ("position", "velocity"):
+        given = signal.played(peak, kind, np.zeros(2), np.eye(2), 500.0)
+        assert len(given) == round(signal.seconds * 500)
+        speed = np.diff(given, axis=0) * 500 if kind == "position" else given
+        assert np.abs(speed[[0, -1]]).max() < 1e-3 * np.abs(speed).max()
+
+
 def test_a_mass_between_two_stops_arrives_when_it_must() -> None:
     # Constant load L: the mass crosses the gap g in sqrt(2 g m / L) and arrives at 2 g L / m.
     n, period = 4000, 1.0
