@@ -265,8 +265,8 @@ def plan(
     --------
     >>> from loose_env.arms import SIX_AXIS_SERVO_ARM
     >>> made, arm = plan(SIX_AXIS_SERVO_ARM, PlanSettings(controller="ros2_jtc", poses=3))
-    >>> len(made.runs), made.seconds, arm.joints[0]
-    (3, 15.0, 'joint1')
+    >>> len(made.runs), round(made.seconds, 1), arm.joints[0]
+    (3, 16.8, 'joint1')
     """
     own = settings or PlanSettings()
     arm = read_arm(
