@@ -293,8 +293,9 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
             infos = self._add_info(infos, info, i)
         fresh = np.array(list(ended), dtype=np.intp) if same_step else np.flatnonzero(over)
         self._begin(fresh, [None] * n, [{}] * n)
-        masks = self._begun_infos(np.ones(n, dtype=bool))
-        return self.batch.shown(self._all), rewards, terminated, truncated, infos | masks
+        if len(fresh):  # what they may do next
+            infos |= self._begun_infos(np.ones(n, dtype=bool))
+        return self.batch.shown(self._all), rewards, terminated, truncated, infos
 
     def _begin(
         self,
