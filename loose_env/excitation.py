@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
+from functools import lru_cache
 from hashlib import sha256
 from typing import Annotated, Literal, get_args
 
@@ -132,14 +133,8 @@ def torque_periods(
     >>> rows.shape, records.tolist(), joints.tolist()
     ((2, 1200), [0, 1], [1, 1])
     """
-    low, high = band
-    if high >= 0.5 / timestep:
-        raise InvalidSetting(
-            f"band {band} Hz reaches half the sampling rate, {0.5 / timestep:g} Hz"
-        )
     count = round(duration / timestep)
-    frequency = np.arange(count // 2 + 1) / (count * timestep)
-    inside = np.flatnonzero((frequency >= low - 1e-9) & (frequency <= high + 1e-9))
+    frequency, inside = _lines(count, timestep, band)
     levels = np.column_stack([torque_rms, shaker_rms])
     owners, joints = np.nonzero(levels)
     draws = np.empty((*levels.shape, len(inside), 2))
@@ -159,6 +154,20 @@ def torque_periods(
     spectra[:, inside] = lines
     # numpy transforms row by row: no row depends on the others.
     return np.fft.irfft(spectra, n=count), owners, joints
+
+
+@lru_cache
+def _lines(
+    count: int, timestep: float, band: tuple[float, float]
+) -> tuple[Array, NDArray[np.intp]]:
+    """Frequencies of a period of so many steps [Hz], and indices of those in a band."""
+    low, high = band
+    if high >= 0.5 / timestep:
+        raise InvalidSetting(
+            f"band {band} Hz reaches half the sampling rate, {0.5 / timestep:g} Hz"
+        )
+    frequency = np.arange(count // 2 + 1) / (count * timestep)
+    return frequency, np.flatnonzero((frequency >= low - 1e-9) & (frequency <= high + 1e-9))
 
 
 Shaping = Callable[[Array], Array]

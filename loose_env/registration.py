@@ -191,7 +191,10 @@ def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[st
     from loose_env.envs import DiagnosisVectorEnv
 
     own = _take(arguments, *_VECTOR)
-    _take(arguments, "max_episode_steps")  # the episodes end by themselves
+    # Gymnasium gives every batch the registered limit, which is longer than any episode.
+    if arguments.get("max_episode_steps") == MAX_EPISODE_STEPS:
+        del arguments["max_episode_steps"]
+    own |= _take(arguments, "max_episode_steps")
     settings = _settings(arguments, (*of_arm, *_VECTOR))
     return DiagnosisVectorEnv(arm, settings, num_envs=num_envs, **own)
 

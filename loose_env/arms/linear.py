@@ -222,6 +222,7 @@ class LinearArm:
         other = copy(self)
         other.arm, other.model, other._cache = arm, self.model if model is None else model, {}
         other.frequency = np.linspace(*arm.band, len(self.frequency))
+        other.__dict__.pop("_joint_stiffness", None)
         return other
 
     @property
@@ -233,7 +234,7 @@ class LinearArm:
         """
         return np.concatenate([self.slide_dofs, self.turn_dofs], axis=1)
 
-    @property
+    @cached_property
     def moving(self) -> NDArray[np.intp]:
         """Degrees of freedom that answer: joints, then bending modes (v,)."""
         return np.concatenate([self.joint_dofs, self.flexible_dofs])
@@ -324,6 +325,16 @@ class LinearArm:
 
     def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
         """Force per motion of joints, then bending modes, over the band (v, v, B, K)."""
+        loose, held = self._joint_stiffness
+        stiffness = mass.transpose(1, 2, 0)[..., None] * (-((2 * np.pi * self.frequency) ** 2) + 0j)
+        for v in range(len(loose)):
+            free = excited[:, v, None] if v < self.arm.n else True  # bending modes are never held
+            stiffness[v, v] += np.where(free, loose[v], held[v])
+        return np.asarray(stiffness)
+
+    @cached_property
+    def _joint_stiffness(self) -> tuple[ComplexArray, ComplexArray]:
+        """Force per own motion of joints, then bending modes, free and held (v, K) each."""
         arm = self.arm
         springs, dampers = (own[self.moving] for own in self.springs)
         omega = 2 * np.pi * self.frequency
@@ -336,11 +347,7 @@ class LinearArm:
             k, c = arm.holding.stiffness[j], arm.holding.damping[j]
             inertance = k / inertance_rate(arm.timestep) ** 2
             held[j] += k + s * c - omega**2 * inertance
-        stiffness = mass.transpose(1, 2, 0)[..., None] * (-(omega**2) + 0j)
-        for v in range(len(springs)):
-            free = excited[:, v, None] if v < arm.n else True  # bending modes are never held
-            stiffness[v, v] += np.where(free, loose[v], held[v])
-        return np.asarray(stiffness)
+        return loose, held
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

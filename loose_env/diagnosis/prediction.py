@@ -635,10 +635,9 @@ def _covariances(
     rows = np.arange(len(torque))[:, None]
 
     def spread(values: Array) -> Array:
-        wide = np.zeros((*values.shape[:-1], torque.shape[1]))
-        at = joints.reshape(len(torque), *[1] * (values.ndim - 2), -1)
-        np.put_along_axis(wide, np.broadcast_to(at, values.shape), values, axis=-1)
-        return wide
+        wide = np.zeros((*torque.shape, *values.shape[1:-1]))
+        wide[rows, joints] = values if values.ndim == 2 else values.mT
+        return wide if values.ndim == 2 else wide.mT
 
     x = acceleration_from_angle(records.encoder[rows, joints], rate, band)
     played = bandpass(records.command[rows, joints], rate, band)

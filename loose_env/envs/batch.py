@@ -358,6 +358,11 @@ class EpisodeBatch:
         """Return whether an episode was started in a slot."""
         return bool(self._begun[slot])
 
+    @property
+    def records(self) -> IndexArray:
+        """Records taken so far in each slot's episode (num,)."""
+        return self._records.copy()
+
     def has_ended(self, slot: int) -> bool:
         """Return whether the episode of a slot has ended."""
         return bool(self._ended[slot])

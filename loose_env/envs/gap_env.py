@@ -271,8 +271,8 @@ class ModelGapSettings(Checked):
     kinds: Annotated[tuple[str, ...], _KINDS] = ()
     """Kinds of effect that are hidden and considered; none for the whole catalogue but those that
     the sensors cannot show."""
-    library: Literal["whole", "brief", "battery"] = "whole"
-    """Motions: the whole library; the brief ones and the fixed battery; the battery alone."""
+    library: Literal["battery", "brief", "whole"] = "battery"
+    """Motions: the fixed battery of three; that and twelve brief ones; the whole library of 40."""
     max_motions: Count = 12
     """Motions an episode may take; after the last one only a verdict is left."""
     ranks: Count = 5

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
+import socket
 import sys
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
@@ -403,7 +404,7 @@ _STAGE = """<mujoco>
 
 def stage() -> mujoco.Renderer | None:
     """Make MuJoCo's renderer of an empty room; None where there is no OpenGL."""
-    headless = sys.platform.startswith("linux") and not os.environ.get("DISPLAY")
+    headless = sys.platform.startswith("linux") and not has_screen()
     with contextlib.suppress(AttributeError, ImportError, OSError, RuntimeError, mujoco.FatalError):
         if headless and not os.environ.get("MUJOCO_GL"):
             # MuJoCo chooses its platform when it is imported, GLFW by default: that needs a screen.
@@ -413,10 +414,28 @@ def stage() -> mujoco.Renderer | None:
     return None
 
 
+def has_screen() -> bool:
+    """Return whether a display server answers: DISPLAY may be left over from a session."""
+    if os.environ.get("WAYLAND_DISPLAY"):
+        return True
+    host, _, number = os.environ.get("DISPLAY", "").rpartition(":")
+    number = number.partition(".")[0]
+    if not number.isdigit():
+        return False
+    with contextlib.suppress(OSError):
+        if host not in ("", "unix"):
+            socket.create_connection((host, 6000 + int(number)), timeout=1.0).close()
+            return True
+        for place in (f"\0/tmp/.X11-unix/X{number}", f"/tmp/.X11-unix/X{number}"):
+            with socket.socket(socket.AF_UNIX) as server, contextlib.suppress(OSError):
+                server.connect(place)
+                return True
+    return False
+
+
 def render_modes() -> list[str]:
     """Modes in which pictures can be shown here; "human" needs a display and a window toolkit."""
-    display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-    shows = display or sys.platform in ("darwin", "win32")
+    shows = sys.platform in ("darwin", "win32") or has_screen()
     toolkit = any(
         importlib.util.find_spec(name) for name in ("tkinter", "PyQt6", "PySide6", "PyQt5")
     )

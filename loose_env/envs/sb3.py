@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
@@ -136,8 +137,8 @@ class Sb3VecEnv(VecEnv):
         return [masks[i] for i in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
-        """Return False for every environment: none is wrapped."""
-        return [False for _ in self._get_indices(indices)]
+        """Return True for stable-baselines3's ``Monitor``, whose ``episode`` infos are here."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def _info(self, infos: dict[str, Any], i: int) -> dict[str, Any]:
         """Take the info of one environment out of the vector's."""

@@ -644,19 +644,19 @@ class ObservationLayout(RecordLayout):
 
         From the rms torques of B records (B, n) and the prediction.
         """
-        count, n = torque_rms.shape
-        joints = np.nonzero(torque_rms)[1].reshape(count, -1)
+        count = len(torque_rms)
+        rows, joints = np.nonzero(torque_rms)
 
         def spread(values: Array) -> Array:
-            """Values of the excited joints among those of all (B, ..., n)."""
-            wide = np.zeros((*values.shape[:-1], n))
-            at = joints.reshape(count, *[1] * (values.ndim - 2), -1)
-            np.put_along_axis(wide, np.broadcast_to(at, values.shape), values, axis=-1)
+            """Values of the excited joints (B, ..., m) among those of all (B, n, ...)."""
+            wide = np.zeros((*torque_rms.shape, *values.shape[1:-1]))
+            own = values if values.ndim == 2 else values.mT
+            wide[rows, joints] = own.reshape(-1, *values.shape[1:-1])
             return wide
 
         values = [
-            spread(nominal.transmission).mT,
-            spread(nominal.transmission_by_instrument).mT,
+            spread(nominal.transmission),
+            spread(nominal.transmission_by_instrument),
             spread(np.sqrt(np.diagonal(nominal.joint, axis1=-2, axis2=-1))),
             spread(nominal.inertia),
             *_covariance_numbers(nominal.tool),

@@ -156,6 +156,8 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         A mode or its value: "SameStep", "NextStep" or "Disabled".
     render_mode : {"rgb_array"}, optional
         With "rgb_array" `render` returns a picture of each environment.
+    max_episode_steps : int, optional
+        Steps after which an episode is truncated, as Gymnasium's time limit does it.
 
     Raises
     ------
@@ -190,9 +192,11 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         true_arm: Arm | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         render_mode: str | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
-        if not is_whole(num_envs) or num_envs < 1:
-            raise InvalidSetting(f"num_envs must be 1 or more, got {num_envs!r}")
+        for name, given in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps or 1)):
+            if not is_whole(given) or given < 1:
+                raise InvalidSetting(f"{name} must be 1 or more, got {given!r}")
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise UnknownName(
                 f"a batch has no render_mode {render_mode!r}; it has 'rgb_array', and a single "
@@ -209,7 +213,9 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
             EpisodeBatch(arm, settings, num=self.num_envs, threads=threads, true_arm=true_arm),
             num_envs=self.num_envs,
             autoreset_mode=self.autoreset_mode,
+            max_episode_steps=max_episode_steps,
         )
+        self._limit = max_episode_steps
         self.single_action_space = self.actions.space
         self.single_observation_space = self.batch.space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -277,13 +283,19 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         )
         rewards[going] = found.rewards
         terminated[going], truncated[going] = found.terminated, found.truncated
+        ended = {int(going[k]): info for k, info in found.ends.items()}
+        if self._limit is not None:  # every step of an episode that goes on is a record
+            cut = ~over & ~terminated & ~truncated & (self.batch.records >= self._limit)
+            ended |= {
+                int(i): found[int(np.searchsorted(going, i))].info for i in np.flatnonzero(cut)
+            }
+            truncated |= cut
         went_on = ~over & ~terminated & ~truncated
         if went_on.any():
             for name, values in found.told.items():
                 infos[name] = np.zeros((n, *values.shape[1:]), dtype=values.dtype)
                 infos[name][went_on] = values[went_on[going]]
                 infos[f"_{name}"] = went_on.copy()
-        ended = {int(going[k]): info for k, info in found.ends.items()}
         finals = self.batch.shown(list(ended)) if ended and same_step else None
         for k, (i, info) in enumerate(ended.items()):
             if finals is None:
@@ -293,8 +305,9 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
             infos = self._add_info(infos, info, i)
         fresh = np.array(list(ended), dtype=np.intp) if same_step else np.flatnonzero(over)
         self._begin(fresh, [None] * n, [{}] * n)
-        masks = self._begun_infos(np.ones(n, dtype=bool))
-        return self.batch.shown(self._all), rewards, terminated, truncated, infos | masks
+        if len(fresh):  # what they may do next
+            infos |= self._begun_infos(np.ones(n, dtype=bool))
+        return self.batch.shown(self._all), rewards, terminated, truncated, infos
 
     def _begin(
         self,

@@ -9,6 +9,7 @@ that these columns explain.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -289,10 +290,12 @@ def motion_bank(
         shaped = _shapes_of(arm, [library[k] for k in at], kinds)
         stated = [(shape.name, shape.term.axes, shape.term.contact) for shape in shaped]
         key = joblib.hash((_FORMAT, arm.key, stated)) or ""
-        evidence = [
-            along(key, motion, arm, shaped, say, f"motion {k} of {len(library)}")
-            for k, motion in enumerate(library, 1)
-        ]
+        evidence, begin = [], time.monotonic()
+        for k, motion in enumerate(library):
+            spent = time.monotonic() - begin
+            left = f", about {spent / k * (len(library) - k):.0f} s left" if k else ""
+            words = f"motion {k + 1} of {len(library)}{left}"
+            evidence.append(along(key, motion, arm, shaped, say, words))
     bank = MotionBank(arm, tuple(library), tuple(shaped), tuple(evidence), at)
     bank = _only(bank, {k for k, shape in enumerate(shaped) if _seen(bank, shape)})
     if not bank.shapes:

@@ -547,14 +547,15 @@ class ReducedRig(SlotRig):
         torque = np.zeros((len(driven), period, arms))
         torque[at, :, control.records] = delivered
         # The loop takes the arms along the last axis.
-        parts = [np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in motions.parts]
+        parts = [
+            np.ascontiguousarray(part.transpose(*range(1, part.ndim), 0)) for part in motions.parts
+        ]
         smooth = np.empty((motions.still.shape[1], count, arms))
         position = np.empty((self.arm.n, count + 2, arms))
 
         def some(first: int, last: int) -> None:
             own = [np.ascontiguousarray(part[..., first:last]) for part in (*parts, torque)]
-            seen = np.empty((*smooth.shape[:-1], last - first))
-            turned = np.empty((*position.shape[:-1], last - first))
+            seen, turned = smooth[..., first:last].copy(), position[..., first:last].copy()
             self._integrate(*own, driven, *self._steps, seen, turned)
             smooth[..., first:last], position[..., first:last] = seen, turned
 
@@ -562,7 +563,7 @@ class ReducedRig(SlotRig):
         spans = [(first, min(first + share, arms)) for first in range(0, arms, share)]
         with ExitStack() as stack:
             waiting = []
-            if self._threads > 1:  # compiled loops and draws run beside each other
+            if self._threads > 1 and arms > 1:  # compiled loops and draws run beside each other
                 pool = stack.enter_context(ThreadPoolExecutor(self._threads))
                 waiting = [pool.submit(some, *span) for span in spans]
             noise = draw_noise(trials, self._axes, joints=self.arm.n, count=count)

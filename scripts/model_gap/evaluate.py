@@ -103,8 +103,8 @@ class Options:
 
 
 def made(model: str | Path | None = None, **settings: Any) -> ModelGapEnv:
-    """Make the environment of an arm, with fields of its settings."""
-    env = gymnasium.make(GAP_ID, model=model, **settings)
+    """Make the environment of an arm with the whole library, and fields of its settings."""
+    env = gymnasium.make(GAP_ID, model=model, **{"library": "whole", **settings})
     unwrapped = env.unwrapped
     assert isinstance(unwrapped, ModelGapEnv)
     return unwrapped

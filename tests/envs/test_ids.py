@@ -114,6 +114,25 @@ def test_an_episode_ends_by_itself_before_the_limit() -> None:
     assert many.settings.max_records == 20
 
 
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
+def test_a_batch_obeys_a_limit_of_steps_as_a_single_environment_does(mode: str) -> None:
+    made = {"n_links": 2, "durations": (0.1,), "max_episode_steps": 2}
+    single = gymnasium.make("loose_env/Planar-v0", **made)  # type: ignore[arg-type]
+    batch: Any = gymnasium.make_vec("loose_env/Planar-v0", 2, autoreset_mode=mode, **made)
+    record = batch.actions.encode(levels=[0, 1])
+    single.reset(seed=3)
+    batch.reset(seed=3)
+    for cut in (False, True):
+        seen, _, _, truncated, _ = single.step(record)
+        found, _, _, every, infos = batch.step(np.stack([record] * 2))
+        assert (truncated, every.tolist()) == (cut, [cut] * 2)
+    last = infos["final_obs"] if mode == "SameStep" else found
+    np.testing.assert_array_equal(last[0], seen)
+    assert not batch.step(np.stack([record] * 2))[3].any()
+    with pytest.raises(InvalidSetting, match="max_episode_steps must be 1 or more"):
+        gymnasium.make_vec("loose_env/Planar-v0", max_episode_steps=-1)
+
+
 def test_arguments_reach_single_and_vector_environments() -> None:
     arguments = {"n_links": 5, "vertical": True, "hold": "servo", "difficulty": "easy", "raw": True}
     for make in (gymnasium.make, gymnasium.make_vec):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import socket
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -183,9 +184,13 @@ def test_a_window_is_offered_only_where_there_is_a_display(monkeypatch: pytest.M
     check_env(env.unwrapped)
     with pytest.raises(InvalidSetting, match="rgb_array"):
         gymnasium.make("loose_env/Planar-v0", render_mode="human")
-    monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: True)
-    assert "human" in DiagnosisEnv(planar(2)).metadata["render_modes"]
+    monkeypatch.setenv("DISPLAY", ":5837")  # left over: no server answers
+    assert DiagnosisEnv(planar(2)).metadata["render_modes"] == ["rgb_array"]
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind("\0/tmp/.X11-unix/X5837")
+        server.listen()
+        assert "human" in DiagnosisEnv(planar(2)).metadata["render_modes"]
 
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
