@@ -68,6 +68,7 @@ class Plan(Output):
 
         loose plan arm.xml --controller ur_rtde --out session
         loose plan arm.xml --out session --known session/diagnosis
+        loose plan arm.xml --out session-after --like session
     """
 
     model: Positional[Path]
@@ -76,6 +77,9 @@ class Plan(Output):
     """Folder for what is written."""
     known: Annotated[Path | None, arg(metavar="RESULT")] = None
     """What is known so far: result.json of 'loose diagnose', or the folder with it."""
+    like: Annotated[Path | None, arg(metavar="SESSION")] = None
+    """Session whose settings, and so poses and commands, are taken: after a repair, or on the
+    healthy day."""
     settings: OmitArgPrefixes[Annotated[PlanSettings, kept(PlanSettings)]]
     """Controller, limits and poses."""
 
@@ -84,7 +88,8 @@ class Plan(Output):
         from loose_env.report import summary, write_plan_page
 
         known = None if self.known is None else read_diagnosis(self.known)
-        before = read_plan(self.out).settings if (self.out / PLAN).is_file() else None
+        place = self.out if (self.out / PLAN).is_file() else self.like
+        before = None if place is None else read_plan(place).settings
         own = settled(self.settings, before, "the earlier plan")
         if self.out.exists() and not self.out.is_dir():
             raise InvalidSetting(f"--out {self.out} is a file; give a folder")

@@ -29,7 +29,7 @@ from loose_env.instrument.poses import is_tested_share, tested_share
 from loose_env.instrument.records import GRID, Record, Unusable, exchanged, followed_hz
 from loose_env.instrument.reference import Change, change, pairs
 from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
-from loose_env.instrument.signals import Multisine
+from loose_env.instrument.signals import LEAST_BANDWIDTH_HZ, Multisine
 from loose_env.recording import Recording
 from loose_env.typing import Array
 from loose_env.version import __version__
@@ -244,10 +244,13 @@ def _short(session: _Session, plan: Plan) -> tuple[str, ...]:
     if not band:
         return ()
     lowest = min(band.values())
-    return (
-        f"{', '.join(band)} followed less than half of the command above {lowest:g} Hz: a plan "
-        f"with --bandwidth-hz {lowest:g} shakes harder below it",
-    )
+    words = f"{', '.join(band)} followed less than half of the command above {lowest:g} Hz"
+    if lowest >= LEAST_BANDWIDTH_HZ:
+        words += (
+            f": plans with --bandwidth-hz {lowest:g} shake harder below it, and compare among "
+            "themselves alone"
+        )
+    return (words,)
 
 
 def _gears(
@@ -465,7 +468,12 @@ def _places(
             verdict, why = "loose", alarm.reasons[0]
         elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
             verdict = "suspect"
-            why = "the session does not tell it from the other suspects"
+            alone = rank == 0 and chance > 1 - _LISTED
+            why = (
+                "the top band rings in its rhythm"
+                if alone
+                else "the session does not tell it from the other suspects"
+            )
         elif alarm.masked:
             verdict, why = "not tested", "other strikes hide whether it knocks"
         elif is_tested_share(shares[place]):
@@ -495,7 +503,7 @@ def _places(
 
 def _untested_words(share: float, kind: str) -> str:
     if kind == BOLTS and share > 0:
-        return f"its load reversed in {100 * share:.0f} % of the directions alone"
+        return f"its load reversed in {100 * share:.0f} % of the directions only"
     return "its load never reversed beyond friction: it would stay shut if it were loose"
 
 

@@ -13,6 +13,8 @@ from loose_env.typing import Array, IndexArray
 
 LOWEST_HZ = 3.0
 """Lowest line [Hz]: below it a joint's acceleration asks for more travel than a cell has room."""
+LEAST_BANDWIDTH_HZ = 8.0
+"""Highest line from which on three lines are left to excite [Hz]."""
 _TRIES = 30
 """Draws of phases of which the one with the lowest crest is taken."""
 _SPARE = 0.6
@@ -115,7 +117,7 @@ def multisine(
     if len(odd) < 3:
         raise InvalidSetting(
             f"a bandwidth of {highest_hz:g} Hz leaves {len(odd)} lines from {LOWEST_HZ:g} Hz on; "
-            "at least 3 are needed: 8 Hz or more"
+            f"at least 3 are needed: {LEAST_BANDWIDTH_HZ:g} Hz or more"
         )
     groups = [g for g in np.split(odd, range(3, len(odd), 3)) if len(g) == 3]
     silent = np.array([g[rng.integers(3)] for g in groups], dtype=np.intp)

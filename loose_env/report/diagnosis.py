@@ -87,7 +87,7 @@ def diagnosis_commands(d: Diagnosis, recording: str = "", result: str = "") -> l
         return [f"loose trend EARLIER {path_word(own)} --out trend"]
     if d.settled:
         return [
-            f"loose plan {model} --out session-after",
+            f"loose plan {model} --out session-after --like {path_word(own)}",
             f"loose diagnose session-after/{RECORDING} --out session-after/diagnosis",
         ]
     if d.verdict == "tight" and not d.untested:

@@ -49,6 +49,16 @@ def test_a_plan_is_written_for_the_machine_and_goes_on(home: Path, tmp_path: Pat
     assert all(entry["planned"] for entry in entries)
 
 
+def test_a_session_is_repeated_with_the_limits_of_the_first(tmp_path: Path) -> None:
+    first, again = tmp_path / "first", tmp_path / "again"
+    words = ["plan", ARM, "--controller", "ros2_jtc", "--max-speed-rad-s", "0.3", "--poses", "3"]
+    assert main([*words, "--out", str(first)]) == 0
+    assert main(["plan", ARM, "--out", str(again), "--like", str(first / "recording")]) == 0
+    for file in ("run-01.csv", "run-02.csv", "run-03.csv"):
+        assert (again / file).read_bytes() == (first / file).read_bytes()
+    assert read_plan(again).settings == read_plan(first).settings
+
+
 def test_a_session_is_diagnosed_and_planned_on(home: Path, tmp_path: Path, capsys: Capture) -> None:
     session, out = home / "june", tmp_path / "found"
     assert main(["diagnose", str(session / "recording"), "--out", str(out)]) == 0
