@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-# What `make run`, `make thesis`, `make bench` and `make study` need; the other verbs add learning
+# What `make run`, `make thesis` and `make bench` need; the other verbs add learning
 # and dev tools.
 RUN_EXTRAS := report,play,fast
 DEV_EXTRAS := all,dev
@@ -22,7 +22,7 @@ RUN := $(VENV)/.installed-run
 DEV := $(VENV)/.installed-dev
 
 .DELETE_ON_ERROR:
-.PHONY: help run thesis docs test test-slow bench study gap-suite check format size build clean
+.PHONY: help run thesis docs test test-slow bench gap-suite check format size build clean
 
 help: ## list the verbs
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
@@ -47,9 +47,6 @@ test-slow: $(DEV) ## run the slow tests: browser, killed processes, fuzzing, tra
 
 bench: $(RUN) ## time the simulation and the diagnosis on this machine
 	$(BIN)/python scripts/dev/benchmark.py $(ARGS)
-
-study: $(RUN) ## halve the time step and see what the results depend on
-	$(BIN)/python scripts/studies/step_halving.py $(ARGS)
 
 gap-suite: $(DEV) ## grade the gap tool on blind recordings (ARGS="--numbers 0-59 --workers 2")
 	$(ONE_THREAD) $(BIN)/python -m scripts.suites.gap.run $(ARGS)

@@ -347,7 +347,7 @@ class LinearArm:
             k, c = arm.holding.stiffness[j], arm.holding.damping[j]
             inertance = k / inertance_rate(arm.timestep) ** 2
             held[j] += k + s * c - omega**2 * inertance
-        return np.asarray(loose, dtype=complex), np.asarray(held, dtype=complex)
+        return loose.astype(np.complex128), held.astype(np.complex128)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -62,10 +62,8 @@ _CONTACTS = ("sliding 0.2%", "sliding 1%", "sliding 4%", "presliding 0.2%")
 """Ways in which dry friction turns at a reversal."""
 _BAND_HZ = 20.0
 """End of the band in which a motion and its forces are compared [Hz]: that of the fastest chirp."""
-_FINER = 8
-"""Points on which commands act between two steps of a simulation."""
-_STEP = 1e-3
-"""Relative step of derivatives by nominal parameters."""
+_FINER = 8  # points on which commands act between two steps of a simulation
+_STEP = 1e-3  # relative step of derivatives by nominal parameters
 VISIBLE = (12.0, 160.0)
 """Visibility that a candidate must reach, and the largest that is considered [noise sd]."""
 _INDISTINGUISHABLE_Z = 2.0
@@ -73,8 +71,7 @@ _INDISTINGUISHABLE_Z = 2.0
 Form = Literal["commands", "torques", "sampled"]
 """What a balance compares the needed forces with: those of the nominal drives for the commands,
 measured torques, or those of the nominal drives for commands as they act at the samples."""
-_FORMAT = "gap evidence 1"
-"""Version of what is stored; a change of the computation changes it."""
+_FORMAT = "gap evidence 1"  # version of what is stored; a change of the computation changes it
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
 

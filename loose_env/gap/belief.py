@@ -38,12 +38,9 @@ _CANDIDATES, _SETS, _ESTIMATED = 3000, 40, 8
 _OPEN, _SAMPLES, _LEAST = 16, 32, 1e-3
 """Sets that count as open at most, readings drawn from the prediction of each, and the probability
 of an open set over that of the most probable one, at least."""
-_DIRECTIONS = 100
-"""Directions over which the error of the columns spreads."""
-_MISSED = Tolerances().law
-"""Share of its force that the law of an effect misses."""
-_OUT = 2.0
-"""Standard deviations by which an estimate may lie beyond its bounds."""
+_DIRECTIONS = 100  # directions over which the error of the columns spreads
+_MISSED = Tolerances().law  # share of its force that the law of an effect misses
+_OUT = 2.0  # standard deviations by which an estimate may lie beyond its bounds
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,8 +57,7 @@ PULLED = 2.0
 """Standard deviations from which the pull of a tolerance is told: 1 in 20 by chance."""
 FIGURES = 4
 """Channels of which a report draws figures of one sort."""
-_RANKED = 20
-"""Sets of effects that a result lists."""
+_RANKED = 20  # sets of effects that a result lists
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,18 +21,13 @@ MotionKind = Literal[
     "slow_triangle", "constant_speed", "chirp", "multisine", "steps", "holds", "random"
 ]
 """Kinds of excitation."""
-_RAMP = 0.25
-"""Fade of an excitation at either end [s]."""
-_STEP_S = 0.04
-"""Time that a step takes [s]: what a servo's controller lets through."""
-_LOWEST = 0.5
-"""Lowest frequency of a chirp and of a multisine [Hz]."""
+_RAMP = 0.25  # fade of an excitation at either end [s]
+_STEP_S = 0.04  # time that a step takes [s]: what a servo's controller lets through
+_LOWEST = 0.5  # lowest frequency of a chirp and of a multisine [Hz]
 _PHASES = 2.399963
 """Phase between joints that move together [rad], the golden angle: no two stay in step."""
-_SHRINK = 0.7
-"""Factor on amplitude and speed of a motion that does not fit."""
-_POSES = 400
-"""Random poses among which those of small and of large load are chosen."""
+_SHRINK = 0.7  # factor on amplitude and speed of a motion that does not fit
+_POSES = 400  # random poses among which those of small and of large load are chosen
 _ABOVE_LOWEST = Rule(f"above {_LOWEST:g} Hz, the lowest frequency", (Gt(_LOWEST),))
 
 

@@ -57,26 +57,17 @@ NOTHING = "nothing"
 """What an effect is told from that may not be there."""
 DECIDED = 5.0
 """Log evidence from which a pair is decided [nats]: very strong (Kass and Raftery 1995)."""
-_LEAST = 2.0
-"""Gain of a pair below which no motion tells the two apart [nats]."""
+_LEAST = 2.0  # gain of a pair below which no motion tells the two apart [nats]
 _NARROWED = 0.7
 """Share of an interval above which a motion tells no more than the same runs once more."""
-_SHAPES = 3
-"""Shapes in which a rival is tried."""
-_STANDS = 0.05
-"""Speed of a joint in a run over that in the fastest one, below which it stands."""
-_MEMORY = 40_000_000
-"""Numbers of columns that are held at a time, 320 MB."""
-_TRIES = 8
-"""Sizes in which a motion of the library is tried."""
-_REPEATS = 2
-"""How often a motion is recorded: each of the runs is held out in turn."""
-_CONTROL_HZ = 3.0
-"""Bandwidth of the controller that is assumed where the model has no servo [Hz]."""
-_SETTLE_S = 0.5
-"""How long a servo holds the first pose before a motion [s]."""
-_SEED = 7
-"""Seed of the sensors' noise."""
+_SHAPES = 3  # shapes in which a rival is tried
+_STANDS = 0.05  # speed of a joint in a run over that in the fastest one, below which it stands
+_MEMORY = 40_000_000  # numbers of columns that are held at a time, 320 MB
+_TRIES = 8  # sizes in which a motion of the library is tried
+_REPEATS = 2  # how often a motion is recorded: each of the runs is held out in turn
+_CONTROL_HZ = 3.0  # bandwidth of the controller that is assumed where the model has no servo [Hz]
+_SETTLE_S = 0.5  # how long a servo holds the first pose before a motion [s]
+_SEED = 7  # seed of the sensors' noise
 
 
 @dataclass(frozen=True, kw_only=True)

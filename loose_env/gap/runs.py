@@ -30,8 +30,7 @@ from loose_env.typing import Array
 _PAUSE_S = 1.0
 """Shortest time without a row that is a pause [s]: what the machine does in a second without
 record is unknown, and a clock that jumps would be simulated through."""
-_PAUSE_STEPS = 20.0
-"""The same in median steps [1]: a slow recorder does not pause between its rows."""
+_PAUSE_STEPS = 20.0  # the same in median steps [1]: a slow recorder does not pause between its rows
 
 
 def measured_runs(
@@ -109,8 +108,7 @@ _REGULAR = 0.02
 as even; or:"""
 _ROUNDED = 0.75
 """The same as a share of what the stamps are rounded to: half of it, and a margin for the grid."""
-_FINE = 0.25
-"""Rounding of stamps over the sample interval, below which it does not hide a lost row."""
+_FINE = 0.25  # rounding of stamps over the sample interval, below which it does not hide a lost row
 
 
 @dataclass(frozen=True)
@@ -254,11 +252,9 @@ def filled(values: Array) -> Array:
 
 # Recordings of one machine joined as one, those of earlier outputs included
 
-_NOTE = "source.json"
-"""File in the folder of an output that says which recording a result is of."""
+_NOTE = "source.json"  # file in the folder of an output that says which recording a result is of
 _FORMAT = "loose-gap-source/1"
-_JOINED = "recording"
-"""Folder there with the runs of several recordings."""
+_JOINED = "recording"  # folder there with the runs of several recordings
 
 
 @dataclass(frozen=True)

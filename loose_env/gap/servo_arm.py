@@ -27,10 +27,8 @@ SLIDE = 0.2
 """Limits of slides over those of hinges: metres for radians."""
 _OVERSHOOT = 1.25
 """Speed of the machine over the limit of its commands: a servo overshoots after a step."""
-_ROOM = 1e-6
-"""Rounding that a limit does not count."""
-_TORQUE_SHARE = 0.8
-"""Share of a torque limit that a motion may take in the nominal model."""
+_ROOM = 1e-6  # rounding that a limit does not count
+_TORQUE_SHARE = 0.8  # share of a torque limit that a motion may take in the nominal model
 _STABLE = 1.0
 """Largest rate of a rotor's damping times the time step: of Runge-Kutta's 2.8 the damping of the
 stiffest spring takes as much again, and effects add to the joint's."""

@@ -4,8 +4,7 @@ A hypothesis is a list of effects with their values. Its predictions are sensor 
 samples of the run, channel by channel.
 
 A step is simulated with the mean of a command over it. An accelerometer reads the instantaneous
-value: a servo's acceleration jumps with every command. A delayed one reads the value at an earlier
-time, between two steps.
+value: a servo's acceleration jumps with every command.
 
 MJCF cannot express torque terms and driven effects, so that Python applies them step by step. Under
 a Runge-Kutta method the term in the middle of the step is held over it, predicted from the
@@ -25,12 +24,11 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch, SimulationError
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import DrivenEffect, Readings
-from loose_env.gap.model.effects.sensors import column_of, is_position_or_speed
+from loose_env.gap.model.effects.sensors import is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import SETTLE, Channel, Trial, steady_activations
@@ -39,8 +37,7 @@ from loose_env.typing import Array, IndexArray
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
-_STATES = ("qpos", "qvel", "act")
-"""State of a simulation: positions, speeds and activations."""
+_STATES = ("qpos", "qvel", "act")  # state of a simulation: positions, speeds and activations
 _WRITTEN = ("qpos", "qvel", "ctrl", "qfrc_applied")
 """What effects and the middle of a step are read from or written to."""
 _LOADS = ("qfrc_actuator", "qfrc_bias")
@@ -223,10 +220,8 @@ def _expand(batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
 
 
 _Own = NDArray[np.bool_] | slice
-_Rows = Sequence[tuple[Hypothesis, _Own]]
-"""Hypotheses, and which simulations have them."""
-_Groups = Sequence[tuple[_Driven, _Own]]
-"""Driven effects, and which simulations have them."""
+_Rows = Sequence[tuple[Hypothesis, _Own]]  # hypotheses, and which simulations have them
+_Groups = Sequence[tuple[_Driven, _Own]]  # driven effects, and which simulations have them
 
 
 def _rows(each: Sequence[Hypothesis]) -> _Rows:
@@ -267,19 +262,6 @@ def _ahead(now: State, rate: Array, time: float) -> State:
     """Positions and speeds some time later, at constant acceleration."""
     position, speed = now
     return position + time * (speed + 0.5 * time * rate), speed + time * rate
-
-
-def _states_before(states: Mapping[str, Array], at: Array, step: float) -> dict[str, Array]:
-    """Interpolate the states of a simulation, for hinge and slide joints.
-
-    Positions follow cubics through the positions and speeds at both ends of a step, within which
-    commands are constant, and speeds their slopes; activations are linear.
-    """
-    clock, act = step * np.arange(len(states["qpos"])), states["act"]
-    at = np.clip(at, 0.0, clock[-1])
-    path = CubicHermiteSpline(clock, states["qpos"], states["qvel"])
-    lines = np.array([np.interp(at, clock, values) for values in act.T])
-    return {"qpos": path(at), "qvel": path(at, 1), "act": lines.reshape(act.shape[1], len(at)).T}
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,7 +329,7 @@ class Simulator:
             *(
                 (id(effect), values.tobytes())
                 for effect, values in hypothesis.pairs
-                if effect.moves or effect.sensor_delay(values) is not None
+                if effect.moves
             ),
         )
 
@@ -394,9 +376,8 @@ class Simulator:
         if slots[0].trial.resting and settle:
             # the clock runs on, since delayed commands are stored by time
             _advance(moved, np.repeat(controls[:, :1], settle, axis=1), diverged, ("qpos",))
-        # where a command changes within a step, or a sensor is delayed, sensors are recomputed
-        late = [self._late(slot.hypothesis) for slot in slots]
-        names = _STATES if parts > 1 or any(late) else ()
+        # where a command changes within a step, sensors are recomputed
+        names = _STATES if parts > 1 else ()
         before = {name: np.array(getattr(batch, name))[:, None] for name in names}
         records = _advance(moved, controls, diverged, ("sensordata", *names))
         kept = records["sensordata"][:, ::parts]
@@ -404,42 +385,21 @@ class Simulator:
         for k in np.flatnonzero(~diverged).tolist() if names else ():
             count = slots[k].trial.steps
             passed = {name: found[k, : count * parts] for name, found in begun.items()}
-            self._reread(slots[k], kept[k, :count], passed, late[k])
+            kept[k, :count] = self._reread(slots[k], passed)
         kept[diverged] = np.nan
         return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
 
-    def _late(self, hypothesis: Hypothesis) -> dict[str, float]:
-        """Delayed sensors among the channels, each with its delay [s]."""
-        shown = {channel.column for channel in self.channels}
-        found: dict[str, float] = {}
-        for effect, own in hypothesis.pairs:
-            late = effect.sensor_delay(own)
-            if late is not None and late[1] > 0 and column_of(late[0]) in shown:
-                found[late[0]] = found.get(late[0], 0.0) + late[1]
-        return found
-
-    def _reread(
-        self, slot: _Slot, shown: Array, states: Mapping[str, Array], late: Mapping[str, float]
-    ) -> None:
-        """Compute sensor values (T, sensors) anew, where commands change within a step or late.
+    def _reread(self, slot: _Slot, states: Mapping[str, Array]) -> Array:
+        """Sensor values (T, sensors) with the commands at the moments of the samples.
 
         The states are those before each substep.
         """
-        commands, step = slot.trial.controls, slot.trial.step
-        clock: Array = np.arange(len(commands), dtype=float) * step
+        commands = slot.trial.controls
+        clock: Array = np.arange(len(commands), dtype=float) * slot.trial.step
         for effect, own in slot.hypothesis.pairs:
             commands = effect.command_at(clock, commands, own)
-        if slot.parts > 1:
-            at_steps = {name: found[:: slot.parts] for name, found in states.items()}
-            shown[:] = self._readings(slot, at_steps, commands)
-        for name, delay in late.items():
-            then: Array = clock - delay
-            held = np.clip(np.floor(then / step + 1e-9).astype(int), 0, len(commands) - 1)
-            before = _states_before(states, then, step / slot.parts)
-            read = self._readings(slot, before, commands[held])
-            sensor = slot.model.sensor(name)
-            columns = slice(int(sensor.adr[0]), int(sensor.adr[0]) + int(sensor.dim[0]))
-            shown[:, columns] = read[:, columns]
+        at_steps = {name: found[:: slot.parts] for name, found in states.items()}
+        return self._readings(slot, at_steps, commands)
 
     def _readings(self, slot: _Slot, states: Mapping[str, Array], controls: Array) -> Array:
         """Sensor values in some states with instantaneous commands (T, sensors)."""

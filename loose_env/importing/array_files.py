@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
 from loose_env.importing.samples import ChannelKey, FileKind, Log, Table
+from loose_env.importing.units import unit_in
 from loose_env.recording import MOST_VALUES
 
 ENDINGS: dict[str, FileKind] = {
@@ -127,25 +128,31 @@ def _table(tree: Tree, place: str, rate: float | None, whole: Tree) -> Table:
     length = max(set(lengths), key=lambda n: (lengths.count(n), n))
     columns: dict[str, NDArray[Any]] = {}
     aliases: dict[str, str] = {}
+    units: dict[str, str] = {}
     for key, array in arrays.items():
         if array.shape[0] != length and array.shape[1] == length:
             array = array.T  # as MATLAB keeps rows
         if array.shape[0] != length:
             continue
-        labels = _labels(tree, whole, key, array.shape[1])
+        labels = _labels(tree, whole, key, array.shape[1], _NAMES)
+        told = _labels(tree, whole, key, array.shape[1], ("units", "unit"))
         if array.shape[1] == 1:
             columns[key] = array[:, 0]
             aliases[f"{key}[0]"] = key
             continue
         for i in range(array.shape[1]):
-            columns[f"{key}[{labels[i] if labels else i}]"] = array[:, i]
+            own = f"{key}[{labels[i] if labels else i}]"
+            columns[own] = array[:, i]
+            if told and unit_in(f"[{told[i]}]"):
+                units[own] = told[i]
             if labels:
                 aliases[f"{key}[{i}]"] = f"{key}[{labels[i]}]"
     size = length * len(columns)
     if size > MOST_VALUES:
         raise InvalidData(f"{place}: {size} values; at most {MOST_VALUES} are read")
     return Table(
-        place=place, columns=columns, aliases=aliases, row_word="sample", rate_hz=rate if not any(
+        place=place, columns=columns, aliases=aliases, units=units, row_word="sample",
+        rate_hz=rate if not any(
             "time" in key.lower() or key in ("t", "ts") for key in columns) else None,
         kind=f"{len(columns)} columns of {length}",
     )  # fmt: skip
@@ -182,16 +189,15 @@ def _matrix(value: Any) -> NDArray[Any] | None:
     return np.asarray(value.reshape(len(value), -1))
 
 
-def _labels(tree: Tree, whole: Tree, key: str, width: int) -> tuple[str, ...]:
-    """Names of the entries of a vector where the file gives one for each."""
+def _labels(tree: Tree, whole: Tree, key: str, width: int, names: Sequence[str]) -> tuple[str, ...]:
+    """Names, or units, of the entries of a vector where the file gives one for each."""
     for holder in (tree, whole):
         for name, value in _texts(holder):
             last = name.rsplit("/", 1)[-1].lower()
-            own = last in _NAMES or last in (f"{key}_names", f"{key}_columns", f"{key}_labels")
-            plain = len(value) == width == len(set(value)) and all(
-                v and not set(v) & set("[]") for v in value
-            )
-            if own and plain:
+            own = last in names or last in {f"{key}_{n}" for n in names}
+            alone = len(set(value)) == width or names is not _NAMES
+            plain = all(v and not set(v) & set("[]") for v in value)
+            if own and len(value) == width and alone and plain:
                 return tuple(value)
     return ()
 

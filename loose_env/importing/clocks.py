@@ -188,7 +188,7 @@ def _named(table: Table) -> list[TimeSource]:
     found: list[tuple[int, TimeSource]] = []
     names = list(table.columns)
     for name in names:
-        words = set(re.findall(r"[a-zäöü]+", name.lower()))
+        words = set(re.findall(r"[a-zäöü]+\d*", name.lower()))
         unit = table.units.get(name) or unit_in(name)
         timed = bool(unit) and quantity_of(unit) == "time"
         if words & _SECONDS:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy import fft, ndimage
@@ -92,6 +94,56 @@ class Likeness:
     """Delay of the second behind the first [s]."""
 
 
+class Torque(NamedTuple):
+    """What there is of a joint's torque in a channel."""
+
+    whole: float = 0.0
+    """Correlation with the torque that the model needs, and friction; negative if reversed [1]."""
+    alone: float = 0.0
+    """Correlation with the torque that the model needs [1]."""
+    apart: float = 0.0
+    """That correlation in what does not follow the speed [1]."""
+    per: float = 0.0
+    """Torque that the model needs for each of its units [N·m or N]."""
+
+
+def torque_in(channel: Sequence[Array], needed: Sequence[Array], rates: Sequence[Array]) -> Torque:
+    """What there is of a torque in a channel, by the torque needed for the motion and its speed.
+
+    Friction is viscous and dry. Torques may be those of every so many rows.
+    """
+    rows = []
+    for own, load, speed in zip(channel, needed, rates, strict=True):
+        every = max(1, round(len(own) / len(load))) if len(load) else 1
+        parts = [each[::every] for each in (own, speed)]
+        if len(load) > 3 and len(parts[0]) == len(parts[1]) == len(load):
+            rows.append(np.stack([load - load.mean(), parts[0] - parts[0].mean(), parts[1]]))
+    if not rows:
+        return Torque()
+    load, own, speed = np.concatenate(rows, axis=1)
+    if np.std(own) == 0 or np.std(load) == 0:
+        return Torque()
+    beside = np.stack([speed, np.tanh(speed / (0.1 * np.std(speed) + 1e-9))], axis=1)
+    columns = np.column_stack([load, beside])
+    share = np.linalg.lstsq(columns, own, rcond=None)[0]
+    fitted, friction = columns @ share, beside @ share[1:]
+    alone, whole = (
+        float(np.corrcoef(each, own)[0, 1]) if np.std(each) > 0 else 0.0 for each in (load, fitted)
+    )
+    left = [v - beside @ np.linalg.lstsq(beside, v, rcond=None)[0] for v in (load, own)]
+    scale = float(np.linalg.norm(left[0]) * np.linalg.norm(left[1]))
+    # The load, and friction, which acts with the motion, have the sign of the larger one.
+    larger = np.std(load) * abs(share[0]) > np.std(friction)
+    sign = float(share[0]) if larger else float(np.mean(friction * speed))
+    size = abs(share[0]) if share[0] * alone > 0 else np.std(own) / np.std(load) * abs(alone)
+    return Torque(
+        math.copysign(whole, sign),
+        alone,
+        float(left[0] @ left[1]) / scale if scale > 0 else 0.0,
+        float(1 / size) if size > 0 else 0.0,
+    )
+
+
 def derivative(values: Array, step: float, width: int = 5) -> Array:
     """Rate of a smoothed signal, shape (T,)."""
     if len(values) < 2:
@@ -146,6 +198,19 @@ def likeness(first: Sequence[Array], second: Sequence[Array], step: float) -> Li
         bend = left - 2 * here + right
         exact += float(0.5 * (left - right) / bend) if bend < 0 else 0.0
     return Likeness(float(np.clip(total[best], -1, 1)), (exact - most) * step)
+
+
+def closeness(first: Sequence[Array], second: Sequence[Array]) -> float:
+    """Nearness of two signals as they stand: 1 where they are equal, 0 where they are far apart.
+
+    Channels of one unit are near; joints that all follow the same course differ in where they are.
+    """
+    whole = [(a, b) for a, b in zip(first, second, strict=True) if len(a) and len(a) == len(b)]
+    if not whole:
+        return 0.0
+    apart = np.sqrt(np.mean(np.concatenate([(a - b) ** 2 for a, b in whole])))
+    spread = np.sqrt(np.mean(np.concatenate([(b - b.mean()) ** 2 for _, b in whole])))
+    return float(np.exp(-apart / spread)) if spread > 0 else 0.0
 
 
 def rate_likeness(position: Signal, other: Signal) -> float:

@@ -18,13 +18,13 @@ _ENTRY = re.compile(r"(.*?)\[([^\[\]]+)\]$")
 _NUMBERED = re.compile(r"(.*?\D)(\d+)$")
 _TABLE = """
 other: tcp temp temperature temperatures volt volts voltage mode bits momentum pose quat eef wrench
-other: fraction scaling sin cos image reward done force index task frame next orientation twist
+other: fraction scaling sin cos image reward done index task frame next orientation twist
 other: error err seq count counter id status state_machine enable kp kd gain mass
 command: target target command commands cmd action actions desired des ref reference setpoint goal
 command: ctrl control controls soll sollwert demand tgt sp
 acceleration: qdd ddq acc accel acceleration accelerometer qacc gyro gyroscope imu
 velocity: velocity velocities vel qd dq qvel speed rate omega
-torque: effort torque torques tau moment frc load
+torque: effort torque torques tau moment force forces frc load
 current: current currents amps
 position: position positions pos q qpos angle angles encoder enc state ist
 """
@@ -142,7 +142,9 @@ def _joint_of(words: tuple[str, ...], joints: Sequence[str]) -> tuple[str, set[s
 
 def _named(words: tuple[str, ...], joint: str) -> int:
     """Number of words of a joint's name that a channel's words contain in a row; 0 if not all."""
-    own = [word for word in words_of(joint) if word != "joint"] or words_of(joint)
+    own = [word for word in words_of(joint) if word != "joint"]
+    if all(word.isdigit() for word in own):  # a number alone is a place, not a name
+        own = words_of(joint)
     span = len(own)
     there = any(list(words[i : i + span]) == own for i in range(len(words) - span + 1))
     return span if there and span else 0

@@ -114,6 +114,11 @@ def propose(
             f"({found or 'nothing was recognised'}); record the joints' states too, or write a "
             f"mapping by loose import --describe. {heard[:400]}"
         )
+    taken = {line.candidate.source for line in roles.lines.values()}
+    for name in [name for name in logs if name not in taken]:
+        notes.append(f"{name}: none of its channels is used")
+        unused += [call for call, *_ in logs.pop(name).files]
+    runs = [{k: v for k, v in run.items() if k in taken} for run in runs]
     return Proposal(
         logs=logs, columns=columns, notes=(*notes, *roles.notes), unassigned=tuple(left),
         runs=tuple(runs), unused=tuple(unused),

@@ -20,11 +20,14 @@ from scipy.optimize import linear_sum_assignment
 from loose_env.importing.evidence import (
     Likeness,
     Signal,
+    Torque,
+    closeness,
     correlation,
     derivative,
     likeness,
     rate_likeness,
     slope,
+    torque_in,
 )
 from loose_env.importing.scalings import (
     Scaling,
@@ -43,6 +46,7 @@ from loose_env.importing.targets import (
     tool_sensors,
 )
 from loose_env.importing.units import quantity_of, unit_named
+from loose_env.importing.vectors import Labels, Vector
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
@@ -61,6 +65,23 @@ _NAME = 0.3
 _PRIOR = {"position": 3.0, "": 0.0, "command": -3.0, "velocity": -4.0, "acceleration": -4.0,
           "torque": -4.0, "current": -4.0, "other": -6.0}  # fmt: skip
 """What a name is worth for a position, where leading or following a channel is worth 2."""
+_RATE = 0.95
+"""Least correlation with a derivative at which a channel without a name is a velocity [1]: dry
+friction's torque has 0.8 and more."""
+_UNIT = 0.1
+"""Share by which such a channel may be off the size that a unit gives it [1]."""
+_NEAR = 0.3
+"""Least closeness of a channel without a name to the motion that follows it [1]: it is less than
+1.2 standard deviations of the motion away."""
+_GAIN, _CLEAR = 0.05, 0.2
+"""Correlation by which torques have to agree better to call states exchanged, and worse to call
+commands so: the model's servos are the less sure part [1]."""
+_ROWS = 2000
+"""Rows of which torques are computed where several motions are tried."""
+_WEAK = 0.2
+"""Least correlation of a named command with the motion of its joint [1]."""
+_MOSTLY = 0.75
+"""Share of the moving joints that have a velocity where channels without names are velocities."""
 _MOST = 80
 """Channels that are compared with each other."""
 
@@ -80,17 +101,6 @@ class Line:
 
 
 @dataclass(eq=False)
-class _Vector:
-    """Channels of one quantity, each of its joint."""
-
-    members: dict[str, Signal]
-    words: str
-    """Where the joints follow from."""
-    given: bool = False
-    """True if the file itself makes a vector of them, by names or brackets."""
-
-
-@dataclass(eq=False)
 class Roles:
     """Roles of the channels of a log at the joints of a model."""
 
@@ -103,6 +113,7 @@ class Roles:
     def __post_init__(self) -> None:
         self.targets = joint_targets(self.model)
         self.joints = {each.name: each for each in self.targets}
+        self.labels = Labels(self.targets)
         self.lines: dict[str, Line] = {}
         self.open: list[Line] = []
         self.why: dict[int, str] = {}
@@ -112,18 +123,27 @@ class Roles:
         self.rates: dict[str, list[Array]] = {}
         self.needed: dict[str, list[Array]] = {}
         self.commands: dict[str, Signal] = {}
+        self.torques: dict[str, Signal] = {}
+        """Channels that their names call torques, by the joint that they name."""
+        self.loads: dict[int, str] = {}
+        """Joint of channels without names that are the torques of the motion."""
+        self.places: dict[int, str] = {}
+        """Joint of channels by the vectors that the file makes of them."""
         self.notes: list[str] = []
         self.pairs: dict[tuple[int, int], Likeness] = {}
 
     def found(self) -> Roles:
         """All roles, in the order in which one rests on the other."""
         self._direct()
-        vectors = self._vectors()
+        self.vectors = vectors = self.labels.vectors(
+            [s for s in self.signals if s.sort not in self.used]
+        )
+        self.places = {s.sort: j for v in vectors if v.given for j, s in v.members.items()}
         self._take_positions(vectors)
         self._take_velocities()
         self._take_units()
         self._take_torques()
-        self._take_commands(vectors)
+        self._take_commands()
         self._take_still()
         self._take_tool()
         return self
@@ -134,7 +154,7 @@ class Roles:
         return [
             s
             for s in self.signals
-            if s.sort not in self.used and s.moves and (not roles or s.meaning.role in roles)
+            if s.sort not in self.used and s.moves and (not roles or self._role(s) in roles)
         ]
 
     def _direct(self) -> None:
@@ -150,87 +170,10 @@ class Roles:
                 words = f"named as the model's {text!r}"
                 self._add(column, s, Scaling(s.unit), 1, words)
 
-    def _named(self, s: Signal) -> tuple[str, str]:
-        """Role and joint of a channel that is named as a sensor or actuator of the model."""
-        text = s.key.channel
-        for t in self.targets:
-            for role, column in (("position", t.position), ("velocity", t.velocity),
-                                 ("torque", t.torque), ("command", t.command)):  # fmt: skip
-                bare = column.split(".", 1)[-1]
-                alone = bare if role != "torque" and bare != t.name else column
-                if column and text in (column, alone):
-                    return role, t.name
-                if role == "command" and column and text == f"{bare}_ctrl":
-                    return role, t.name
-            if text in (f"{t.name}_qpos", f"{t.name}_qvel"):
-                return ("position" if text.endswith("pos") else "velocity"), t.name
-        return "", ""
-
-    def _label(self, s: Signal) -> str:
-        """Joint that a channel names; that of the only one where it names none."""
-        return self._named(s)[1] or s.meaning.joint or (
-            self.targets[0].name if len(self.targets) == 1 else ""
-        )  # fmt: skip
-
     def _role(self, s: Signal) -> str:
-        return self._named(s)[0] or s.meaning.role
-
-    def _vectors(self) -> list[_Vector]:
-        """Channels that belong together by their names, by brackets, or by their order."""
-        found: list[_Vector] = []
-        groups: dict[tuple[object, ...], list[Signal]] = {}
-        rest: list[Signal] = []
-        for s in self.signals:
-            if s.sort in self.used:
-                continue
-            role, joint = self._named(s)
-            if joint:
-                groups.setdefault(("named", s.source, role), []).append(s)
-            elif s.meaning.joint:
-                groups.setdefault(("label", s.source, s.meaning.vector), []).append(s)
-            elif len(self.targets) == 1:
-                groups.setdefault(("only", s.source, s.sort), []).append(s)
-            elif s.meaning.index is not None and (s.meaning.entry or s.meaning.role):
-                groups.setdefault(("index", s.source, s.meaning.vector), []).append(s)
-            else:
-                rest.append(s)
-        driven = [t.name for t in self.targets if t.command]
-        names = [t.name for t in self.targets]
-        for (kind, *_), own in groups.items():
-            if kind != "index":
-                while own:  # a joint may have two channels of one name
-                    members = {self._label(s): s for s in reversed(own)}
-                    own = [s for s in own if s not in members.values()]
-                    words = "of the only joint" if kind == "only" else "by its name"
-                    found.append(_Vector(members, words, kind != "only"))
-                continue
-            own = sorted(own, key=lambda s: s.meaning.index or 0)
-            order = next((o for o in (names, driven) if len(o) == len(own)), None)
-            if order is None and len(own) > len(names) and own[0].meaning.role:
-                order = names
-            if order is None:
-                rest += own
-                continue
-            place = {n: s for n, s in zip(order, own, strict=False)}
-            found.append(_Vector(place, "by its place in the vector", True))
-        return found + self._blocks(sorted(rest, key=lambda s: s.sort))
-
-    def _blocks(self, rest: list[Signal]) -> list[_Vector]:
-        """Vectors of channels without telling names: by blocks, and one of each joint in turn."""
-        names, count = [t.name for t in self.targets], len(self.targets)
-        found: list[_Vector] = []
-        for source in dict.fromkeys(s.source for s in rest):
-            own = [s for s in rest if s.source == source and s.meaning.role != "other"]
-            if count < 2 or len(own) < count or len(own) % count:
-                continue
-            parts = len(own) // count
-            for i in range(parts):
-                block = own[i * count : (i + 1) * count]
-                found.append(_Vector(dict(zip(names, block, strict=True)), "in the file's order"))
-                if parts > 1:
-                    turn = own[i::parts]
-                    found.append(_Vector(dict(zip(names, turn, strict=True)), "in turns"))
-        return found
+        return (
+            self.labels.named(s)[0] or s.meaning.role or ("torque" if s.sort in self.loads else "")
+        )
 
     # --------------------------------------------------------------------- positions
 
@@ -243,22 +186,32 @@ class Roles:
             self.pairs[key] = likeness(first.runs, second.runs, self.step)
         return self.pairs[key]
 
+    def _rate(self, s: Signal, other: Signal) -> float:
+        """Correlation of a channel with the derivative of another; 0 where it is no velocity."""
+        if s is other or not is_rate(other.unit, s.unit):
+            return 0.0
+        value, named = abs(rate_likeness(s, other)), self._role(other) == "velocity"
+        sized = named or bool(other.unit) or self._off_unit(s, other) < _UNIT
+        return value if value >= (ALIKE if named else _RATE) and sized else 0.0
+
+    @staticmethod
+    def _off_unit(s: Signal, other: Signal) -> float:
+        """Logarithm by which a channel is off the size of a velocity of another, in all units."""
+        ratio = abs(slope(s.rates[1], other.smooth[1]))
+        sizes = (1.0, 180 / math.pi, math.pi / 180, 30 / math.pi, 1 / 6, 60.0)
+        return min(abs(math.log(max(ratio, 1e-12) / each)) for each in sizes)
+
     def _relation(self, s: Signal, others: Sequence[Signal]) -> tuple[float, str]:
         """What a channel does among the others, for a position, and the words for it."""
         score, words = 0.0, ""
-        rate = max(
-            ((abs(rate_likeness(s, d)), d) for d in others
-             if d is not s and is_rate(d.unit, s.unit)),
-            key=lambda pair: pair[0], default=(0.0, s),
-        )  # fmt: skip
-        is_of = max(
-            (abs(rate_likeness(d, s)) for d in others if d is not s and is_rate(s.unit, d.unit)),
-            default=0.0,
+        rate, other = max(
+            ((self._rate(s, d), d) for d in others), key=lambda pair: pair[0], default=(0.0, s)
         )
-        if rate[0] >= ALIKE and rate[0] > is_of:
-            score += 1.0 + rate[0]
-            words = f"{rate[1].key} is its derivative ({rate[0]:.2f})"
-        elif is_of >= ALIKE:
+        is_of = max((self._rate(d, s) for d in others), default=0.0)
+        if rate > is_of:
+            score += 1.0 + rate
+            words = f"{other.key} is its derivative ({rate:.2f})"
+        elif is_of:
             score -= 3.0
         follows, leads = 0.0, 0.0
         for d in others:
@@ -266,8 +219,12 @@ class Roles:
             if d is s or len(same) > 1 or self._role(d) not in ("", "position", "command"):
                 continue
             like = self._alike(d, s)
-            if like.correlation < ALIKE:
+            told = self._role(d) == "command"
+            if like.correlation < (_TRUSTED if told else ALIKE):
                 continue
+            several = len(self.targets) > 1 and not told and not d.unit
+            if several and closeness(d.runs, s.runs) < _NEAR:
+                continue  # joints that move together lead each other, too
             if like.lag > _TOGETHER * self.step and like.correlation > follows:
                 follows = like.correlation
                 words = words or f"follows {d.key} by {like.lag:.3g} s ({like.correlation:.2f})"
@@ -275,9 +232,10 @@ class Roles:
                 leads = max(leads, like.correlation)
         return score + (2.0 if follows else 0.0) - (2.0 if leads and not follows else 0.0), words
 
-    def _take_positions(self, vectors: Sequence[_Vector]) -> None:
+    def _take_positions(self, vectors: Sequence[Vector]) -> None:
         moving = [s for s in self._free() if s.meaning.role != "other"][:_MOST]
-        scored: list[tuple[float, int, _Vector, dict[str, str]]] = []
+        scored: list[tuple[float, int, Vector, dict[str, str]]] = []
+        relations: dict[int, tuple[float, str]] = {}
         for i, vector in enumerate(vectors):
             own, words = [], {}
             for joint, s in vector.members.items():
@@ -286,17 +244,20 @@ class Roles:
                 ):
                     continue
                 role = self._role(s)
-                score = _PRIOR[role] + (2.0 if self._named(s)[0] == "position" else 0.0)
+                score = _PRIOR[role] + (2.0 if self.labels.named(s)[0] == "position" else 0.0)
                 if not s.moves:
                     continue
                 if role not in ("other", "velocity", "acceleration", "torque", "current"):
-                    relation, words[joint] = self._relation(s, moving)
+                    if s.sort not in relations:
+                        relations[s.sort] = self._relation(s, moving)
+                    relation, words[joint] = relations[s.sort]
                     score += relation
                     if position_scaling(self.joints[joint], s.values, s.unit) is None:
                         score -= 4.0
                 own.append(score)
             if own:
-                scored.append((float(np.mean(own)), -i, vector, words))
+                mean = float(np.mean(own) if vector.given else np.min(own))
+                scored.append((mean, -i, vector, words))
         self._by_dynamics(scored)
         for score, _, vector, words in sorted(scored, key=lambda each: each[:2], reverse=True):
             if score <= 0.5:
@@ -318,29 +279,50 @@ class Roles:
         if self.loose:
             self._by_pairs(moving)
 
-    def _by_dynamics(self, scored: list[tuple[float, int, _Vector, dict[str, str]]]) -> None:
+    def _by_dynamics(self, scored: list[tuple[float, int, Vector, dict[str, str]]]) -> None:
         """Raise vectors for whose motion the model needs the torques of another one."""
         if any(each[0] > 0.5 for each in scored):
             return
-        for n, (score, i, vector, words) in enumerate(scored):
-            if score <= -2.0 or set(vector.members) != set(self.joints):
-                continue
+        full = [each for each in scored if set(each[2].members) == set(self.joints)]
+        best: tuple[Any, ...] = (0.0,)
+        for score, i, vector, words in [each for each in full if each[0] > -2.0]:
             for unit in ("rad", "deg"):
                 factor = unit_named(unit, "").factor
                 motion = {j: [v * factor for v in s.runs] for j, s in vector.members.items()}
-                needed = needed_torques(self.model, motion, self.step)
-                best = max(
-                    (float(np.mean([abs(correlation(needed[j], s.smooth[1]))
-                                    for j, s in other.members.items()]))
-                     for _, _, other, _ in scored
-                     if other is not vector and set(other.members) == set(needed)),
-                    default=0.0,
-                ) if needed else 0.0  # fmt: skip
-                if best > 0.6:
-                    words |= dict.fromkeys(
-                        vector.members, f"the torque for it is there ({best:.2f})"
-                    )
-                    scored[n] = (score + 4 * best, i, vector, words)
+                self.needed = needed_torques(self.model, motion, self.step, self._every(motion))
+                self.rates = {j: [derivative(v, self.step) for v in m] for j, m in motion.items()}
+                whole, _ = self._loads(vector.members)
+                if whole > best[0]:
+                    best = (whole, score, i, vector, words)
+        if len(best) > 1:
+            whole, score, i, vector, words = best
+            why = f"the torque that the model needs for it is in the log ({whole:.2f})"
+            words |= dict.fromkeys(vector.members, why)
+            scored.append((score + 4 * whole, i, vector, words))
+        self.needed, self.rates = {}, {}
+
+    def _loads(self, positions: Mapping[str, Signal]) -> tuple[float, dict[str, Signal]]:
+        """Vector that is most like the torques of positions, and how much; 0 where none is."""
+        best: tuple[float, dict[str, Signal]] = (0.0, {})
+        for other in self.vectors if self.needed else ():
+            own = {j: s for j, s in other.members.items() if j in positions}
+            taken = set(own.values()) & set(positions.values())
+            if taken or len(own) < len(positions) or any(
+                s.sort in self.used or self._role(s) not in ("", "torque") for s in own.values()
+            ):  # fmt: skip
+                continue
+            named = all(self._role(s) == "torque" for s in own.values())
+            told = [self._explained(j, s) for j, s in own.items()]
+            whole, alone = (float(np.mean([t[i] for t in told])) for i in (0, 1))
+            moves = [abs(self._alike(s, positions[j]).correlation) for j, s in own.items()]
+            load = named or (alone > _NAME and float(np.mean(moves)) < whole)
+            if whole > max(0.6, best[0]) and load:
+                best = (whole, own)
+        return best
+
+    def _every(self, motion: Mapping[str, Sequence[Array]]) -> int:
+        """Rows of which one is enough to tell a torque."""
+        return max(1, sum(len(v) for v in next(iter(motion.values()))) // _ROWS)
 
     def _by_pairs(self, moving: Sequence[Signal]) -> None:
         """Positions of channels without telling names, in their order, each with its relation."""
@@ -357,7 +339,7 @@ class Roles:
         free = list(self.targets)
         for place, (s, words) in enumerate(related, 1):
             fitting = [t for t in free if admits(s.unit, "position", slide=t.slide)]
-            own = [t for t in fitting if t.name == self._label(s)] or fitting
+            own = [t for t in fitting if t.name == self.labels.joint(s)] or fitting
             if not own:
                 continue
             free.remove(own[0])
@@ -373,13 +355,15 @@ class Roles:
             s for s in self._free("velocity", "", "position")
             if all(admits(s.unit, "velocity", slide=t.slide) for t in self.targets)
         ]  # fmt: skip
-        table = np.zeros((len(joints), len(candidates)))
+        table, sizes = np.zeros((2, len(joints), len(candidates)))
         for i, joint in enumerate(joints):
             for k, s in enumerate(candidates):
-                if self._named(s)[0] in ("", "velocity"):
-                    table[i, k] = rate_likeness(self.positions[joint][0], s)
+                if self.labels.named(s)[0] in ("", "velocity"):
+                    own = self.positions[joint][0]
+                    table[i, k] = rate_likeness(own, s)
+                    sizes[i, k] = 0.0 if s.unit else min(0.2, self._off_unit(own, s))
         self.speeds: dict[str, tuple[Signal, float]] = {}
-        for i, k in self._assigned(np.abs(table), joints, candidates, "velocity"):
+        for i, k in self._assigned(np.abs(table) - sizes, joints, candidates, "velocity"):
             joint, s, value = joints[i], candidates[k], float(table[i, k])
             named = self._role(s) == "velocity"
             if abs(value) < (_TRUSTED if named else ALIKE):
@@ -395,7 +379,11 @@ class Roles:
                 )
                 continue
             self.speeds[joint] = (s, value)
-            self.used.add(s.sort)
+        bare = [j for j, (s, _) in self.speeds.items() if self._role(s) == "" and not s.unit]
+        if len(bare) < _MOSTLY * len(joints):  # dry friction's torque is like a velocity, too
+            for joint in bare:
+                del self.speeds[joint]
+        self.used |= {s.sort for s, _ in self.speeds.values()}
 
     def _assigned(
         self,
@@ -410,9 +398,9 @@ class Roles:
         worth = strength.copy()
         for i, joint in enumerate(joints):
             for k, s in enumerate(candidates):
-                label = self._label(s)
+                label = self.labels.joint(s)
                 worth[i, k] += _NAME * (self._role(s) == role)
-                worth[i, k] += _NAME * (label == joint) - _NAME * (label not in ("", joint))
+                worth[i, k] += 0.5 * _NAME * ((label == joint) - (label not in ("", joint)))
         rows, columns = linear_sum_assignment(-worth)
         return [(int(i), int(k)) for i, k in zip(rows, columns, strict=True)]
 
@@ -436,7 +424,7 @@ class Roles:
             elif not unit and self.defined.get(s.source):
                 unit, why = self.defined[s.source], "as the format defines"
                 unit = "m" if target.slide else unit
-            elif not unit and not target.slide and common and fits(target, s.low, s.high, common):
+            elif not unit and not target.slide and fits(target, s.low, s.high, common, 0.5):
                 unit, why = common, "fits most joints of the vector"
                 if common == "deg" and np.max(np.abs(s.values)) <= 100:
                     why += "; values normalised to -100..100 would look alike"
@@ -460,11 +448,15 @@ class Roles:
                     f"the model has no sensor for the position of {joint!r}: add "
                     f'<jointpos name="{joint}_position" joint="{joint}"/> to its <sensor>'
                 )
+        self._renew()
+        for joint, (s, value) in self.speeds.items():
+            self._add_velocity(joint, s, value)
+
+    def _renew(self) -> None:
+        """Compute speeds and needed torques of the positions."""
         motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
         self.rates = {j: [derivative(v, self.step) for v in own] for j, own in motion.items()}
         self.needed = needed_torques(self.model, motion, self.step)
-        for joint, (s, value) in self.speeds.items():
-            self._add_velocity(joint, s, value)
 
     def _by_speed(self) -> dict[str, str]:
         """Units of positions that a velocity of stated unit determines."""
@@ -500,31 +492,11 @@ class Roles:
 
     # --------------------------------------------------------------------- torques
 
-    def _explained(self, joint: str, s: Signal) -> tuple[float, float]:
-        """Correlation of a channel with needed torque and friction, and its N·m per unit."""
-        needed, rates = self.needed.get(joint), self.rates.get(joint)
-        if needed is None or rates is None:
-            return 0.0, 0.0
-        rows = [
-            np.stack([n - n.mean(), v, np.tanh(v / (np.std(v) * 0.1 + 1e-9)), c - c.mean()])
-            for n, v, c in zip(needed, rates, s.smooth[1], strict=True)
-            if len(c) == len(n) == len(v) and len(c) > 3
-        ]
-        if not rows:
-            return 0.0, 0.0
-        load, speed, sign, own = np.concatenate(rows, axis=1)
-        if np.std(own) == 0 or np.std(load) == 0:
-            return 0.0, 0.0
-        alone = float(np.corrcoef(load, own)[0, 1])
-        columns = np.stack([load, speed, sign], axis=1)
-        share = np.linalg.lstsq(columns, own, rcond=None)[0]
-        # Friction acts with the motion, as the load does with its own sign.
-        right = share[0] * alone > 0 and share[2] * share[0] >= 0
-        fitted = columns @ share
-        whole = float(np.corrcoef(fitted, own)[0, 1]) if np.std(fitted) > 0 else 0.0
-        value = math.copysign(max(whole, abs(alone)), alone) if right else alone
-        size = abs(share[0]) if right else np.std(own) / np.std(load) * abs(alone)
-        return value, 1 / size if size > 0 else 0.0
+    def _explained(self, joint: str, s: Signal) -> Torque:
+        """What there is of a torque in a channel."""
+        if joint not in self.needed or joint not in self.rates:
+            return Torque()
+        return torque_in(s.smooth[1], self.needed[joint], self.rates[joint])
 
     def _take_torques(self) -> None:
         joints = list(self.positions)
@@ -533,31 +505,52 @@ class Roles:
             s for s in self._free("torque", "current", "")
             if quantity_of(s.unit) in quantities
         ]  # fmt: skip
+        _, loads = self._loads({j: s for j, (s, _, _) in self.positions.items()})
+        self.loads = {s.sort: j for j, s in loads.items()}
+        self.places |= self.loads
         if not self.needed:
             self._torques_by_name(candidates)
             return
+        self.torques = {
+            joint: s
+            for s in candidates
+            if self._role(s) == "torque"
+            and (joint := self.labels.joint(s) or self.places.get(s.sort, "")) in joints
+        }
+        poor = [j for j, s in self.torques.items() if self._explained(j, s).whole < _TRUSTED]
+        labelled = [j for j in joints if self.labels.joint(self.positions[j][0]) == j]
+        self._try_exchange([(a, b) for a in poor for b in labelled if a != b])
         found = [[self._explained(j, s) for s in candidates] for j in joints]
-        table = np.array([[abs(value) for value, _ in row] for row in found]).reshape(
-            len(joints), len(candidates)
-        )
+        named = [self._role(s) in ("torque", "current") for s in candidates]
+        table = np.array(
+            [[abs(t.whole if named[k] else t.alone) for k, t in enumerate(row)] for row in found]
+        ).reshape(len(joints), len(candidates))
+        chosen: list[tuple[JointTarget, Signal, Torque, bool]] = []
         for i, k in self._assigned(table, joints, candidates, "torque"):
-            joint, s = joints[i], candidates[k]
-            value, per = found[i][k]
-            target, named = self.joints[joint], self._role(s) in ("torque", "current")
-            if abs(value) < (_TRUSTED if named else 0.6):
-                if named:
-                    self.why[s.sort] = (
-                        f"correlation {value:.2f} with the torque that the model needs at {joint!r}"
-                    )
-                continue
+            joint, s, told = joints[i], candidates[k], found[i][k]
             motion = abs(self._alike(s, self.positions[joint][0]).correlation)
-            if not named and motion > table[i, k]:
-                continue
-            self._add_torque(target, s, value, per, named)
+            if named[k] and table[i, k] < _TRUSTED:
+                self.why[s.sort] = (
+                    f"correlation {told.whole:.2f} with the torque that the model needs at "
+                    f"{joint!r}, and friction"
+                )
+            elif named[k]:
+                chosen.append((self.joints[joint], s, told, True))
+            elif table[i, k] > max(0.6, motion):
+                chosen.append((self.joints[joint], s, told, False))
+        bare = sum(not own for *_, own in chosen)
+        self.sure = {
+            ("loads",) if s.sort in self.loads else (s.source, s.meaning.vector)
+            for _, s, told, _ in chosen
+            if abs(told.alone) >= _TRUSTED and 1 / _SAME_UNIT < told.per < _SAME_UNIT
+        }
+        for target, s, told, own in chosen:
+            if own or 2 * bare >= len(joints):  # one of many without a name is chance
+                self._add_torque(target, s, told, named=own)
 
     def _torques_by_name(self, candidates: Sequence[Signal]) -> None:
         for s in candidates:
-            joint = self._label(s)
+            joint = self.labels.joint(s)
             stated = quantity_of(s.unit) in ("torque", "force")
             if joint and self.joints[joint].torque and (
                 stated or (self._role(s) == "torque" and self.defined.get(s.source))
@@ -565,13 +558,14 @@ class Roles:
                 words = f"torque of {joint!r} by its name; the model's cannot be computed"
                 self._add(self.joints[joint].torque, s, Scaling(s.unit), 1, words)
 
-    def _add_torque(
-        self, target: JointTarget, s: Signal, value: float, per: float, named: bool
-    ) -> None:
-        sign, slide = -1 if value < 0 else 1, target.slide
+    def _add_torque(self, target: JointTarget, s: Signal, told: Torque, *, named: bool) -> None:
+        value, per = (told.whole if named else told.alone), told.per
+        sign = -1 if value < 0 else 1
         words = f"correlation {value:.2f} with the torque that the model needs, and friction"
         current = quantity_of(s.unit) == "current" or self._role(s) == "current"
-        unit = "N" if slide else "N*m"
+        unit = "N" if target.slide else "N*m"
+        stated = quantity_of(s.unit) in ("torque", "force")
+        near = 1 / _SAME_UNIT < per < _SAME_UNIT
         self.used.add(s.sort)
         if current:
             self._open(
@@ -579,21 +573,22 @@ class Roles:
                 f"{words}; a current [A]: give the torque constant and gear as scale [N·m/A]; "
                 f"{per * abs(value):.4g} fits the torque that the model needs", sign,
             )  # fmt: skip
-            return
-        factor = unit_named(s.unit, "").factor if quantity_of(s.unit) in ("torque", "force") else 1
-        ratio = per / factor
-        free = target.drive == "torque" and target.command and self._role(s) == ""
-        stated = quantity_of(s.unit) in ("torque", "force")
-        if free and target.command not in self.lines and 1 / _SAME_UNIT < ratio < _SAME_UNIT:
-            self.commands[target.name] = s
-            self._add(target.command, s, Scaling(""), sign, words, "the command of its motor")
-        elif stated or 1 / _SAME_UNIT < ratio < _SAME_UNIT:
+        elif stated or near or self._told_beside(s):
             self._add(target.torque, s, Scaling(s.unit or unit), sign, words)
+        elif named and abs(told.alone) < _TRUSTED:
+            why = f"{words}; mostly friction, which does not tell its unit: give it"
+            self._open(target.torque, s, Scaling(unit), why, sign)
         else:
             self._open(
                 target.torque, s, Scaling(unit, per),
                 f"{words}; {per:.4g} times it would be that torque [{unit}]: a current?", sign,
             )  # fmt: skip
+
+    def _told_beside(self, s: Signal) -> bool:
+        """Whether the unit of a torque is its format's, or is told by others of its vector."""
+        defined = bool(self.defined.get(s.source)) and self._role(s) == "torque"
+        vector = ("loads",) if s.sort in self.loads else (s.source, s.meaning.vector)
+        return defined or vector in self.sure
 
     # --------------------------------------------------------------------- commands
 
@@ -605,7 +600,7 @@ class Roles:
         signal, scaling, _ = self.positions[target.name]
         return scaling.si(signal.runs) if target.drive == "position" else self.rates[target.name]
 
-    def _take_commands(self, vectors: Sequence[_Vector]) -> None:
+    def _take_commands(self) -> None:
         motion = {
             t.name: own
             for t in self.targets
@@ -626,18 +621,21 @@ class Roles:
                 like = likeness(s.runs, motion[joint], self.step)
                 likes[i, k] = like
                 table[i, k] = like.correlation
-        places = {s.sort: j for v in vectors for j, s in v.members.items() if v.given}
-        order = {k: places.get(s.sort, "") for k, s in enumerate(candidates)}
-        table_by_place = table + np.array(
+        near = np.array(
+            [[closeness(s.runs, self.positions[j][0].runs) if j in self.positions else 0.0
+              for s in candidates] for j in joints]
+        ).reshape(table.shape)  # fmt: skip
+        order = {k: self.places.get(s.sort, "") for k, s in enumerate(candidates)}
+        table_by_place = np.where(table > 0, table, -0.5 * table) * (1 + _NAME * near) + np.array(
             [[0.1 * (order[k] == joint) for k in range(len(candidates))] for joint in joints]
         ).reshape(table.shape)
-        for i, k in self._assigned(np.abs(table_by_place), joints, candidates, "command"):
+        for i, k in self._assigned(table_by_place, joints, candidates, "command"):
             if (i, k) in likes:
                 self._take_command(joints[i], candidates[k], likes[i, k])
         self._exchanged()
         for joint, s in self.commands.items():
             if joint in self.positions or self.joints[joint].drive == "torque":
-                self._add_command(joint, s, motion, places)
+                self._add_command(joint, s, motion)
 
     def _commands(self, s: Signal, target: JointTarget) -> bool:
         """Whether a channel may be what the actuator of a joint takes, by its name and unit."""
@@ -649,7 +647,7 @@ class Roles:
         told = of in ("", "command", target.drive) or (of == "current" and target.drive == "torque")
         if target.drive == "torque" and quantity in ("angle", "length"):
             return False
-        return own[target.drive] and told and self._named(s)[0] in ("", "command")
+        return own[target.drive] and told and self.labels.named(s)[0] in ("", "command")
 
     def _take_command(self, joint: str, s: Signal, like: Likeness) -> None:
         named = self._role(s) == "command"
@@ -658,7 +656,7 @@ class Roles:
             column = self.joints[joint].command
             why = f"{words}: the joint moves against it, so it is none, unless its sign is reversed"
             self._open(column, s, Scaling(s.unit), why, -1)
-        elif like.correlation < (_TRUSTED if named else ALIKE):
+        elif like.correlation < (_WEAK if named else ALIKE):
             self.why[s.sort] = f"{words}: no command"
         elif like.lag < -_LAGS * self.step and self.joints[joint].drive != "torque":
             self.why[s.sort] = f"{words}, but it lags by {-like.lag:.3g} s: no command"
@@ -670,37 +668,57 @@ class Roles:
 
     def _exchanged(self) -> None:
         """Try the permutation where commands and motions are crossed between two joints."""
-        label = {j: self._label(s) for j, s in self.commands.items()}
-        for one, other in [(a, b) for a in label for b in label if a < b]:
-            if label[one] != other or label[other] != one or len(self.targets) < 2:
-                continue
-            crossed, straight = (
-                self._torque_agreement(one, other, exchanged=True),
-                (self._torque_agreement(one, other, exchanged=False)),
-            )
-            if crossed > straight + 0.1:
+        label = {j: self.labels.joint(s) for j, s in self.commands.items()}
+        crossed = [(a, b) for a in label for b in label if a < b and (label[a], label[b]) == (b, a)]
+        for pair in crossed:
+            gain = self._try_exchange([pair])
+            if -_CLEAR < gain <= _GAIN and all(self.commands[j].meaning.joint for j in pair):
                 words = (
-                    f"exchanged with that of the other of {one!r} and {other!r}: the commands' "
-                    f"motions, and the torques that the model needs agree so ({crossed:.2f}, "
-                    f"{straight:.2f} as named)"
+                    f"either the commands or the states of {pair[0]!r} and {pair[1]!r} are "
+                    "exchanged, and the model's torques do not tell which: check"
                 )
-                self._swap(one, other, words)
+                for joint in pair:
+                    s = self.commands.pop(joint)
+                    self._open(self.joints[joint].command, s, Scaling(s.unit), words)
 
-    def _torque_agreement(self, one: str, other: str, *, exchanged: bool) -> float:
-        """Correlation of needed torques with the servos' at two joints, with states exchanged."""
+    def _try_exchange(self, pairs: Sequence[tuple[str, str]]) -> float:
+        """Exchange the states of the pair of joints with which the torques agree best.
+
+        Returns by how much they agree better so.
+        """
+        if not pairs:
+            return 0.0
+        straight = self._agreement(None)
+        gained, pair = max((self._agreement(pair), pair) for pair in pairs)
+        if gained > straight + _GAIN:
+            self._swap(
+                *pair,
+                f"the states of {pair[0]!r} and {pair[1]!r} are exchanged: the torques that the "
+                f"model needs agree with the log by {gained:.2f}, and by {straight:.2f} as named",
+            )
+        return gained - straight
+
+    def _agreement(self, exchanged: tuple[str, str] | None) -> float:
+        """Mean agreement of needed torques with those measured, or with the servos' errors."""
         motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
         commands = {j: self._command_si(j, s) for j, s in self.commands.items()}
-        if exchanged:
-            motion[one], motion[other] = motion[other], motion[one]
-            commands[one], commands[other] = commands[other], commands[one]
-        needed = needed_torques(self.model, motion, self.step)
-        if not needed:
-            return 0.0
+        for table in (motion, commands) if exchanged else ():
+            one, other = exchanged or ("", "")
+            if one in table and other in table:
+                table[one], table[other] = table[other], table[one]
+        before = self.needed, self.rates
+        every = self._every(motion)
+        self.needed = needed_torques(self.model, motion, self.step, every)
+        self.rates = {j: [derivative(v, self.step) for v in own] for j, own in motion.items()}
         found = []
-        for joint in (one, other):
-            gaps = [c - q for c, q in zip(commands[joint], motion[joint], strict=True)]
-            found.append(correlation(gaps, needed[joint]))
-        return float(np.mean(found))
+        for joint in motion if self.needed else ():
+            if joint in self.torques:
+                found.append(self._explained(joint, self.torques[joint]).whole)
+            elif joint in commands and self.joints[joint].drive == "position":
+                gaps = [c - q for c, q in zip(commands[joint], motion[joint], strict=True)]
+                found.append(torque_in(gaps, self.needed[joint], self.rates[joint]).apart)
+        self.needed, self.rates = before
+        return float(np.mean(found)) if found else 0.0
 
     def _command_si(self, joint: str, s: Signal) -> list[Array]:
         own = self.positions.get(joint)
@@ -719,20 +737,20 @@ class Roles:
                 first, second = self.lines[a], self.lines[b]
                 self.lines[a] = replace(second, column=a, reason=f"{second.reason}; {words}")
                 self.lines[b] = replace(first, column=b, reason=f"{first.reason}; {words}")
+        self._renew()
 
     def _add_command(
         self,
         joint: str,
         s: Signal,
         motion: Mapping[str, list[Array]],
-        places: Mapping[int, str],
     ) -> None:
         target = self.joints[joint]
         if target.command in self.lines:
             return
         like = likeness(s.runs, motion[joint], self.step)
         words = f"correlation {like.correlation:.2f}, the joint follows it by {like.lag:.3g} s"
-        there = places.get(s.sort, "")
+        there = self.places.get(s.sort, "")
         if there not in ("", joint):
             words = f"{joint!r} follows it, not {there!r} as by its name or place; {words}"
         scaling = Scaling(s.unit)
@@ -777,66 +795,30 @@ class Roles:
     # --------------------------------------------------------------------- the rest
 
     def _take_still(self) -> None:
-        """Joints at rest: constant positions and commands beside channels that move."""
+        """Joints at rest: constant positions and commands beside others of their vector."""
         for s in self.signals:
-            if s.sort in self.used or s.moves or not s.values.size:
+            if not s.moves and s.values.size:
+                self.why[s.sort] = f"constant, {s.values[0]:.6g}"
+        for vector in self.vectors:
+            lines = {line.candidate.sort: line for line in self.lines.values()}
+            own = [lines[s.sort] for s in vector.members.values() if s.sort in lines]
+            if not own or not vector.given:
                 continue
-            joint, role = self._place_of_still(s)
-            self.why[s.sort] = f"constant, {s.values[0]:.6g}"
-            if not joint:
+            command = own[0].column.startswith("ctrl.")
+            if not command and all(own[0].column != t.position for t in self.targets):
                 continue
-            target = self.joints[joint]
-            if role == "position" and target.position and target.position not in self.lines:
-                beside = self._beside(s, target.command)
-                if beside is None or not beside.moves:
-                    scaling = self._scaling_beside(s, target)
+            for joint, s in vector.members.items():
+                target = self.joints[joint]
+                column = target.command if command else target.position
+                rival = self.lines.get(target.position if command else target.command)
+                if s.moves or not s.values.size or not column or column in self.lines:
+                    continue
+                if rival is None or not rival.candidate.moves:
+                    plain = own[0].scaling.scale == 1.0
+                    scaling = Scaling(own[0].scaling.unit) if plain else (
+                        normalised_scaling(target, s.values))  # fmt: skip
                     if scaling is not None:
-                        self._add(target.position, s, scaling, 1, f"{joint!r} is at rest")
-            elif role == "command" and target.command and target.command not in self.lines:
-                own = self.positions.get(joint)
-                if own is None or not own[0].moves:
-                    scaling = self._scaling_beside(s, target)
-                    if scaling is not None:
-                        self._add(target.command, s, scaling, 1, f"{joint!r} is held at rest")
-
-    def _place_of_still(self, s: Signal) -> tuple[str, str]:
-        """Joint and role of a channel that rests, by the vector whose other channels have one."""
-        for line in self.lines.values():
-            c = line.candidate
-            if c.source == s.source and c.meaning.vector == s.meaning.vector and c is not s:
-                role = (
-                    "command"
-                    if line.column.startswith("ctrl.")
-                    else (
-                        "position" if any(t.position == line.column for t in self.targets) else ""
-                    )
-                )
-                label = self._label(s)
-                if not label and s.meaning.index is not None and c.meaning.index is not None:
-                    names = [t.name for t in self.targets]
-                    mine = next(
-                        t.name
-                        for t in self.targets
-                        if line.column in (t.position, t.command, t.velocity, t.torque)
-                    )
-                    at = names.index(mine) + s.meaning.index - c.meaning.index
-                    label = names[at] if 0 <= at < len(names) else ""
-                if label and role:
-                    return label, role
-        return "", ""
-
-    def _beside(self, s: Signal, column: str) -> Signal | None:
-        return self.lines[column].candidate if column in self.lines else None
-
-    def _scaling_beside(self, s: Signal, target: JointTarget) -> Scaling | None:
-        """Scaling of the vector's other channels."""
-        for line in self.lines.values():
-            c = line.candidate
-            if c.source == s.source and c.meaning.vector == s.meaning.vector:
-                if line.scaling.scale == 1.0:
-                    return Scaling(line.scaling.unit)
-                return normalised_scaling(target, s.values)
-        return None
+                        self._add(column, s, scaling, 1, f"{joint!r} is at rest")
 
     def _take_tool(self) -> None:
         """The model's only accelerometer and gyro, by names of axes, units and size."""
@@ -876,7 +858,7 @@ class Roles:
             if abs(like.correlation) < 0.995 or self._role(s) != "other":
                 scores.append((abs(like.correlation), f"the motion of {joint!r}"))
             scores.append((abs(rate_likeness(p, s)), f"the velocity of {joint!r}"))
-            scores.append((abs(self._explained(joint, s)[0]), f"the torque of {joint!r}"))
+            scores.append((abs(self._explained(joint, s).alone), f"the torque of {joint!r}"))
         scores.sort(reverse=True)
         named = f"by its name of another quantity ({s.meaning.role})" if s.meaning.role else (
             "no role")  # fmt: skip

@@ -73,7 +73,7 @@ def is_rate(unit: str, of: str) -> bool:
 
 
 def position_scaling(
-    joint: JointTarget, values: Array, unit: str = "", why: str = "as given"
+    joint: JointTarget, values: Array, unit: str = "", why: str = ""
 ) -> Scaling | None:
     """Scaling of a position; None where no unit fits, or the stated one is of another quantity."""
     units = ("m", "mm") if joint.slide else ("rad", "deg")
@@ -89,7 +89,7 @@ def position_scaling(
         return None if found is None else _because(found, seen, about)
     fitting = [each for each in units if fits(joint, low, high, each)]
     other = stated == quantity_of(units[0]) and unit not in units  # such as cm or mrad
-    if other or (unit in units and (unit in fitting or not fitting or why == "as stated")):
+    if other or (unit in units and (unit in fitting or not fitting or why)):
         note = "" if fits(joint, low, high, unit) else ", which they exceed"
         return Scaling(unit, reason=f"{unit} {why}; {seen}, {about}{note}")
     if fitting:
@@ -113,18 +113,24 @@ def position_scaling(
 
 
 def group_unit(joints: Sequence[JointTarget], values: Sequence[Array]) -> str:
-    """Unit of an angle that fits most hinges of a vector; "" where none does.
+    """Unit of an angle that fits the hinges of a vector best; "" where there are none.
 
-    Radians are taken where both fit all alike: values within a turn are more often radians than
-    a few degrees.
+    In each unit the largest value is a share of the joint's limit. Beyond the limit it speaks
+    against the unit, the more the farther; far below it speaks against it too, but never by more
+    than a joint at rest is worth.
     """
+    against = {"rad": 0.0, "deg": 0.5}
     hinges = [(j, v) for j, v in zip(joints, values, strict=True) if not j.slide]
-    counts = {
-        unit: sum(fits(j, float(np.min(v)), float(np.max(v)), unit) for j, v in hinges)
-        for unit in ("rad", "deg")
-    }
-    best = max(counts, key=lambda each: counts[each])
-    return best if hinges and counts[best] else ""
+    for joint, own in hinges:
+        low, high = float(np.min(own)), float(np.max(own))
+        end = _TURNS if joint.limits is None else max(map(abs, joint.limits))
+        for unit in against:
+            share = max(abs(low), abs(high), 1e-9) * unit_named(unit, "").factor / max(end, 1e-9)
+            if not fits(joint, low, high, unit):
+                against[unit] += 2.0 + 2.0 * math.log(max(share, 1.0))
+            elif joint.limits is not None:
+                against[unit] += min(2.0, 0.5 * (math.log(share / 0.5) / 1.2) ** 2)
+    return min(against, key=lambda each: against[each]) if hinges else ""
 
 
 def normalised_scaling(joint: JointTarget, values: Array) -> Scaling | None:
@@ -156,12 +162,12 @@ def rate_unit(ratio: float, slide: bool) -> str:
     return best if away[best] < math.log(_NEAR) else ""
 
 
-def fits(joint: JointTarget, low: float, high: float, unit: str) -> bool:
-    """Return whether values in a unit lie within a joint's limits, and a margin."""
+def fits(joint: JointTarget, low: float, high: float, unit: str, margin: float = _MARGIN) -> bool:
+    """Return whether values in a unit lie within a joint's limits, and a share of them beyond."""
     factor = unit_named(unit, "").factor
     if joint.limits is None:
         return max(abs(low), abs(high)) * factor <= (1.0 if joint.slide else _TURNS)
-    margin = _MARGIN * (joint.limits[1] - joint.limits[0])
+    margin = margin * (joint.limits[1] - joint.limits[0])
     return joint.limits[0] - margin <= low * factor and high * factor <= joint.limits[1] + margin
 
 

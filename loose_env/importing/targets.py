@@ -101,9 +101,11 @@ def tool_sensors(
 
 
 def needed_torques(
-    model: mujoco.MjModel, joints: Mapping[str, Sequence[Array]], step: float
+    model: mujoco.MjModel, joints: Mapping[str, Sequence[Array]], step: float, every: int = 1
 ) -> dict[str, list[Array]]:
     """Torques that the model needs for a measured motion [N·m or N], by joint and run.
+
+    Those of each so many rows, where ``every`` is more than 1.
 
     Positions are averaged over nine samples before they are differentiated. Joints that follow
     another by an equality move with it. Empty where the motion of a joint is not known, or where
@@ -141,8 +143,11 @@ def needed_torques(
         position = np.asarray(ndimage.uniform_filter1d(position, SMOOTHED, axis=0))
         velocity = np.gradient(position, step, axis=0)
         acceleration = np.gradient(velocity, step, axis=0)
+        position, velocity, acceleration = (
+            each[::every] for each in (position, velocity, acceleration)
+        )
         torque = np.empty_like(position)
-        for i in range(length):
+        for i in range(len(position)):
             data.qpos[:], data.qvel[:], data.qacc[:] = position[i], velocity[i], acceleration[i]
             mujoco.mj_inverse(model, data)
             torque[i] = data.qfrc_inverse

@@ -339,6 +339,11 @@ def _split(path: Path, name: str, layout: CsvLayout) -> _Head | None:
         off = 1 if width > 3 else 0  # names may lack one, or end with a separator
         above = [j for j in range(i) if abs(len(lines[j][1]) - width) <= off]
         above = [j for j in above if not _count(lines[j][1], layout)]
+        counted = [[str(k + n) for k in range(width)] for n in (0, 1)]
+        broken = any("." in cell for cell in lines[i + 1][1]) if i + 1 < len(lines) else False
+        if not above and [cell.strip() for cell in row] in counted and broken:
+            above, i = [i], i + 1  # columns that were given numbers for names
+            rows = rows[1:]
         if not above:
             names = _recipe(width) if layout.separator in " ," else ()
             layout = replace(layout, skip=lines[i][0] - 1, header=False, names=names)
@@ -351,10 +356,11 @@ def _split(path: Path, name: str, layout: CsvLayout) -> _Head | None:
 
 
 def _count(row: list[str], layout: CsvLayout) -> int:
-    """Number of cells that are numbers or vectors of them."""
+    """Numbers in cells, those of a vector in one cell each."""
     return sum(
-        bool(_VECTOR.fullmatch(cell))
-        or (bool(cell.strip()) and _numbers_of([cell], layout) is not None)
+        cell.count(",") + 1
+        if _VECTOR.fullmatch(cell)
+        else bool(cell.strip()) and _numbers_of([cell], layout) is not None
         for cell in row
     )
 

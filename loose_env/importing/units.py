@@ -67,7 +67,7 @@ def _table() -> dict[str, Unit]:
             "in/s^2": 0.0254,
         },
         "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180},
-        "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": 4.4482216152605},
+        "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": 4.4482216152605, "kip": 4448.2216152605},
         "torque": {
             "N*m": 1.0,
             "mN*m": 1e-3,
@@ -212,7 +212,7 @@ def unit_in(name: str) -> str:
     """
     for pattern in (_MARKED, _TAILED):
         found = pattern.search(name)
-        if found is None or _plain(found.group(1)) not in UNITS:
+        if found is None or _plain(found.group(1)) not in UNITS or found.group(1).isdigit():
             continue
         # One letter after an underscore is more often an axis or a number than a unit.
         if pattern is _MARKED or len(found.group(1)) > 1:

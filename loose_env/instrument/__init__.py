@@ -7,7 +7,7 @@ Data flow: arm, controllers -> signals -> records -> motion -> knocks -> locate,
 from loose_env.instrument.arm import BOLTS, GEARS, PoseModel, SuspectArm, place_name, read_arm
 from loose_env.instrument.controllers import PRESETS, Controller, Preset, preset
 from loose_env.instrument.decide import Numbers
-from loose_env.instrument.pipeline import DiagnoseSettings, diagnose
+from loose_env.instrument.pipeline import DiagnoseSettings, Evidence, diagnose, judge, listen
 from loose_env.instrument.plan import (
     MODEL,
     PLAN,
@@ -42,6 +42,7 @@ __all__ = [
     "Controller",
     "DiagnoseSettings",
     "Diagnosis",
+    "Evidence",
     "Numbers",
     "Place",
     "PlaceVerdict",
@@ -58,6 +59,8 @@ __all__ = [
     "commands_of",
     "diagnose",
     "is_tested_share",
+    "judge",
+    "listen",
     "next_number",
     "place_name",
     "plan",

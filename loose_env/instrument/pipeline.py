@@ -26,7 +26,7 @@ from loose_env.instrument.locate import (
 from loose_env.instrument.motion import Gears, fit_gears
 from loose_env.instrument.plan import Plan, read_plan
 from loose_env.instrument.poses import is_tested_share, tested_share
-from loose_env.instrument.records import GRID, Record, Unusable, exchanged
+from loose_env.instrument.records import GRID, Record, Unusable, exchanged, followed_hz
 from loose_env.instrument.reference import Change, change, pairs
 from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
 from loose_env.instrument.signals import Multisine
@@ -107,9 +107,40 @@ def diagnose(
     >>> found.headline  # doctest: +SKIP
     'The seat of link forearm is loose.'
     """
-    started = time.process_time()
     own = settings or DiagnoseSettings()
     limits = replace(numbers or decide.Numbers(), sure=own.sure)
+    return judge(listen(recording, own, plan=plan, say=say), limits)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evidence:
+    """What a session says before anything is decided."""
+
+    recording: Recording
+    plan: Plan
+    arm: SuspectArm
+    session: _Session
+    exchanged: tuple[str, ...]
+    """Columns that are not what they are called, in sentences."""
+    started: float
+    """Processor time at which it was begun [s]."""
+    gears: Gears | None = None
+    heard: Heard | None = None
+    rhythm: Rhythm | None = None
+    """None, as the two before, where too few runs can be used or columns are exchanged."""
+    change: Change | None = None
+    """Against the healthy session; None without."""
+
+
+def listen(
+    recording: Recording,
+    settings: DiagnoseSettings,
+    *,
+    plan: Plan | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> Evidence:
+    """Read a session, follow the loads of every place, and compare with what rang."""
+    started = time.process_time()
     plan, arm = plan or read_plan(recording.folder), read_arm(recording.model_path)
     if plan.joints != arm.joints:
         raise InvalidData(
@@ -117,27 +148,39 @@ def diagnose(
             f"has {', '.join(arm.joints)}; give the recording the plan that it was played by"
         )
     signal = plan.signal.signal
-    session = _read(arm, recording, plan, own)
-    done = _Finished(recording, plan, limits, session, started)
-    if len(session.suspect) < decide.FEWEST_POSES:
-        return done.unread(arm)
-    twisted = exchanged(session.suspect, signal, arm.joints)
-    if twisted:
-        return done.refused(arm, twisted)
-
+    session = _read(arm, recording, plan, settings)
+    enough = len(session.suspect) >= decide.FEWEST_POSES
+    twisted = exchanged(session.suspect, signal, arm.joints) if enough else ()
+    found = Evidence(
+        recording=recording, plan=plan, arm=arm, session=session, exchanged=twisted, started=started
+    )
+    if twisted or not enough:
+        return found
     models = [arm.at(record.pose) for record in session.suspect]
     say(f"fitting {arm.n} gears from encoders to tool by {len(models)} runs")
     gears, compared = _gears(arm, session, models, signal)
     heard = hear(arm, session.suspect, models, gears, signal, healthy=session.healthy or None)
     say(f"following the loads of {len(arm.places)} places")
     rhythm = rhythm_of(heard, knocks.sphere(knocks.DIRECTIONS))
+    session = replace(session, remarks=session.remarks + _short(session, plan))
+    return replace(found, session=session, gears=gears, heard=heard, rhythm=rhythm, change=compared)
+
+
+def judge(found: Evidence, numbers: decide.Numbers) -> Diagnosis:
+    """Decide what the evidence of a session means."""
+    arm, session = found.arm, found.session
+    done = _Finished(found.recording, found.plan, numbers, session, found.started)
+    if found.exchanged:
+        return done.refused(arm, found.exchanged)
+    if found.rhythm is None or found.heard is None or found.gears is None:
+        return done.unread(arm)
     steady = decide.repeats(session.suspect)
-    alarm = decide.detect(rhythm, limits, change=compared, repeats=steady)
+    alarm = decide.detect(found.rhythm, numbers, change=found.change, repeats=steady)
     scores = decide.score(
-        arm, rhythm, session.suspect, gears,
-        numbers=limits, change=compared, healthy=session.healthy or None,
+        arm, found.rhythm, session.suspect, found.gears,
+        numbers=numbers, change=found.change, healthy=session.healthy or None,
     )  # fmt: skip
-    return done.judged(arm, heard, rhythm, alarm, scores, gears)
+    return done.judged(arm, found.heard, found.rhythm, alarm, scores, found.gears)
 
 
 def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettings) -> _Session:
@@ -187,6 +230,23 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
         healthy=tuple(healthy),
         runs=tuple(runs),
         remarks=tuple(remarks),
+    )
+
+
+def _short(session: _Session, plan: Plan) -> tuple[str, ...]:
+    """Remark on joints that did not follow their commands up to the highest line."""
+    peaks = {Path(run.file).stem: run.peak for run in plan.runs}
+    played = [r for r in session.suspect if Path(r.name).stem in peaks]
+    if not played or plan.settings.limits.commands == "torque":
+        return ()
+    own = [peaks[Path(r.name).stem] for r in played]
+    band = followed_hz(played, own, plan.signal.signal, plan.joints)
+    if not band:
+        return ()
+    lowest = min(band.values())
+    return (
+        f"{', '.join(band)} followed less than half of the command above {lowest:g} Hz: a plan "
+        f"with --bandwidth-hz {lowest:g} shakes harder below it",
     )
 
 

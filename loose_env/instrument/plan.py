@@ -135,15 +135,17 @@ class Lines:
     silent: tuple[int, ...]
     phases: tuple[tuple[float, ...], ...]
     crest: tuple[float, ...]
+    tail_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Check."""
         phases = [phase for row in self.phases for phase in row]
-        numbers = (self.period_s, self.lead_s, *self.crest, *phases)
+        numbers = (self.period_s, self.lead_s, self.tail_s, *self.crest, *phases)
         lines = (*self.excited, *self.silent)
         if not (
             np.isfinite(numbers).all()
             and min(self.period_s, self.lead_s, *self.crest) > 0
+            and self.tail_s >= 0
             and self.periods >= FEWEST_PERIODS
             and self.excited
             and min(lines) > 0
@@ -163,6 +165,7 @@ class Lines:
             period_s=signal.period_s,
             periods=signal.periods,
             lead_s=signal.lead_s,
+            tail_s=signal.tail_s,
             excited=tuple(signal.excited.tolist()),
             silent=tuple(signal.silent.tolist()),
             phases=tuple(tuple(row) for row in signal.phases.round(6).tolist()),
@@ -176,6 +179,7 @@ class Lines:
             period_s=self.period_s,
             periods=self.periods,
             lead_s=self.lead_s,
+            tail_s=self.tail_s,
             excited=np.array(self.excited, dtype=np.intp),
             silent=np.array(self.silent, dtype=np.intp),
             phases=np.array(self.phases),
@@ -261,8 +265,8 @@ def plan(
     --------
     >>> from loose_env.arms import SIX_AXIS_SERVO_ARM
     >>> made, arm = plan(SIX_AXIS_SERVO_ARM, PlanSettings(controller="ros2_jtc", poses=3))
-    >>> len(made.runs), made.seconds, arm.joints[0]
-    (3, 15.0, 'joint1')
+    >>> len(made.runs), round(made.seconds, 1), arm.joints[0]
+    (3, 16.8, 'joint1')
     """
     own = settings or PlanSettings()
     arm = read_arm(

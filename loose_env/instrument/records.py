@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,8 @@ _LOUD = 3.0
 """Energy of the top band over its floor from which there is a rhythm to repeat [1]."""
 _SWELLS = 0.65
 """Share of the lead that is left when the swelling motion is seen [1]."""
+_SEEN = 0.1
+"""Share of a period by which the end of motion is seen too early, at most [1]."""
 _AGREES = 0.7
 """Mean agreement of the columns with their own commands from which they are theirs [1]."""
 _SHORT = 0.02
@@ -138,17 +140,12 @@ def read_run(
             "take a larger range, or plan with lower --levels",
         )
     start, end = window
-    lead = _SWELLS * signal.lead_s
-    periods = int((end - start - lead + 0.03 * signal.period_s) / signal.period_s)
-    periods = min(periods, signal.periods)
-    top = int(signal.excited.max()) + 4
+    guess, top = start + _SWELLS * signal.lead_s, int(signal.excited.max()) + 4
+    periods = min(int((end - guess) / signal.period_s), signal.periods)
     if periods >= FEWEST_PERIODS:
-        first = end - (periods + 0.01) * signal.period_s
-        first = _in_phase(t, q, first, periods, top, signal)
-        if first < 0:
-            first, periods = first + signal.period_s, periods - 1
-        if first + (periods - _SHORT) * signal.period_s > t[-1]:
-            periods -= 1
+        first = _in_phase(t, q, guess, periods, top, signal)
+        moved, logged = (np.array([end, t[-1]]) - first) / signal.period_s
+        periods = min(int(moved + _SEEN), int(logged + _SHORT), signal.periods)
     if periods < FEWEST_PERIODS:
         return useless(
             f"the joints move for {end - start:.2g} s; the signal lasts {signal.seconds:.2g} s",
@@ -302,6 +299,34 @@ def _ringing(
     least = each.min(0)
     kept = least if foreign else median
     return kept, float(least.mean()), floor, covariance, repeats, foreign
+
+
+def followed_hz(
+    records: Sequence[Record], peaks: Sequence[Mapping[str, float]], signal: Multisine,
+    joints: tuple[str, ...],
+) -> dict[str, float]:  # fmt: skip
+    """Highest line that each joint followed by half its command, where lines above it fell short.
+
+    Parameters
+    ----------
+    peaks : sequence of mapping
+        Peak acceleration of each joint that was played, by record [rad/s², m/s²].
+    """
+    shares = [
+        np.abs(record.joints[signal.excited])
+        / np.maximum([peak[j] for j in joints] / signal.crest, 1e-12)
+        for record, peak in zip(records, peaks, strict=True)
+    ]
+    short = np.median(shares, 0) < _FOLLOWS
+    found = {}
+    for name, each in zip(joints, short.T, strict=True):
+        if each[-1] and not each.all():
+            found[name] = float(signal.hertz[np.flatnonzero(~each)[-1]])
+    return found
+
+
+_FOLLOWS = 0.5
+"""Share of its command by which a joint follows a line: 6 dB, the usual end of a bandwidth [1]."""
 
 
 def exchanged(

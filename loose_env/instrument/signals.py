@@ -19,7 +19,8 @@ _SPARE = 0.6
 """Share of the torque left beside the static load that a line sum's peak may ask for [1]: rotors
 and friction, which a rigid model lacks, take the rest."""
 _FADE_S = 0.6
-"""Time over which the signal swells [s]: shorter, its slope adds to the peak acceleration."""
+"""Time over which the signal swells, and in which it ebbs away at the end [s]: shorter, its slope
+adds to the peak acceleration."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,6 +33,8 @@ class Multisine:
     """Whole periods played after the lead."""
     lead_s: float
     """Time before them in which the signal swells and the arm settles into it [s]."""
+    tail_s: float
+    """Time after them in which it ebbs away [s]: no controller can stop at once."""
     excited: IndexArray
     """Excited lines, as multiples of the inverse period (K,)."""
     silent: IndexArray
@@ -49,7 +52,7 @@ class Multisine:
     @property
     def seconds(self) -> float:
         """Length of what is played [s]."""
-        return self.lead_s + self.periods * self.period_s
+        return self.lead_s + self.periods * self.period_s + self.tail_s
 
     def accelerations(self, peak: Array, samples: int) -> Array:
         """One period of joint acceleration (samples, n) with peaks (n,) [rad/s², m/s²]."""
@@ -65,8 +68,9 @@ class Multisine:
         # The lines' phase is that of the first sample after the lead.
         angle = np.multiply.outer(t - self.lead_s, w)[:, None] + self.phases
         scale = peak / self.crest
-        u = np.clip(t / _FADE_S, 0, 1)[:, None]
-        fade = u**3 * (10 - 15 * u + 6 * u**2)  # no kink: acceleration stays within its limit
+        fade = _swelling(t / _FADE_S)[:, None]
+        if self.tail_s:
+            fade = fade * _swelling((t[-1] - t) / self.tail_s)[:, None]
         found: Array
         if commands == "position":
             found = pose - fade * scale * (np.cos(angle) / w**2).sum(-1)
@@ -75,6 +79,13 @@ class Multisine:
         else:
             found = fade * scale * np.diag(inertia) * np.cos(angle).sum(-1)
         return found
+
+
+def _swelling(u: Array) -> Array:
+    """Share from 0 to 1 without a kink: acceleration stays within its limit."""
+    u = np.clip(u, 0, 1)
+    found: Array = u**3 * (10 - 15 * u + 6 * u**2)
+    return found
 
 
 def multisine(
@@ -121,6 +132,7 @@ def multisine(
         period_s=period_s,
         periods=periods,
         lead_s=lead_s,
+        tail_s=_FADE_S,
         excited=excited,
         silent=silent,
         phases=np.array(phases),

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from loose_env.gap import EffectLocation, NamedEffect, effect_words
-from loose_env.instrument import BOLTS, Diagnosis
+from loose_env.instrument import BOLTS, Diagnosis, Place
 from loose_env.report.page import Table, named_list
 
 LIGHTS: Mapping[str, tuple[str, str]] = {
@@ -41,7 +41,7 @@ def place_table(d: Diagnosis) -> Table:
         suspected = place.verdict in ("loose", "suspect")
         rows.append(
             {
-                "Place": place_label(place.name),
+                "Place": _label(place),
                 "Verdict": LIGHTS[place.verdict][0],
                 "Probability": percent(place.probability) if suspected else "-",
                 "Rhythm": f"{place.rhythm:.2f}" if heard else "-",
@@ -57,9 +57,13 @@ def place_table(d: Diagnosis) -> Table:
     return Table(rows=rows, note=note)
 
 
+def _label(place: Place) -> str:
+    return f"{place.at}, on the ground" if place.base else place_label(place.name)
+
+
 def light_colours(d: Diagnosis) -> dict[str, str]:
     """Colour beside the name of each place."""
-    return {place_label(p.name): LIGHTS[p.verdict][1] for p in d.places}
+    return {_label(p): LIGHTS[p.verdict][1] for p in d.places}
 
 
 def percent(p: float) -> str:

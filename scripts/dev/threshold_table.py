@@ -23,14 +23,14 @@ PARTS = {
 """Part -> the module of its thresholds, or the folder of such."""
 _ENTRY = re.compile(
     r"^(?:# (?P<part>[^\n]+)"
-    r"|(?P<name>_?[A-Z][A-Z_0-9]+|    [a-z_]+: float) = (?P<value>[^\n]+)"
-    r'\n *"""(?P<meaning>.+?)""")$',
+    r"|(?P<name>_?[A-Z][A-Z_0-9]+|    [a-z_]+: float) = (?P<value>[^\n#]+?)"
+    r'(?:  # (?P<short>[^\n]+)|\n *"""(?P<meaning>.+?)"""))$',
     re.MULTILINE | re.DOTALL,
 )
 
 
 def threshold_table(source: str) -> str:
-    r"""Markdown table of the constants of a module, their docstrings as meaning.
+    r"""Markdown table of the constants of a module, their docstrings or comments as meaning.
 
     Examples
     --------
@@ -48,7 +48,7 @@ def threshold_table(source: str) -> str:
             if part:  # sections without constants have no heading
                 rows.append(part)
                 part = ""
-            meaning = " ".join(entry["meaning"].split()).rstrip(".")
+            meaning = " ".join((entry["meaning"] or entry["short"]).split()).rstrip(".")
             name = entry["name"].strip().removesuffix(": float")
             rows.append(f"| `{name}` | {entry['value']} | {meaning} |")
     return "\n".join(rows)

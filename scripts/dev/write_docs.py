@@ -1,4 +1,4 @@
-"""Write the generated parts of docs/environments.md (arms, difficulties, spaces, ids) and gap.md.
+"""Write the generated parts of the documentation: tables of pages, JSON Schemas of file formats.
 
 Usage: python scripts/dev/write_docs.py [--check]
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 import re
 import textwrap
 from collections.abc import Callable, Sequence
@@ -16,15 +17,19 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+from pydantic import TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core import core_schema
 
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm
 from loose_env.cli.command import command
 from loose_env.envs import DIFFICULTIES, DiagnosisEnv
 from loose_env.errors import InvalidData
-from loose_env.gap import Tolerances
-from loose_env.instrument import PRESETS, Numbers
-from loose_env.io import write_text
+from loose_env.gap import GapResult, NextMotion, Tolerances
+from loose_env.instrument import PRESETS, Diagnosis, Numbers, Plan, Trend
+from loose_env.io import plain, write_text
+from loose_env.recording import Description
 from loose_env.registration import IDS, TIERS
 from scripts.dev.threshold_table import threshold_table
 from scripts.study import between
@@ -34,6 +39,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = DOCS / "environments.md"
 GAP = DOCS / "gap.md"
 INSTRUMENT = DOCS / "instrument.md"
+SCHEMAS = DOCS / "schemas"
 COLUMNS = 100
 """Width of prose."""
 LEFT_OUT = ("Version History",)
@@ -77,6 +83,25 @@ MEANINGS = {
     "left.records": "share of the records that are left",
 }
 """Meaning of each name of an element; `nominal_` and `now.` stand before some of them."""
+
+
+FORMATS: dict[str, type[Any]] = {
+    "loose-recording/1": Description,
+    "loose-gap/1": GapResult,
+    "loose-next-motion/1": NextMotion,
+    "loose-plan/2": Plan,
+    "loose-diagnosis/2": Diagnosis,
+    "loose-trend/2": Trend,
+}
+"""Value of a file's key "format" -> dataclass of its content."""
+
+
+class FileSchema(GenerateJsonSchema):
+    """JSON Schema in which a number that is not known is null."""
+
+    def float_schema(self, schema: core_schema.FloatSchema) -> dict[str, Any]:
+        """Schema of a number."""
+        return super().float_schema(schema) | {"type": ["number", "null"]}
 
 
 FORMULAS: dict[str, Callable[[int, int], int]] = {
@@ -295,6 +320,15 @@ def name_of(arm: Arm, name: str) -> str:
     return group if of_joint or (last and set(last) <= set("xyz")) else name
 
 
+def schema(format: str) -> dict[str, Any]:
+    """JSON Schema of the files of a format."""
+    whole = TypeAdapter(FORMATS[format]).json_schema(schema_generator=FileSchema)
+    whole["properties"]["format"] = {"const": format}
+    whole["required"] = list(dict.fromkeys(["format", *whole.get("required", ())]))
+    found: dict[str, Any] = plain({"$schema": GenerateJsonSchema.schema_dialect, **whole})
+    return found
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options:
     """What is done."""
@@ -305,8 +339,11 @@ class Options:
 
 def write(options: Options) -> None:
     """Write the pages, or check them."""
-    pages = ((PAGE, environments()), (GAP, gap()), (INSTRUMENT, instrument()))
-    for page, text in pages:
+    pages = {PAGE: environments(), GAP: gap(), INSTRUMENT: instrument()}
+    for format in FORMATS:
+        file = SCHEMAS / f"{format.replace('/', '-')}.json"
+        pages[file] = json.dumps(schema(format), indent=1) + "\n"
+    for page, text in pages.items():
         if not options.check:
             print(f"wrote {write_text(page, text)}")
         elif page.read_text(encoding="utf-8") != text:

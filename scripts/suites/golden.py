@@ -297,22 +297,6 @@ def _playing(spec: Any, joint: int = 1, play: float = 0.02) -> None:
     )
 
 
-def _slipping(spec: Any, link: int = 1, play: float = 1e-3) -> None:
-    """Free travel of all that a link carries, along it: a slide between stops."""
-    import mujoco
-
-    inner = spec.body(f"link{link}")
-    inner.add_joint(
-        name="slip",
-        type=mujoco.mjtJoint.mjJNT_SLIDE,
-        axis=[0.6, 0, 0.8],
-        range=[-play / 2, play / 2],
-        limited=True,
-        solref_limit=[0.004, 1],
-        damping=np.array([0.5, 0, 0]),
-    )
-
-
 def _nothing(spec: Any) -> None:
     pass
 

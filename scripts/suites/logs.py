@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import pi
 from pathlib import Path
@@ -24,7 +24,7 @@ from loose_env.importing import read_mapping
 from loose_env.recording import read_recording
 
 DEG = pi / 180
-Told = Mapping[str, tuple[str, float]]
+Told = dict[str, tuple[str, float]]
 """Column of the recording -> part of the channel's name, and its factor to SI."""
 
 

@@ -1,4 +1,4 @@
-"""Policies choose records they may take, by what these are expected to say; pose sets."""
+"""Policies choose records they may take, by what these are expected to say."""
 
 from __future__ import annotations
 
@@ -17,11 +17,6 @@ from loose_agents.policies.choice import (
     drawn_sequences,
     information_of,
     make_policy,
-)
-from loose_agents.policies.pose_sets import (
-    GreedySeparation,
-    MovesOf,
-    PoseSetPolicy,
 )
 from loose_agents.registry import make_agent
 
@@ -153,61 +148,3 @@ def test_fixed_agents_need_their_sequences_and_take_so_many_records(
         make_agent("fixed_2", problem), "fixed_2", arm, RULES, episodes=3, seed=1, threads=1
     )
     assert [row.records for row in rows] == [2, 2, 2]
-
-
-USUAL = DiagnosisSettings()
-
-
-def test_a_set_is_played_one_pose_after_the_other() -> None:
-    problem = Problem.of(planar(2), USUAL)
-    sets = np.radians([[0.0, 0.0], [0.0, 90.0], [45.0, 0.0]])
-    policy = PoseSetPolicy(problem, sets, excited="first")
-    pose = np.zeros(2)
-    reached = []
-    for t in range(4):
-        action = problem.actions.decode(policy.choose(at_pose(problem, pose, t)))
-        assert action.levels.tolist() == [len(problem.arm.levels), 0]
-        assert action.duration == 1.2
-        assert action.verdict == 0
-        pose = pose + problem.actions.moves[action.moves]
-        reached.append(np.degrees(pose).round().tolist())
-    assert reached == [[0, 0], [0, 90], [45, 0], [0, 0]]
-
-
-def test_greedy_separation_goes_where_two_links_look_different() -> None:
-    arm = planar(2)
-    problem = Problem.of(arm, USUAL)
-    tracker = Tracker(problem)
-    memory = tracker.begin()
-    axes, loose = memory.belief.directions, memory.belief.loose.copy()
-    for link in (0, 1):  # both links, each along its first direction
-        loose[:, link * len(axes) + 1 : (link + 1) * len(axes)] -= 12.0
-    memory.belief = type(memory.belief)(
-        healthy=memory.belief.healthy, loose=loose, links=2, directions=axes
-    )
-    shares = np.array(["link" in name for name in problem.hypotheses], dtype=float)
-    before = at_pose(problem, np.zeros(2), 1, memory)
-    now = Situation(**{**vars(before), "probabilities": shares / shares.sum()})
-    action = problem.actions.decode(GreedySeparation(problem).choose(now))
-    # Alike at first, the two images stand across each other after a quarter turn of joint 2.
-    assert np.degrees(abs(problem.actions.moves[action.moves[1]])).round() == 90
-    assert action.moves[0] == USUAL.stay
-
-
-def test_another_agents_moves_are_played_without_its_excitation_and_verdict() -> None:
-    arm = planar(3)
-    problem = Problem.of(arm, USUAL)
-    batch = EpisodeBatch(arm, USUAL, threads=1)
-    batch.start(0, seed=4, number=0)
-    policy = MovesOf(problem, make_agent("random", problem), excited="all")
-    moved = 0
-    for t in range(3):
-        seen = batch.observe(0)
-        now = at_pose(problem, problem.layout.pose_of(seen), t)
-        action = policy.choose(Situation(**{**vars(now), "observation": seen}))
-        decoded = problem.actions.decode(action)
-        assert decoded.verdict == 0
-        assert (decoded.levels == len(arm.levels)).all()
-        moved += int(np.sum(decoded.moves != USUAL.stay))
-        batch.step([0], [action])
-    assert moved > 0

@@ -17,7 +17,7 @@ from loose_env.cli.main import COMMANDS, SHELLS, main
 from loose_env.errors import InvalidSetting
 from loose_env.recording import write_recording
 from loose_env.version import __version__
-from scripts.dev.write_schemas import FORMATS, schema
+from scripts.dev.write_docs import FORMATS, schema
 from tests.doctor.machine import record, with_sensors, xml
 
 INSPECT = ["inspect", str(DESK_ARM), "--poses", "3"]

@@ -44,7 +44,7 @@ def test_a_plan_is_written_for_the_machine_and_goes_on(home: Path, tmp_path: Pat
     made = read_plan(out)
     assert [run.file for run in made.runs] == [f"run-{k:02d}.csv" for k in range(1, 7)]
     table = np.genfromtxt(out / "run-01.csv", delimiter=",", names=True)
-    assert table.dtype.names[0] == "time" and len(table) == 1000
+    assert table.dtype.names[0] == "time" and len(table) == 1120
     entries = json.loads((out / "recording" / "recording.json").read_text())["runs"]
     assert all(entry["planned"] for entry in entries)
 

@@ -139,8 +139,11 @@ def test_a_piezoelectric_accelerometer_is_only_noted_and_its_g_known_by_the_moti
     motor = machines["motor"]
     report = examine(with_sensors(motor, "acc", lambda v: v - v.mean(axis=0)))
     assert [(one.check, one.severity) for one in report.findings] == [("gravity", "note")]
-    found = examine(with_sensors(motor, "acc", lambda v: (v - v.mean(axis=0)) / G)).errors
-    assert any(one.check == "units" and one.channel.startswith("sensor.acc") for one in found)
+    found = examine(with_sensors(motor, "acc", lambda v: (v - v.mean(axis=0)) / G))
+    # Without gravity in the reading, a rigid arm's motion may only remark upon the unit.
+    assert not found.errors
+    assert any(one.check == "units" and one.channel.startswith("sensor.acc")
+               for one in found.findings)  # fmt: skip
 
 
 @pytest.mark.parametrize("seconds", [0.005, -0.003, 0.0021])

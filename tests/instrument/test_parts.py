@@ -17,7 +17,7 @@ from loose_env.instrument.arm import ROCKS
 from loose_env.instrument.knocks import knocks, rung, sphere
 from loose_env.instrument.locate import correlation
 from loose_env.instrument.motion import accelerations, fit_gears, links_of, mounted, softening, wave
-from loose_env.instrument.records import GRID, Record, read_run
+from loose_env.instrument.records import GRID, Record, followed_hz, read_run
 from loose_env.instrument.signals import Multisine, multisine
 from loose_env.recording import Run
 from tests.instrument.machine import JOINTS, RATE, REST, Truth, played, simulated
@@ -50,6 +50,15 @@ def test_lines_are_odd_and_some_are_left_out() -> None:
     assert (np.abs(waves).max(0) / rms < 0.75 * np.sqrt(2 * len(signal.excited))).all()
     share = np.abs(np.fft.rfft(waves, axis=0)[signal.silent]).max()
     assert share < 1e-6 * np.abs(np.fft.rfft(waves, axis=0)).max()
+
+
+def test_commands_begin_and_end_at_rest() -> None:
+    signal, peak = multisine(2, 25.0, np.random.default_rng(1)), np.array([8.0, 5.0])
+    for kind in ("position", "velocity"):
+        given = signal.played(peak, kind, np.zeros(2), np.eye(2), 500.0)
+        assert len(given) == round(signal.seconds * 500)
+        speed = np.diff(given, axis=0) * 500 if kind == "position" else given
+        assert np.abs(speed[[0, -1]]).max() < 1e-3 * np.abs(speed).max()
 
 
 def test_a_mass_between_two_stops_arrives_when_it_must() -> None:
@@ -158,6 +167,22 @@ def test_the_sensor_may_be_mounted_at_any_angle(elastic: Elastic) -> None:
     found = mounted(elastic.records, models, elastic.signal)
     between = Rotation.from_matrix(found @ elastic.turn.T).magnitude()
     assert np.degrees(between) < 3
+
+
+def test_a_bandwidth_below_the_plan_is_measured(elastic: Elastic) -> None:
+    signal, joints = elastic.signal, elastic.arm.joints
+    peaks = [
+        dict(zip(joints, np.abs(r.joints[signal.excited]).max(0) * signal.crest, strict=True))
+        for r in elastic.records
+    ]
+    slow = []
+    for record in elastic.records:
+        lines = record.joints.copy()
+        lines[signal.excited, 0] = peaks[0]["turn"] / signal.crest[0]
+        lines[signal.excited[-3:], 0] *= 0.3
+        slow.append(replace(record, joints=lines))
+    found = followed_hz(slow, [peaks[0]] * len(slow), signal, joints)
+    assert found["turn"] == signal.hertz[-4]
 
 
 def test_springs_of_the_gears_are_found_and_carry_the_links(elastic: Elastic) -> None:

@@ -158,7 +158,7 @@ def test_a_plan_is_a_sheet_for_the_machine(tmp_path: Path) -> None:
     for part in ("emergency stop", "tenth", "reference-01.csv", "make_robot_from_config", "'my s"):
         assert part in said
     for shown in (said, text):
-        assert "3 poses, 15 s" in shown and "run-03.csv" in shown and "°" in shown
+        assert "3 poses, 17 s" in shown and "run-03.csv" in shown and "°" in shown
         assert all(place.split("@")[1] in shown for place in made.tested)
 
 

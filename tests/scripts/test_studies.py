@@ -33,7 +33,7 @@ def test_a_run_cut_short_goes_on_where_it_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = worked_out(tmp_path, SMALL, 1)
-    path = script.path_of(tmp_path, SMALL)
+    path = tmp_path / script.ROWS
     stored = json.loads(path.read_text(encoding="utf-8"))
     stored["rows"] = [r for r in stored["rows"] if r["strategy"] != "one joint"]
     path.write_text(json.dumps(stored), encoding="utf-8")
@@ -57,16 +57,13 @@ def test_a_block_has_a_row_for_each_scatter() -> None:
 
 
 @pytest.mark.slow
-def test_both_levels_are_drawn_and_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["--quick", "--cases", "2", "--arm", "planar2", "--learned", "--backend", "threading"]
+def test_the_study_is_drawn_and_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--quick", "--cases", "2", "--arm", "planar2", "--backend", "threading"]
     script.main([*words, "--workers", "1", "--out", str(tmp_path)])
     printed = capsys.readouterr().out
-    assert printed.count("| greedy separation |") == 4
-    assert "Simulated records" in printed
+    assert printed.count("| greedy separation |") == 3
     picture = (tmp_path / "pose_sets.png").read_bytes()
     assert len(picture) > 10_000
-    script.main([*words, "--level", "--out", str(tmp_path)])  # from the rows alone
+    script.main([*words, "--stored", "--out", str(tmp_path)])  # from the rows alone
     assert capsys.readouterr().out == printed
     assert (tmp_path / "pose_sets.png").read_bytes() == picture

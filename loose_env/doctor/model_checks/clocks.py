@@ -15,7 +15,7 @@ from scipy import signal
 from loose_env.doctor.channels import Channel, Factors, Machine, Runs, filled, positions
 from loose_env.doctor.corrections import Correction
 from loose_env.doctor.entries import positions_in
-from loose_env.doctor.findings import Finding
+from loose_env.doctor.findings import Finding, Severity
 from loose_env.doctor.model_checks.forces import recorded_forces
 from loose_env.doctor.model_checks.motion import Motion, carried, sampled_motion
 from loose_env.doctor.model_checks.units import ACCELERATION, ANGLE, LENGTH, inverse, named_unit
@@ -208,7 +208,7 @@ def _signs(machine: Machine, kind: str, group: Sequence[_Seen]) -> Iterator[Find
         if flipped > FLIPPED_SHARE * len(own) and (len(own) > 1 or kind == "velocity"):
             yield Finding(
                 check="sign",
-                severity="error",
+                severity=_severity(kind),
                 channel=name,
                 found=f"runs against the motion of the joints in {flipped} of {len(own)} runs",
                 value=float(flipped),
@@ -216,7 +216,7 @@ def _signs(machine: Machine, kind: str, group: Sequence[_Seen]) -> Iterator[Find
                 consequence="directions found by it are mirrored",
                 remedy="import the column with sign = -1, or turn the sensor's site in the model",
                 fix=Correction(kind="scale", columns=(name,), factor=-1.0)
-                if kind == "velocity"
+                if kind in _KINEMATIC
                 else None,
             )
         units = {"acceleration": ACCELERATION, "turning": ANGLE, "torque": {}}.get(kind)
@@ -230,7 +230,7 @@ def _signs(machine: Machine, kind: str, group: Sequence[_Seen]) -> Iterator[Find
         if words is not None:
             yield Finding(
                 check="units",
-                severity="error",
+                severity=_severity(kind),
                 channel=name,
                 found=f"{ratio:.3g} times what the motion of the joints implies: {words}",
                 value=ratio,
@@ -238,6 +238,14 @@ def _signs(machine: Machine, kind: str, group: Sequence[_Seen]) -> Iterator[Find
                 consequence="readings and positions are taken for different motions",
                 remedy="import the column with its unit, or convert it",
             )
+
+
+def _severity(kind: str) -> Severity:
+    """An error where kinematics tell; a rigid arm's dynamics are no judge above a resonance."""
+    return "error" if kind in _KINEMATIC else "note"
+
+
+_KINEMATIC = ("velocity", "turning")
 
 
 _WORDS = {"acceleration": "accelerometer", "turning": "gyroscope"}
@@ -285,7 +293,7 @@ def _offset(
     noun = _WORDS.get(kind, "recorder of the velocity" if kind == "velocity" else of)
     subject = f"the {noun}'s clock is" if kind in _WORDS else f"the {noun} are" if (
         kind == "torque") else f"the {noun} is"  # fmt: skip
-    cycles = 360 * size * middle
+    cycles, kinematic = 360 * size * middle, kind in _KINEMATIC
     yield Finding(
         check="clock",
         severity="warning" if size >= max(settings.clock_s, 1.5 * step) else "note",
@@ -295,6 +303,8 @@ def _offset(
         unit="s",
         consequence=f"{cycles:.0f} degrees of phase at {middle:.3g} Hz, which may pass for a loose "
         "link or a compliance",
-        remedy=f"import its columns with delay_s = {late:.4f}, or align the sources by a common "
-        "motion",
+        remedy=f"import its columns with delay_s = {late:.4f}"
+        if kinematic
+        else "a resonance of a gear looks the same: shift data only by what a tap on the tool "
+        "shows in both",
     )

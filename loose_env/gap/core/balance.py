@@ -29,17 +29,12 @@ from loose_env.recording import joint_sensors
 from loose_env.typing import Array, ComplexArray
 
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-_DRIVES = 29
-"""Group of the machine's own drives, off in runs without commands."""
-_POSES = 24
-"""States at which the mean operator is read."""
-_NUDGE = 1e-4
-"""Displacement of numerical derivatives [rad, m]."""
+_DRIVES = 29  # group of the machine's own drives, off in runs without commands
+_POSES = 24  # states at which the mean operator is read
+_NUDGE = 1e-4  # displacement of numerical derivatives [rad, m]
 
-_MOST_LOAD = 0.9
-"""Share of a drive's torque from which friction by load would lock it."""
-_MODEL = 1e-4
-"""Error of any torque, as a share of the typical one: rounding, integration."""
+_MOST_LOAD = 0.9  # share of a drive's torque from which friction by load would lock it
+_MODEL = 1e-4  # error of any torque, as a share of the typical one: rounding, integration
 _SPRINGS, _DAMPINGS = 90, (0.02, 0.06, 0.2)
 """Stiffnesses and damping ratios that are tried for an added spring."""
 _STIFFEST = 4.0
@@ -47,8 +42,7 @@ _STIFFEST = 4.0
 _ROUNDS, _CONVERGED = 12, 0.02
 """Rounds of the motion of an added joint whose inertia varies, at most, and the share of its
 acceleration that may be left."""
-_RESONANCES = 3
-"""Springs that are started from."""
+_RESONANCES = 3  # springs that are started from
 
 _SIZES = (
     *("nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "ntendon", "nC", "ngeom", "neq"),
@@ -369,13 +363,14 @@ class Balance:
             batch.qpos[:], batch.qvel[:] = position[rows], speed[rows]
             batch.ctrl[:, : commands.shape[1]] = commands[rows]
             batch.forward()
-            needed[rows] = _times(model, mass, acceleration[rows]) + bias - passive
+            moved = np.einsum("tij,tj->ti", _dense(model, mass), acceleration[rows])
+            needed[rows] = moved + bias - passive
             given[rows] = acting
         return needed, given
 
     def given_by(self, commands: Array) -> Array:
         """Forces of the nominal actuators for other commands (T, joints)."""
-        return self._forces(compiled(self.machine.fresh()), commands)[1]
+        return self._forces(self._nominal, commands)[1]
 
     def late(self, actuator: int, order: int) -> Array:
         """Derivative of the balance by the time at which one actuator's commands act (T, joints).
@@ -396,13 +391,8 @@ class Balance:
         step sees it at once.
         """
         ahead = self.given_by(self.motion.stacked("sampled")) - self.given
-        model = self._nominal
-        mass = self._masses(model, self.position)
-        rows = np.repeat(np.arange(model.nv), model.M_rownnz)
-        dense = np.zeros((len(mass), model.nv, model.nv))
-        dense[:, rows, model.M_colind] = mass
-        dense[:, model.M_colind, rows] = mass
-        return np.asarray(np.linalg.solve(dense, ahead[..., None])[..., 0])
+        mass = _dense(self._nominal, self._masses(self._nominal, self.position))
+        return np.asarray(np.linalg.solve(mass, ahead[..., None])[..., 0])
 
     def _masses(self, model: mujoco.MjModel, position: Array) -> Array:
         """Packed mass matrices at some positions (T, nC)."""
@@ -685,15 +675,12 @@ def _same_forces(model: mujoco.MjModel, other: mujoco.MjModel) -> bool:
     )
 
 
-def _times(model: mujoco.MjModel, mass: Array, acceleration: Array) -> Array:
-    """Multiply packed lower-triangular mass matrices (T, nC) by vectors (T, nv)."""
-    found = np.zeros_like(acceleration)
+def _dense(model: mujoco.MjModel, packed: Array) -> Array:
+    """Mass matrices (T, nv, nv) of their packed lower triangles (T, nC)."""
     rows = np.repeat(np.arange(model.nv), model.M_rownnz)
-    for k, (row, column) in enumerate(zip(rows, model.M_colind, strict=True)):
-        found[:, row] += mass[:, k] * acceleration[:, column]
-        if row != column:
-            found[:, column] += mass[:, k] * acceleration[:, row]
-    return found
+    dense = np.zeros((len(packed), model.nv, model.nv))
+    dense[:, rows, model.M_colind] = dense[:, model.M_colind, rows] = packed
+    return dense
 
 
 def _direction(

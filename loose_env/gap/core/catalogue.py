@@ -20,19 +20,15 @@ from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
 from loose_env.gap.model.effects.drives import DriveLimit
 from loose_env.typing import Array
 
-_MOVING = 20.0
-"""Range of motion over its noise from which a joint moves."""
+_MOVING = 20.0  # range of motion over its noise from which a joint moves
 LAW_WIDTH = 0.15
 """Prior standard deviation of a law's coefficient about one: shapes are tried a factor of
 sqrt(1.6) apart and refined."""
 USUAL_SHARE = 0.3
 """Prior standard deviation of an effect's force over the drive's: it matters, and does not rule."""
-_LADDER = 1.7
-"""Ratio of neighbouring sizes of a law: about two widths of its coefficient."""
-_LOOKED_AT = 1000
-"""Samples in which an effect looks for its starts."""
-_REACHED = 0.7
-"""Lowest limit of a drive over the force that the motion took by the nominal model."""
+_LADDER = 1.7  # ratio of neighbouring sizes of a law: about two widths of its coefficient
+_LOOKED_AT = 1000  # samples in which an effect looks for its starts
+_REACHED = 0.7  # lowest limit of a drive over the force that the motion took by the nominal model
 _ALIKE = 1e-3
 """Part of a column that the columns before it lack, over the whole, for it to be told from them."""
 _LINEAR = 0.05

@@ -34,14 +34,10 @@ HELD_OUT = 4.0
 evidence (Kass and Raftery 1995)."""
 CONTRADICTED = -10.0
 """The same below which one of the ways to hold out refutes it: very strong evidence against."""
-_RIVAL = 0.05
-"""Probability from which another effect is a rival."""
-_Z = 1.96
-"""Half width of a 95 % interval in standard deviations."""
-_ASIDE = 0.25
-"""Relative step of a shape over which the fall of its evidence is read."""
-_NOISE = 1.6
-"""Held-out residual up to which nothing more is needed [noise standard deviations]."""
+_RIVAL = 0.05  # probability from which another effect is a rival
+_Z = 1.96  # half width of a 95 % interval in standard deviations
+_ASIDE = 0.25  # relative step of a shape over which the fall of its evidence is read
+_NOISE = 1.6  # held-out residual up to which nothing more is needed [noise standard deviations]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -489,14 +485,9 @@ def held_out_rms(selection: Selection, fit: SetFit) -> Array:
     return np.asarray(np.sqrt(total / count))
 
 
-# Payloads that some runs lack, or that are turned between runs
-#
-# Each run gets columns of a payload of its own. Of the Gaussian posterior of their coefficients,
-# mass and first moments run by run, runs that agree are merged step by step, down to one mass with
-# a centre each way. The most probable way is a term like any other, and pays for its choice.
+# Payloads by runs
 
-_MOST_RUNS = 16
-"""Runs among which payloads are told apart, at most: cost."""
+_MOST_RUNS = 16  # runs among which payloads are told apart, at most: cost
 _INERTIA = {"payload", "link_mass", "link_com", "gravity_compensation", "base_tilt"}
 """Kinds that stand in for a payload of some runs."""
 
@@ -504,7 +495,12 @@ Ways = tuple[tuple[int, ...], ...]
 
 
 def by_runs(selection: Selection, best: SetFit) -> SetFit:
-    """The best set with a payload that differs between runs, where data ask for it; else itself."""
+    """The best set with a payload that differs between runs, where data ask for it; else itself.
+
+    Each run gets columns of a payload of its own. Of the Gaussian posterior of their coefficients,
+    mass and first moments run by run, runs that agree are merged step by step, down to one mass
+    with a centre each way. The most probable way is a term like any other, and pays for its choice.
+    """
     evidence = selection.evidence
     runs = tuple(dict.fromkeys(run.name for run in evidence.balance.motion.runs))
     known = any(isinstance(term.effect, Payload) for term in evidence.terms)
@@ -523,7 +519,7 @@ def by_runs(selection: Selection, best: SetFit) -> SetFit:
             continue
         tried.add(ways)
         for term in _terms(trial, ways, runs):
-            state = trial.thinned(trial.settled(trial.solve((*rest, term))))
+            state = trial.settled(trial.solve((*rest, term)))
             if any(t.effect.mountings for t in state.terms) and state.total < best.total + KIND:
                 state = pruned(trial, trial.search(state.terms))
                 found = min(found, state, key=lambda f: f.total)

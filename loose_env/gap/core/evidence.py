@@ -22,19 +22,15 @@ BANDS = 7
 """Bands of a channel, the first around zero, the others of equal ratio."""
 STRETCHES = 8
 """Stretches of a recording, about: enough to see whether a residual repeats."""
-_MOST_STRETCHES = 16
-"""Stretches whose cells are apart; of more runs, several share theirs."""
-_SHORTEST_S = 4.0
-"""Shortest stretch [s]."""
+_MOST_STRETCHES = 16  # stretches whose cells are apart; of more runs, several share theirs
+_SHORTEST_S = 4.0  # shortest stretch [s]
 KNOCK = 16.0
 """Mean square residual over its local median beyond which a stretch is a knock, not motion."""
 _NOISE = 1.1
 """Noise that is believed over its estimate, which takes it for white: filters and rounding colour
 it by some per cent."""
-_REST = 0.01
-"""Speed over the typical one below which a joint is at rest, or four times its noise."""
-_LEAST_SHARE = 0.01
-"""Mean square of a window below which a stretch has no cells."""
+_REST = 0.01  # speed over the typical one below which a joint is at rest, or four times its noise
+_LEAST_SHARE = 0.01  # mean square of a window below which a stretch has no cells
 _FELT = 0.05
 """Squared noise standard deviations of a standard deviation of tolerance below which it is not
 felt."""
@@ -465,8 +461,7 @@ def _knocks(balance: Balance, joint: int) -> Array:
     columns = columns / (np.sqrt(np.mean(columns**2, axis=0)) + 1e-12)
     y = balance.residual[:, joint]
     width = max(int(1 / motion.band / step), 2)
-    kernel = np.hanning(2 * width + 3)
-    kernel /= kernel.sum()
+    kernel = _bell(width)
     weight, bad = np.ones(len(y)), np.zeros(len(y), bool)
     for _ in range(2):
         normal = (columns * weight[:, None]).T @ columns + 1e-4 * len(y) * np.eye(columns.shape[1])
@@ -481,8 +476,18 @@ def _knocks(balance: Balance, joint: int) -> Array:
         weight = np.where(bad, 0.0, 1.0)
     if bad.mean() > 0.3:
         return np.ones(len(y))
-    near = np.convolve(bad, np.ones(width + 1), "same") > 0.5
-    return np.asarray(1 - np.clip(np.convolve(near, kernel, "same"), 0, 1))
+    return _without(np.convolve(bad, np.ones(width + 1), "same") > 0.5, kernel)
+
+
+def _bell(width: int) -> Array:
+    """Weights of a smooth fade over so many samples."""
+    kernel = np.hanning(2 * width + 3)
+    return np.asarray(kernel / kernel.sum())
+
+
+def _without(marked: NDArray[np.bool_], kernel: Array) -> Array:
+    """Weight that fades to nothing where samples are marked."""
+    return np.asarray(1 - np.clip(np.convolve(marked, kernel, "same"), 0, 1))
 
 
 def _sliding(balance: Balance, joint: int) -> Array:
@@ -492,8 +497,7 @@ def _sliding(balance: Balance, joint: int) -> Array:
     noisy = float(motion.noise[0, joint]) * turn * np.sqrt(2 * motion.band * motion.step / 3)
     limit = max(4 * noisy, _REST * float(np.percentile(np.abs(speed), 95)))
     width = max(int(1 / motion.band / motion.step), 2)
-    kernel = np.hanning(2 * width + 3)
-    kernel /= kernel.sum()
+    kernel = _bell(width)
     span = np.ones(max(width, 3))
     for run, own in zip(motion.runs, motion.split(speed), strict=True):
         still = np.convolve(np.abs(own) < limit, span, "same") > len(span) - 0.5
@@ -502,7 +506,7 @@ def _sliding(balance: Balance, joint: int) -> Array:
         if still.mean() <= 0.01 or (still.mean() >= 0.85 and run.form != "free"):
             found.append(np.ones(len(own)))
         else:
-            found.append(1 - np.clip(np.convolve(still, kernel, "same"), 0, 1))
+            found.append(_without(still, kernel))
     return np.concatenate(found)
 
 
@@ -510,10 +514,6 @@ def _within(balance: Balance, joint: int) -> Array:
     """Weight of samples, none within one and a half periods of the band from a drive's limit."""
     motion = balance.motion
     width = max(int(1.5 / motion.band / motion.step), 1)
-    kernel = np.hanning(2 * width + 3)
-    kernel /= kernel.sum()
-    found = []
-    for run in motion.runs:
-        at_limit = np.convolve(run.limited[:, joint], np.ones(2 * width + 1), "same") > 0
-        found.append(1 - np.clip(np.convolve(at_limit, kernel, "same"), 0, 1))
-    return np.concatenate(found)
+    near = np.ones(2 * width + 1)
+    limited = (np.convolve(run.limited[:, joint], near, "same") > 0 for run in motion.runs)
+    return np.concatenate([_without(own, _bell(width)) for own in limited])

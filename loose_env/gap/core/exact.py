@@ -42,8 +42,7 @@ from loose_env.typing import Array, IndexArray
 
 WINDOW_S = 1.0
 """Length of a window [s]: a few periods of a joint's motion."""
-_MOST_S = 16.0
-"""Length of all windows of a recording, about: cost [s]."""
+_MOST_S = 16.0  # length of all windows of a recording, about: cost [s]
 LEAD_S = 0.3
 """Time from the measured state to what is compared: longer than most drives are late [s]."""
 LARGE = 3.0
@@ -51,24 +50,15 @@ LARGE = 3.0
 EXPLAINED = 0.9
 """Share of the power of a channel's residual that explains it: less than a third of the amplitude
 is left."""
-_ROUNDS = 2
-"""Reweighted rounds of a fit."""
-_EVALUATIONS = 3
-"""Jacobians of one round."""
-_MOST_KINDS = 6
-"""Kinds of effect in a set that is searched for in simulation."""
-_TRIED = 3
-"""Effects that are fitted in one step of that search."""
-_GUESSED = 4
-"""Windows in which starts are compared, at least."""
-_LEAST_GAIN = 0.5
-"""Fall of the total for which a step is taken."""
-_MOST_STEPS = 1e7
-"""Steps of simulations after which a search ends with the best set so far: cost."""
-_PULLED = 0.1
-"""Standard deviations from which a pull of a tolerance is simulated."""
-_STEP = 1e-3
-"""Step of numerical derivatives, in free numbers."""
+_ROUNDS = 2  # reweighted rounds of a fit
+_EVALUATIONS = 3  # jacobians of one round
+_MOST_KINDS = 6  # kinds of effect in a set that is searched for in simulation
+_TRIED = 3  # effects that are fitted in one step of that search
+_GUESSED = 4  # windows in which starts are compared, at least
+_LEAST_GAIN = 0.5  # fall of the total for which a step is taken
+_MOST_STEPS = 1e7  # steps of simulations after which a search ends with the best set so far: cost
+_PULLED = 0.1  # standard deviations from which a pull of a tolerance is simulated
+_STEP = 1e-3  # step of numerical derivatives, in free numbers
 
 
 Start = tuple[Set, tuple[Array, ...]]

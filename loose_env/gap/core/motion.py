@@ -27,12 +27,10 @@ LOWEST_HZ = 1.5
 _PER_CYCLE = 6
 """Samples per period of the highest frequency that are kept: three times Nyquist's rate, room for
 the harmonics of dry friction."""
-_LEAST_RATE = 40.0
-"""Lowest rate to which a recording is thinned [1/s]."""
+_LEAST_RATE = 40.0  # lowest rate to which a recording is thinned [1/s]
 _FLAT = 1.35
 """Half-amplitude frequency of the low-pass over the end of the band, and:"""
-_ORDER = 16
-"""its order: flat to 1 % at the end of the band."""
+_ORDER = 16  # its order: flat to 1 % at the end of the band
 _MOST_SAMPLES = 12_000
 """Thinned samples of all runs, at most: minutes of motion; of longer runs the middle is taken."""
 _NEAR = 0.5

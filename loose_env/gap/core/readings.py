@@ -15,13 +15,11 @@ import numpy as np
 
 from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passed
 from loose_env.gap.model.effect import Effect
-from loose_env.gap.model.effects.sensors import column_of, delayed
+from loose_env.gap.model.effects.sensors import column_of
 from loose_env.typing import Array
 
-_NUDGE = 1e-4
-"""Displacement of numerical derivatives [rad, m]."""
-_POSES = 12
-"""States at which the sensitivity of readings to the motion is looked up."""
+_NUDGE = 1e-4  # displacement of numerical derivatives [rad, m]
+_POSES = 12  # states at which the sensitivity of readings to the motion is looked up
 _KINEMATIC = ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0", "site_pos", "site_quat")
 
 
@@ -155,10 +153,6 @@ class Readings:
             column_of(name): own[:, at] if len(at) > 1 else own[:, at[0]]
             for name, at in self._sensors
         }
-        late = effect.sensor_delay(values)
-        if late is not None and column_of(late[0]) in columns:
-            column = column_of(late[0])
-            columns[column] = delayed(time, columns[column], late[1], axis=0)
         columns = effect.read(time, columns, values)
         found = np.empty((len(own), count))
         for name, at in self._sensors:

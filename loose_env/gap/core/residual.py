@@ -30,14 +30,10 @@ LAGS = 50
 """Lags of correlations that are looked at."""
 OVERLAY_S = 4.0
 """Length of the stretch that is shown of a channel [s]."""
-_EDGE_PERIODS = 2.0
-"""Ends of a run that are not shown [periods of the end of the band]."""
-_MOVING = 0.1
-"""Speed over its root mean square above which a joint is shown moving."""
-_TAPER = 0.3
-"""Share of a run that is faded, at both ends together, before its spectrum is divided."""
-_PLAYED_S = 60.0
-"""Length of runs that are simulated for frequency responses, about: cost [s]."""
+_EDGE_PERIODS = 2.0  # ends of a run that are not shown [periods of the end of the band]
+_MOVING = 0.1  # speed over its root mean square above which a joint is shown moving
+_TAPER = 0.3  # share of a run that is faded, at both ends together, before its spectrum is divided
+_PLAYED_S = 60.0  # length of runs that are simulated for frequency responses, about: cost [s]
 _SEGMENTS = 4
 """Segments of a run in a frequency response, overlapping by half; runs are averaged, too."""
 

@@ -33,28 +33,20 @@ LEAST_VALUES = 1.5
 """Values of a cell's discrepancy, at least: its amplitude, and a half for its shape, and:"""
 SHARE_VALUES = 0.02
 """share of a cell's values that they are at most when nothing repeats."""
-_ROUNDS = 8
-"""Reweighted rounds of one fit."""
-_LEAST_GAIN = 0.5
-"""Fall of minus twice the log evidence for which a step is taken."""
-_SCREENED = 14
-"""Candidates that are fitted in one step."""
-_FITTED = 3
-"""Sets that are fitted for each weighting: the best at fixed weights."""
-_MOST = 40
-"""Steps of a search."""
+_ROUNDS = 8  # reweighted rounds of one fit
+_LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is taken
+_SCREENED = 14  # candidates that are fitted in one step
+_FITTED = 3  # sets that are fitted for each weighting: the best at fixed weights
+_MOST = 40  # steps of a search
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
-_SETTLED, _SECANTS = 2, 4
-"""Sets of a step that are relinearised, and how often."""
+_SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _MISSED = (0.0, *(2.0**-k for k in range(7, -1, -1)))
 """Squared shares of the tolerance of laws that are tried."""
-_SIZES = 10.0
-"""Widths of the prior of a size that values are given."""
-_STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)
-"""Relative steps in which shapes are refined."""
+_SIZES = 10.0  # widths of the prior of a size that values are given
+_STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)  # relative steps in which shapes are refined
 
 Set = tuple[Term, ...]
 
@@ -364,7 +356,6 @@ class Selection:
     def best(self) -> SetFit:
         """Best set of searches from several starts, with the shapes of its laws refined."""
         found = min((self.search(start) for start in self.starts()), key=lambda f: f.total)
-        found = self.thinned(found)
         for _ in range(2):
             refined = self.refined(found)
             if refined is found:
@@ -379,10 +370,7 @@ class Selection:
         every drive explains more than the true delay.
         """
         form = self.whole(self.rich)
-        kinds: dict[str, dict[str, Term]] = {}
-        for _, term in self.screened(form, (), self.evidence.terms):
-            kinds.setdefault(term.effect.kind, {}).setdefault(term.effect.where, term)
-        single = [tuple(places.values()) for places in kinds.values()]
+        single = _by_kind(t for _, t in self.screened(form, (), self.evidence.terms))
         ranked: list[Set] = []
         level: list[Set] = [()]
         for _ in range(_LEVELS):
@@ -508,18 +496,13 @@ class Selection:
         sets: dict[frozenset[int], Set] = {}
         for powers in weightings:
             seen: Counter[tuple[str, str]] = Counter()
-            kinds: dict[str, dict[str, Term]] = {}
-            for _, term in self.screened(self.whole(powers, state), state.terms, pool):
+            screened = self.screened(self.whole(powers, state), state.terms, pool)
+            for _, term in screened:
                 if seen[term.name] < 2 and len(seen) < _SCREENED:
                     seen[term.name] += 1
                     sets[frozenset([id(term)])] = (term,)
-                kinds.setdefault(term.effect.kind, {}).setdefault(term.effect.where, term)
-            for places in kinds.values():
-                if (
-                    len(places) > 1
-                    and len(places) + 1 >= self._places[next(iter(places.values())).effect.kind]
-                ):
-                    several = tuple(places.values())
+            for several in _by_kind(term for _, term in screened):
+                if 1 < len(several) >= self._places[several[0].effect.kind] - 1:
                     sets[frozenset(map(id, several))] = several
         moves = [(*state.terms, *new) for new in sets.values()]
         fitted = self.fitted(state, moves, weightings, _FITTED)
@@ -564,21 +547,6 @@ class Selection:
                 return state
             state = best
 
-    def thinned(self, state: SetFit) -> SetFit:
-        """Best set on the way to none, the least needed member removed first.
-
-        Several members that stand in for one are not removed one by one by steps that must help.
-        """
-        best = state
-        while len(state.terms) > 1 and state.cost < best.total:
-            rests = [tuple(t for t in state.terms if t is not term) for term in state.terms]
-            fits = self.fitted(state, rests, [state.powers, self.rich], _FITTED)
-            if not fits:
-                break
-            state = min(map(self.settled, fits[:_FITTED]), key=lambda f: f.total)
-            best = min(best, state, key=lambda f: f.total)
-        return best
-
     def alternatives(self, form: _Form, rest: Set, term: Term) -> list[Term]:
         """Other kinds at the place of a member, or at the links and drives beside it."""
         machine, forms = self.evidence.balance.machine, {t.form for t in rest}
@@ -606,13 +574,20 @@ class Selection:
             found.append(rest)
             forms = {t.form for t in rest}
             places = {t.effect.where for t in state.terms if t.effect.kind == kind}
-            kinds: dict[str, dict[str, Term]] = {}
             pool = [t for t in everything if t.effect.where in places and t.form not in forms]
-            for _, t in self.screened(form, rest, pool):
-                if t.effect.kind != kind:
-                    kinds.setdefault(t.effect.kind, {}).setdefault(t.effect.where, t)
-            found += [(*rest, *own.values()) for own in kinds.values() if len(own) == count]
+            others = _by_kind(
+                t for _, t in self.screened(form, rest, pool) if t.effect.kind != kind
+            )
+            found += [(*rest, *own) for own in others if len(own) == count]
         return found
+
+
+def _by_kind(terms: Iterable[Term]) -> list[Set]:
+    """The first term at each location, kind by kind."""
+    kinds: dict[str, dict[str, Term]] = {}
+    for term in terms:
+        kinds.setdefault(term.effect.kind, {}).setdefault(term.effect.where, term)
+    return [tuple(places.values()) for places in kinds.values()]
 
 
 def _places(numbers: NDArray[np.intp], columns: Iterable[int]) -> NDArray[np.intp]:

@@ -122,8 +122,7 @@ class Nuisance:
     """Actuator whose commands are shifted, and by how much [s]."""
 
 
-_STEP = 1e-3
-"""Relative step of numerical derivatives."""
+_STEP = 1e-3  # relative step of numerical derivatives
 
 
 def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:

@@ -19,8 +19,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
-_AT_BOUND = 1.02
-"""Ratio of an interval's end to a parameter's bound at which it reaches it."""
+_AT_BOUND = 1.02  # ratio of an interval's end to a parameter's bound at which it reaches it
 
 Mountings = tuple[tuple[str, ...], ...]
 """Names of the runs of each way in which something is mounted."""
@@ -304,14 +303,6 @@ class Effect:
         within the step, an acceleration at its beginning is that of the command before.
         """
         return self.command(time, controls, values)
-
-    def sensor_delay(self, values: Array) -> tuple[str, float] | None:
-        """Return a delayed sensor with its delay [s]; None for one that `read` can shift.
-
-        A reading that jumps with commands, such as an acceleration, cannot be interpolated between
-        its samples: it is computed from the motion at the earlier time.
-        """
-        return None
 
     def torque(self, position: Array, speed: Array, values: Array) -> Array:
         """Compute joint torques beyond those of the model, in the joints' direction.

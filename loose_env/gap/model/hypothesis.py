@@ -15,12 +15,10 @@ from loose_env.gap.model.nominal_model import NominalModel, set_step
 from loose_env.typing import Array
 
 _FORCE = "loose_env force of "
-_OFF = 30
-"""Group of actuators that are switched off."""
+_OFF = 30  # group of actuators that are switched off
 _SPREAD = 0.6
 """Prior standard deviation, as a share of the tolerance (of a uniform distribution: 0.58)."""
-_JOINT = ("damping", "armature", "frictionloss")
-"""Attributes of joints."""
+_JOINT = ("damping", "armature", "frictionloss")  # attributes of joints
 
 
 class NominalParameters:

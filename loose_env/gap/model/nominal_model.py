@@ -20,8 +20,7 @@ _AFFINE_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFF
 _AFFINE_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Ways to drive a joint itself, the same for hinges and slides."""
-_LISTED = 6
-"""Names that a sentence lists."""
+_LISTED = 6  # names that a sentence lists
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,7 @@ from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
-_HALVINGS = 3
-"""Times that a step is halved, at most."""
+_HALVINGS = 3  # times that a step is halved, at most
 
 
 def corrected_spec(

@@ -170,13 +170,11 @@ class _Source:
         return tuple(found)
 
 
-_ALL: tuple[str, ...] = ("*",)
-"""Stands for all parameters of an effect."""
+_ALL: tuple[str, ...] = ("*",)  # stands for all parameters of an effect
 _AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _NO_DRIVE = "no actuator drives it"
-_SAME = 1e-6
-"""Relative difference of two gains that are the same."""
+_SAME = 1e-6  # relative difference of two gains that are the same
 
 
 def _words(effect: NamedEffect, names: Iterable[str] | None = None) -> str:
@@ -676,10 +674,8 @@ _BY_BAM = dict.fromkeys(
     ("viscous_friction", "coulomb_friction", "stribeck_friction", "rotor_inertia", "load_friction"),
     _ALL,
 )
-_ALPHA = 2.0
-"""Exponent of the Stribeck curve in this package."""
-_SPEED = 0.2
-"""Stribeck speed of BAM where none is identified [rad/s]; without effect there."""
+_ALPHA = 2.0  # exponent of the Stribeck curve in this package
+_SPEED = 0.2  # stribeck speed of BAM where none is identified [rad/s]; without effect there
 
 
 def _bam(source: _Source, urdf: Path | None) -> Export:

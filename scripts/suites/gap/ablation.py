@@ -97,6 +97,8 @@ NUMBERS: tuple[Number, ...] = (
            reason="below, presliding: dry friction takes any value"),
     Number(name="core.motion.HIGHEST_HZ", unit="Hz",
            reason="structural modes of any arm lie above"),
+    Number(name="core.catalogue._MOVING", unit="noise sd",
+           reason="a range of motion beyond drift and rounding of an encoder at rest"),
     Number(name="core.balance._MOST_LOAD", unit="of the load", tried=(0.45, 0.95),
            reason="with more friction by load a drive would lock"),
     # exact fits
@@ -111,10 +113,14 @@ NUMBERS: tuple[Number, ...] = (
     # decision
     Number(name="core.decision.NAMED", unit="probability", tried=(0.25, 0.75),
            reason="as likely as not"),
+    Number(name="core.decision._Z", unit="sd", tried=(1.64, 2.58),
+           reason="95 of 100 intervals contain the true value"),
     Number(name="core.decision.HELD_OUT", unit="2 ln likelihood",
            reason="positive evidence (Kass and Raftery 1995)"),
     Number(name="core.decision.CONTRADICTED", unit="2 ln likelihood",
            reason="very strong evidence (Kass and Raftery 1995)"),
+    Number(name="core.decision._NOISE", unit="noise sd", tried=(1.3, 2.4),
+           reason="noise alone where its estimate is a third too small needs no effect"),
 )  # fmt: skip
 """The numbers that decide, in the order of the method; half and double of each are tried."""
 

@@ -315,10 +315,6 @@ class TrueArm:
                 system.drives[j, LINK_SIDE] = bodies[0] if soft else -1.0
         return system, readings
 
-    def without(self) -> TrueArm:
-        """The same arm with nothing missing."""
-        return dataclasses.replace(self, effects=())
-
     def run(
         self,
         motion: Motion,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,11 +11,13 @@ from typing import Any
 
 from loose_env.instrument import (
     DiagnoseSettings,
+    Evidence,
     Numbers,
     Plan,
     PlanSettings,
     commands_of,
-    diagnose,
+    judge,
+    listen,
     plan,
 )
 from loose_env.recording import Recording, read_recording
@@ -50,27 +53,12 @@ class Loose:
 
     def diagnose(self, folder: Path, variant: str = "") -> dict[str, Any]:
         """Answer from the recording, and from the reference where there is one."""
-        made, _ = _planned(folder)
         changed = dict(LEFT_OUT.get(variant, {}))
         name, _, times = variant.rpartition(" x")
         if name:
             changed = {name: getattr(Numbers(), name) * float(times)}
-        suspect = read_recording(folder / "recording")
-        runs = list(suspect.runs)
-        if variant == "three poses":
-            runs = runs[:3]
-        if (folder / "reference").is_dir():
-            healthy = read_recording(folder / "reference").runs
-            runs += [
-                dataclasses.replace(run, condition="healthy", name=f"reference/{run.name}")
-                for run in healthy
-            ]
-        whole = Recording(folder=suspect.folder, model_path=suspect.model_path, runs=tuple(runs))
-        numbers = Numbers(**{k: v for k, v in changed.items() if k != "sure"})
-        sure = min(changed.get("sure", Numbers.sure), 0.999)
-        found = diagnose(
-            whole, DiagnoseSettings(sure=max(sure, 0.5)), plan=_by_name(made), numbers=numbers
-        )
+        changed["sure"] = min(changed.get("sure", Numbers.sure), 0.99)
+        found = judge(_heard(folder, 3 if variant == "three poses" else None), Numbers(**changed))
         return {
             "verdict": found.verdict,
             "settled": found.settled,
@@ -91,6 +79,21 @@ class Loose:
             "remedy": found.remedy,
             "evidence": dict(found.evidence),
         }
+
+
+@functools.cache
+def _heard(folder: Path, poses: int | None) -> Evidence:
+    """Evidence of a session, by which all variants of its decision judge."""
+    suspect = read_recording(folder / "recording")
+    runs = list(suspect.runs)[:poses]
+    if (folder / "reference").is_dir():
+        healthy = read_recording(folder / "reference").runs
+        runs += [
+            dataclasses.replace(run, condition="healthy", name=f"reference/{run.name}")
+            for run in healthy
+        ]
+    whole = Recording(folder=suspect.folder, model_path=suspect.model_path, runs=tuple(runs))
+    return listen(whole, DiagnoseSettings(), plan=_by_name(_planned(folder)[0]))
 
 
 def _planned(folder: Path) -> tuple[Plan, Any]:

@@ -99,9 +99,11 @@ def answer_asked(tool: str, question: str, folder: Path, out: Path, variant: str
         session.pack(asked.plan(folder), out / "plan.npz")
     elif question == "enough":
         write_text(out / "enough.json", json.dumps(bool(asked.enough(folder))))
+    elif variant:
+        each = {name: asked.diagnose(folder, variant=name) for name in json.loads(variant)}
+        write_text(out / "answer.json", json.dumps(plain(each)))
     else:
-        said = asked.diagnose(folder, variant=variant) if variant else asked.diagnose(folder)
-        said = {**said, "cpu": round(time.process_time() - begun, 2)}
+        said = {**asked.diagnose(folder), "cpu": round(time.process_time() - begun, 2)}
         write_text(out / "answer.json", json.dumps(plain(said)))
 
 
@@ -197,7 +199,14 @@ def make(numbers: Sequence[int], place: Place) -> None:
 
 
 def run_case(
-    number: int, *, tool: str, variant: str, answers: Path | None, place: Place, code: str
+    number: int,
+    *,
+    tool: str,
+    variant: str,
+    variants: Sequence[str],
+    answers: Path | None,
+    place: Place,
+    code: str,
 ) -> Row:
     """Play a case where it is not, let the tool answer both ways, and grade the answers.
 
@@ -220,12 +229,17 @@ def run_case(
     truth = sealed_truth(place.blind, place.phrase, sealed.stem)
     row["shaken"] = truth["shaken"]
     if place.series == "months":
-        said = [ask(tool, "diagnose", each, variant)[0] for each in sorted(folder.iterdir())]
+        asked = (_of_variant(tool, each, variant) for each in sorted(folder.iterdir()))
+        said = [answer for answer, _ in asked]
         fit = [answer is not None and not grading.unfit(answer) for answer in said]
         row["alarms"] = [f and a["verdict"] == "loose" for f, a in zip(fit, said, strict=True)]
         return row | {"unanswered": fit.count(False), "travel": truth["travel"]}
     for way in grading.WAYS:
-        answer, words = _answer(way, tool, variant, answers, folder)
+        if variant:
+            kept_as = place.plans.parent / "variants" / f"{folder.name}-{way}-{code}.json"
+            answer, words = _variant_answer(kept_as, way, tool, variant, variants, folder)
+        else:
+            answer, words = _answer(way, tool, "", answers, folder)
         if answer is not None and (words := grading.unfit(answer)):
             answer = None
         marks = grading.failed(truth) if answer is None else grading.grade(answer, truth)
@@ -248,6 +262,26 @@ def _answer(
         return ask(tool, "diagnose", folder, variant)
     with tempfile.TemporaryDirectory() as copy:
         return ask(tool, "diagnose", session.without_reference(folder, Path(copy, "case")), variant)
+
+
+def _variant_answer(
+    kept_as: Path, way: str, tool: str, variant: str, variants: Sequence[str], folder: Path
+) -> tuple[Any, str]:
+    """Answer of a variant; a session is heard once, for all variants."""
+    known = json.loads(kept_as.read_text("utf-8")) if kept_as.is_file() else {}
+    if variant not in known:
+        said, words = _answer(way, tool, json.dumps([*variants]), None, folder)
+        if said is None:
+            return None, words
+        known |= said
+        write_text(kept_as, json.dumps(known))
+    return known[variant], ""
+
+
+def _of_variant(tool: str, folder: Path, variant: str) -> tuple[Any, str]:
+    """What a tool, or a variant of it, says of a session."""
+    said, words = ask(tool, "diagnose", folder, json.dumps([variant]) if variant else "")
+    return (said or {}).get(variant) if variant else said, words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,7 +320,7 @@ class RunSettings(Checked):
     folder: Path | None = None
     """Folder of --ask."""
     variant: str = ""
-    """Variant of the tool."""
+    """Variants of the tool, a list in JSON, of --ask diagnose."""
 
 
 def run(given: RunSettings) -> None:
@@ -313,7 +347,8 @@ def run(given: RunSettings) -> None:
     code, end = code_of(given.tool), "" if series == "cases" else f"-{series}"
     work = functools.partial(run_case, tool=given.tool, place=place, code=code)
     found = {}
-    for variant in ("", *_variants(tool, given.ablate)):
+    variants = _variants(tool, given.ablate)
+    for variant in ("", *variants):
         file = out / f"rows{end}{f'@{variant}' if variant else ''}.jsonl"
         if given.afresh:
             file.unlink(missing_ok=True)
@@ -323,7 +358,9 @@ def run(given: RunSettings) -> None:
         if given.show:
             rows = [row for row in kept(file) if row["number"] in numbers]
         else:
-            each = functools.partial(work, variant=variant, answers=given.answers)
+            each = functools.partial(
+                work, variant=variant, variants=variants, answers=given.answers
+            )
             rows = run_cases(numbers, each, file, workers=given.workers, say=line_of)
         found[variant or "as shipped"] = rows
     rows = found["as shipped"]

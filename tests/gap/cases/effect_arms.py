@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from loose_env.gap.model.effect import DrivenEffect, Effect, Readings
-from loose_env.gap.model.effects.sensors import delayed
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
@@ -167,14 +166,7 @@ def with_effect(machine: NominalModel, effect: Effect, values: Array) -> Reading
     effect.edit(spec, values)
     time = clock(machine)
     controls = effect.command(time, commands(machine, time), values)
-    readings = effect.read(time, simulate(spec.compile(), controls, effect, values), values)
-    late = effect.sensor_delay(values)
-    if late is None:
-        return readings
-    # these commands are smooth, so that a reading may be drawn out of its samples
-    column = f"sensor.{late[0]}"
-    axis = 0 if readings[column].ndim > 1 else -1
-    return {**readings, column: delayed(time, readings[column], late[1], axis=axis)}
+    return effect.read(time, simulate(spec.compile(), controls, effect, values), values)
 
 
 def difference(first: Readings, second: Readings, start: int = 0) -> float:

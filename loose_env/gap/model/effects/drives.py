@@ -13,8 +13,7 @@ from loose_env.gap.model.effect import DrivenEffect, Effect, Parameter
 from loose_env.gap.model.nominal_model import NominalModel, history_for, named
 from loose_env.typing import Array
 
-_SHORTEST = 1e-9
-"""Shift of commands below which it is none [s]."""
+_SHORTEST = 1e-9  # shift of commands below which it is none [s]
 
 
 class ShiftedCommand(Effect):
@@ -254,14 +253,10 @@ class CommandInterpolation(Effect):
         return np.asarray(controls + values[0] * (lines - controls))
 
 
-_LOWEST = 0.02
-"""Lowest limit that is tried, over the typical torque."""
-_HIGHEST = 20.0
-"""Highest one of a drive whose model has none."""
-_LEAST_GIVEN = 0.05
-"""Lowest limit that is sought in data, over the largest torque given."""
-_GRID, _SPEED_GRID = 150, 16
-"""Limits, 2 % apart, and no-load speeds that are tried on data."""
+_LOWEST = 0.02  # lowest limit that is tried, over the typical torque
+_HIGHEST = 20.0  # highest one of a drive whose model has none
+_LEAST_GIVEN = 0.05  # lowest limit that is sought in data, over the largest torque given
+_GRID, _SPEED_GRID = 150, 16  # limits, 2 % apart, and no-load speeds that are tried on data
 
 
 class JointDriveEffect(Effect):

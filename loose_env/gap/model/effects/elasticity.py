@@ -35,17 +35,13 @@ from loose_env.gap.model.nominal_model import (
 )
 from loose_env.typing import Array
 
-_SLOWEST_HZ = 0.3
-"""Mode of the softest spring that is tried."""
-_START_HZ = (4.0, 12.0, 35.0)
-"""Modes of the springs from which fits start."""
-_LIKELY_DAMPING = 0.05
-"""Damping ratio of a metal drive."""
+_SLOWEST_HZ = 0.3  # mode of the softest spring that is tried
+_START_HZ = (4.0, 12.0, 35.0)  # modes of the springs from which fits start
+_LIKELY_DAMPING = 0.05  # damping ratio of a metal drive
 _START_DAMPING = 0.4
 """Damping ratio from which fits start: a lightly damped mode rings, and what it rings agrees with
 a measurement only within some per cent of the true frequency; a damped one is led there."""
-_MOST_JOINTS = 6
-"""Joints of a body."""
+_MOST_JOINTS = 6  # joints of a body
 
 
 class AddedJoint(Effect):
@@ -145,22 +141,18 @@ class JointCompliance(SplitJoint, SpringEffect):
     kind = "joint_compliance"
 
 
-_DRAG_RATE = 2.0
-"""How fast oil stops a link that floats in the gap [1/s]."""
+_DRAG_RATE = 2.0  # how fast oil stops a link that floats in the gap [1/s]
 _FASTEST = 1.2
 """Largest angle by which a mode on a stop may turn in a step, at the model's zero [rad]: more than
 that of an added spring, since a stop is damped."""
-_LEAST_LOAD = 0.05
-"""Least usual load of a joint, as a share of that of the most loaded one."""
+_LEAST_LOAD = 0.05  # least usual load of a joint, as a share of that of the most loaded one
 _STARTS = (0.02, 0.06, 0.15, 0.3, 0.7, 3.0)
 """Gaps from which fits start, as shares of a hundredth of a radian or of the reach."""
-_TRAVEL_S = 0.5
-"""Time in which a slide travels a typical distance at its typical speed [s]."""
+_TRAVEL_S = 0.5  # time in which a slide travels a typical distance at its typical speed [s]
 _SOFTER = (1.0, 0.3, 0.1)
 """Stiffnesses of stops from which fits start, over the usual one: on soft stops a wrong gap or
 friction is told from none, and a fit finds the right ones from further off."""
-_DAMPING = 0.3
-"""Damping ratio of a mode on a stop."""
+_DAMPING = 0.3  # damping ratio of a mode on a stop
 
 
 class Backlash(SplitJoint):
@@ -215,10 +207,8 @@ def _ratio(low: float, high: float, scale: float, start: float) -> Parameter:
     return Parameter.sized("damping_ratio", "", 1, low, high, scale=scale, starts=[start], log=True)
 
 
-_SAME = 0.999
-"""Cosine between two axes from which they are parallel."""
-_APART = 0.02
-"""Distance of parallel axes that makes them two, in lengths of the machine."""
+_SAME = 0.999  # cosine between two axes from which they are parallel
+_APART = 0.02  # distance of parallel axes that makes them two, in lengths of the machine
 
 
 class BaseCompliance(SpringEffect):
@@ -309,10 +299,8 @@ class _MovedLink(LinkEffect, AddedJoint):
                 keep_motor_side(machine, spec, joint, machine.inertia(joint))
 
 
-_GRAVITY = 9.81
-"""Usual load of a seat, over the mass on it [m/s²]."""
-_GAPS = (1e-4, 6e-4)
-"""Gaps of a seat from which fits start, as shares of the reach."""
+_GRAVITY = 9.81  # usual load of a seat, over the mass on it [m/s²]
+_GAPS = (1e-4, 6e-4)  # gaps of a seat from which fits start, as shares of the reach
 
 
 class StructuralLooseness(_MovedLink):
@@ -398,8 +386,7 @@ class StructuralLooseness(_MovedLink):
         return float(np.exp(np.mean([np.log(self._weight(axis)) for axis in axes])))
 
 
-_SHORTEST = 0.03
-"""Shortest link that can bend, in lengths of the machine."""
+_SHORTEST = 0.03  # shortest link that can bend, in lengths of the machine
 _ALONG = 0.1
 """Sine of the smallest angle between joint and link at which the joint's axis is one of bending."""
 _PIVOTS, _MIDDLE, _SCATTER = (0.1, 0.6), 0.3, 0.1

@@ -117,10 +117,8 @@ class LinkCom(AdditiveEffect, LinkEffect):
         set_inertial(self.machine, spec, self.where, replace(old, centre=centre))
 
 
-_FAR_OFF = 0.3
-"""Furthest centre of a payload from the tool, over the reach of the arm."""
-_RADIUS = 0.01
-"""Radius of gyration of the payload, in lengths of the machine."""
+_FAR_OFF = 0.3  # furthest centre of a payload from the tool, over the reach of the arm
+_RADIUS = 0.01  # radius of gyration of the payload, in lengths of the machine
 _LIGHT = 0.05
 """Light payload from which fits start, over the mass that the machine moves at a joint."""
 

@@ -182,8 +182,7 @@ class AsymmetricFriction(JointEffect):
         add_constant(spec, self.where, name, 0.5 * (backward - forward))
 
 
-_KNOTS = (0.19, 1.58)
-"""Speeds, over the Stribeck speed, at which the pieces of the fall meet."""
+_KNOTS = (0.19, 1.58)  # speeds, over the Stribeck speed, at which the pieces of the fall meet
 _FALLEN = (0.028, 1.0)
 """What has fallen there: the straight lines nearest to 1 - exp(-x²), 0.03 off in the mean."""
 _SLOPES = (_FALLEN[0] / _KNOTS[0], (_FALLEN[1] - _FALLEN[0]) / (_KNOTS[1] - _KNOTS[0]))
@@ -233,8 +232,7 @@ class StribeckFriction(JointEffect):
 
 _TRACE = 1e-9
 """Friction loss that a joint gets, so that it has a friction at all, over its typical torque."""
-_LEAST = 1e-3
-"""Smallest share of a load friction with a Stribeck peak."""
+_LEAST = 1e-3  # smallest share of a load friction with a Stribeck peak
 
 
 class LoadFriction(DrivenEffect, JointEffect):
@@ -312,12 +310,9 @@ class LoadFriction(DrivenEffect, JointEffect):
         return f"friction[{joint}] += {own}"
 
 
-_MOST_PERIODS = 400.0
-"""Periods per turn that are tried at most."""
-_TRIED = 4000
-"""Numbers of periods in the search, at most."""
-_PROPOSED = 3
-"""Peaks that become starts."""
+_MOST_PERIODS = 400.0  # periods per turn that are tried at most
+_TRIED = 4000  # numbers of periods in the search, at most
+_PROPOSED = 3  # peaks that become starts
 
 
 class TorqueRipple(JointEffect):

@@ -23,8 +23,7 @@ from loose_env.gap.model.nominal_model import (
 from loose_env.typing import Array
 
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
-_OPEN_CIRCUIT = 1e12
-"""Resistance at which no current brakes the rotor [ohm]."""
+_OPEN_CIRCUIT = 1e12  # resistance at which no current brakes the rotor [ohm]
 _NOT_COPIED = ("id", "parent", "signature", "frame", "name", "info", "classname", "compiler")
 """Attributes of a joint that its copy has of its own."""
 FASTEST = 0.8

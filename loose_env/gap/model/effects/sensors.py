@@ -190,19 +190,9 @@ class SensorDelay(SensorEffect):
     is_time_shift = True
     parameters = (DELAY,)
 
-    @property
-    def _jumps(self) -> bool:
-        """True if the reading is no position or speed and has no delay in the model."""
-        smooth = is_position_or_speed(self.machine, column_of(self.where))
-        return not smooth and float(self.machine.spec.sensor(self.where).delay) == 0.0
-
-    def sensor_delay(self, values: Array) -> tuple[str, float] | None:
-        """Return the delay of an acceleration or a force."""
-        return (self.where, float(values[0])) if self._jumps else None
-
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
-        """Shift a position or a speed."""
-        if values[0] <= 0 or self._jumps:
+        """Shift the reading."""
+        if values[0] <= 0:
             return reading
         return delayed(time, reading, float(values[0]), axis=-2 if self.dim > 1 else -1)
 
