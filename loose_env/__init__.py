@@ -1,13 +1,14 @@
 """Diagnosis of looseness in robot arms: `diagnose`, `explain_gap`, Gymnasium environments.
 
-Importing the package registers its environments with Gymnasium. `diagnose` and `explain_gap` load
-the rest of the package when they are first used:
+Importing the package registers its environments with Gymnasium. `diagnose`, `explain_gap` and
+`simulator` load the rest of the package when they are first used:
 
     import loose_env
     found = loose_env.diagnose("session/recording")
     print(found.headline)
 """
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from loose_env.registration import register
@@ -15,21 +16,20 @@ from loose_env.version import __version__
 
 if TYPE_CHECKING:
     from loose_env.api import diagnose, explain_gap
+    from loose_env.envs import simulator
 
-__all__ = ["__version__", "diagnose", "explain_gap", "register"]
+__all__ = ["__version__", "diagnose", "explain_gap", "register", "simulator"]
 
-_LATER = frozenset({"diagnose", "explain_gap"})
-"""Names of `loose_env.api`, whose imports take a second."""
+_LATER = {"diagnose": "api", "explain_gap": "api", "simulator": "envs"}
+"""Names by their module, whose imports take a second."""
 
 register()
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name of `loose_env.api` when it is asked for."""
+    """Import a name when it is asked for."""
     if name in _LATER:
-        from loose_env import api
-
-        return getattr(api, name)
+        return getattr(importlib.import_module(f"loose_env.{_LATER[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -5,7 +5,7 @@ sb3; gap_env.
 """
 
 from loose_env.envs import palette
-from loose_env.envs.batch import BatchRig, EpisodeBatch, Outcome
+from loose_env.envs.batch import BatchRig, EpisodeBatch, Outcome, Steps
 from loose_env.envs.env import DiagnosisEnv, EnvState
 from loose_env.envs.faults import FaultSampler, fault_words, hypothesis_words
 from loose_env.envs.gap_env import (
@@ -35,6 +35,7 @@ from loose_env.envs.settings import (
     Prices,
     difficulty_named,
 )
+from loose_env.envs.simulation import FaultPrior, simulator
 from loose_env.envs.spaces import Action, ActionLayout, Element, ObservationLayout, RecordLayout
 from loose_env.envs.vector_env import DiagnosisVectorEnv, VectorState, batch_seeds
 
@@ -60,6 +61,7 @@ __all__ = [
     "Element",
     "EnvState",
     "EpisodeBatch",
+    "FaultPrior",
     "FaultSampler",
     "GapObservation",
     "GapPrices",
@@ -73,6 +75,7 @@ __all__ = [
     "Picture",
     "Prices",
     "RecordLayout",
+    "Steps",
     "VectorState",
     "batch_seeds",
     "difficulty_named",
@@ -84,4 +87,5 @@ __all__ = [
     "measured_correlation",
     "palette",
     "predicted_correlation",
+    "simulator",
 ]

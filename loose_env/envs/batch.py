@@ -534,6 +534,13 @@ class EpisodeBatch:
         self._last[slot] = None if episode.last is None else (Records.of([episode.last]), 0)
         self._show_globals(np.array([slot]))
 
+    def place(self, slots: Sequence[int] | IndexArray, poses: Array) -> None:
+        """Put the arms of A running episodes into poses (A, n), as no action can."""
+        self._require_begun(slots)
+        own = np.asarray(slots, dtype=np.intp)
+        self._poses[own] = [self._checked(pose) for pose in poses]
+        self._show_globals(own)
+
     def mask(self, slot: int) -> NDArray[np.bool_]:
         """Return the allowed choices of a slot's next action."""
         found: NDArray[np.bool_] = self.masks([slot])[0]

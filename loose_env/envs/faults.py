@@ -376,32 +376,54 @@ class FaultSampler:
             return self.further.rotation(place, u, rng.random(16))
         if kind == "compound_looseness":
             return self.further.compound(place, u, rng.random(16))
-        gap = log_uniform(d.gap, u[2])
-        ratio = log_uniform(d.friction, u[3])
-        modes = np.array([uniform(d.contact_mode, v) for v in u[4:6]])
-        ratios = np.array([uniform(d.contact_damping, v) for v in u[6:8]])
+        part = "joint" if kind == "backlash" else "link"
+        return self.fault(
+            f"{kind}@{part}{place}",
+            gap=log_uniform(d.gap, u[2]),
+            ratio=log_uniform(d.friction, u[3]),
+            modes=np.array([uniform(d.contact_mode, v) for v in u[4:6]]),
+            damping=np.array([uniform(d.contact_damping, v) for v in u[6:8]]),
+            direction=(u[8], u[9]),
+        )
+
+    def fault(
+        self,
+        hypothesis: str,
+        *,
+        gap: float,
+        ratio: float,
+        modes: Array,
+        damping: Array,
+        direction: tuple[float, float],
+    ) -> Backlash | StructuralLooseness:
+        """Play or a loose link by its parameters.
+
+        Travel at the tool [m], friction over the seat drive [1], modes [Hz] (2,) and damping ratios
+        (2,) of the stops, and two uniform variates of a slide's direction.
+        """
+        place = place_of(hypothesis) or 1
         seat = np.zeros(self._masses.size)
-        if kind == "backlash":
+        if hypothesis.startswith("backlash"):
             seat[self.linear.hinge_dofs[place - 1]] = 1.0
-            stiffness, damping = self._masses.stops(seat, modes, ratios)
+            stiffness, dampers = self._masses.stops(seat, modes, damping)
             return Backlash(
                 joint=place,
                 gap=gap if self.arm.sliding[place - 1] else gap / self.arm.reach,
                 stiffness=stiffness,
-                damping=damping,
+                damping=dampers,
                 friction=ratio * self.drive.hinge(place),
             )
-        direction = direction_from(u[8], u[9], planar=len(self.arm.axes) == 2)
+        along = direction_from(*direction, planar=len(self.arm.axes) == 2)
         slides = self.linear.slide_dofs[place - 1]
-        seat[slides] = direction[: len(slides)]
-        stiffness, damping = self._masses.stops(seat, modes, ratios)
+        seat[slides] = along[: len(slides)]
+        stiffness, dampers = self._masses.stops(seat, modes, damping)
         return StructuralLooseness(
             link=place,
-            direction=direction,
+            direction=along,
             gap=gap,
             stiffness=stiffness,
-            damping=damping,
-            friction=ratio * self.drive.slide(place, direction),
+            damping=dampers,
+            friction=ratio * self.drive.slide(place, along),
         )
 
     def several(self, rng: np.random.Generator, count: int = 2) -> SeveralFaults:

@@ -1,0 +1,220 @@
+"""Prior and batched simulator of records: for experiment design and simulation-based inference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+
+from loose_env.envs.batch import EpisodeBatch
+from loose_env.envs.faults import log_uniform, uniform
+from loose_env.envs.spaces import checked_indices
+from loose_env.errors import InvalidSetting
+from loose_env.faults import DEFAULT_KINDS, Fault, Healthy, places_of_kind
+from loose_env.io import is_whole
+from loose_env.typing import Array
+
+NAMES = (
+    *("hypothesis", "gap", "friction", "contact_mode_low", "contact_mode_high"),
+    *("contact_damping_low", "contact_damping_high", "direction_turn", "direction_height"),
+)
+"""Parameters of a fault, in the order of theta."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FaultPrior:
+    """Prior of a hidden fault's parameters: those of an environment's difficulty.
+
+    ``theta`` (B, 9) has the index of the hypothesis; the travel at the tool [m] and the friction
+    over the seat drive of the top level [1], log-uniform; modes [Hz] and damping ratios [1] of the
+    lower and the upper stop, uniform; and two numbers from 0 to 1 that give a slide's direction.
+    A healthy arm, play and an arm in the plane do not depend on all of them.
+    """
+
+    hypotheses: tuple[str, ...]
+    """Names of the hypotheses."""
+    probabilities: Array
+    """Their prior probabilities (hypotheses,)."""
+    low: Array
+    """Least value of each other parameter (8,)."""
+    high: Array
+    """Largest value of each (8,)."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return NAMES
+
+    def sample(self, rng: np.random.Generator, count: int) -> Array:
+        """Draw parameters (count, 9)."""
+        drawn = np.empty((count, len(NAMES)))
+        drawn[:, 0] = rng.choice(len(self.hypotheses), size=count, p=self.probabilities)
+        u = rng.random((count, len(self.low)))
+        for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)):
+            turn = log_uniform if k < _LOG else uniform
+            drawn[:, 1 + k] = [turn((low, high), each) for each in u[:, k]]
+        return drawn
+
+    def log_prob(self, theta: Array) -> Array:
+        """Logarithm of the prior density (B,): of the hypothesis a probability."""
+        rest = theta[:, 1:]
+        with np.errstate(divide="ignore"):
+            found = np.log(self.probabilities)[theta[:, 0].astype(int)]
+        width = self.high - self.low
+        width[:_LOG] = np.log(self.high[:_LOG] / self.low[:_LOG])
+        found = found - np.log(width[width > 0]).sum() - np.log(rest[:, :_LOG]).sum(axis=1)
+        inside = ((rest >= self.low) & (rest <= self.high)).all(axis=1)
+        return np.where(inside, found, -np.inf)
+
+
+_LOG = 2
+"""Log-uniform parameters, the first ones after the hypothesis."""
+
+
+class Simulate(Protocol):
+    """Simulator of records, as `simulator` makes it."""
+
+    def __call__(self, theta: Array, design: Array, rng: np.random.Generator) -> Array:
+        """Records of arms with given faults, in given poses and excitations."""
+        ...
+
+
+def simulator(
+    env_id: str, *, num_envs: int = 64, engine: str = "reduced", **arguments: Any
+) -> tuple[FaultPrior, Simulate]:
+    """Prior of a hidden fault and simulator of the records that an environment would show.
+
+    Parameters
+    ----------
+    env_id : str
+        An environment, such as ``"loose_env/Planar-v0"``; not ``loose_env/Gap-v0``.
+    num_envs : int
+        Arms simulated at once.
+    engine : {"reduced", "mujoco"}
+        Engine; "mujoco" where the extra ``fast`` is not installed.
+    **arguments
+        As for `gymnasium.make`.
+
+    Returns
+    -------
+    FaultPrior
+        Prior of theta.
+    callable
+        ``simulate(theta, design, rng)``: theta (B, 9), design (B, 2 n + 1) or, for T records of the
+        same arm one after the other, (B, T, 2 n + 1): the pose [rad, m], the level of each joint,
+        and the index of the record's length. The true arms' deviations from the nominal one and
+        all noise come from ``rng``. Returns the elements of each record (B, S) or (B, T, S), as
+        they stand in the observation (`loose_env.envs.ObservationLayout`); NaN where a
+        simulation diverged, zero where gravity leaves the drives no torque.
+
+    Raises
+    ------
+    InvalidSetting
+        If faults of the environment have no such parameters, or there are too many records.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> prior, simulate = simulator("loose_env/Planar-v0", n_links=2)
+    >>> theta = prior.sample(rng, 8)
+    >>> design = np.tile([0.3, 0.8, 0, 3, 0], (8, 1))  # a pose; joint 2 at level 3, 0.2 s
+    >>> simulate(theta, design, rng).shape
+    (8, 58)
+    """
+    if not is_whole(num_envs) or num_envs < 1:
+        raise InvalidSetting(f"num_envs must be 1 or more, got {num_envs!r}")
+    made: Any = gymnasium.make_vec(env_id, num_envs=num_envs, engine=engine, **arguments)
+    batch = getattr(made.unwrapped, "batch", None)
+    if not isinstance(batch, EpisodeBatch):
+        raise InvalidSetting(f"{env_id!r} hides no fault of an arm: give one of loose_env's ids")
+    hypotheses, difficulty = batch.hypotheses, batch.difficulty
+    kinds = [name.partition("@")[0] for name in hypotheses]
+    others = sorted(set(kinds) - set(DEFAULT_KINDS))
+    if others:
+        raise InvalidSetting(f"faults of the kinds {others} have other parameters; leave them out")
+    shares = [
+        batch.sampler.probabilities[kind] / max(1, len(places_of_kind(batch.arm, kind)))
+        for kind in kinds
+    ]
+    ranges = [difficulty.gap, difficulty.friction]
+    ranges += [difficulty.contact_mode] * 2 + [difficulty.contact_damping] * 2 + [(0.0, 1.0)] * 2
+    low, high = np.array(ranges).T
+    prior = FaultPrior(
+        hypotheses=hypotheses, probabilities=np.array(shares) / sum(shares), low=low, high=high
+    )
+
+    def simulate(theta: Array, design: Array, rng: np.random.Generator) -> Array:
+        """Records of arms with given faults, in given poses and excitations."""
+        parameters, designs = np.asarray(theta, dtype=float), np.asarray(design, dtype=float)
+        one = designs.ndim == 2
+        designs = designs[:, None] if one else designs
+        _check(batch, prior, parameters, designs)
+        faults = [_fault(batch, hypotheses[int(row[0])], row[1:]) for row in parameters]
+        found = np.empty((*designs.shape[:2], len(batch.observations.slot_elements)))
+        for first in range(0, len(faults), num_envs):
+            own = slice(first, first + num_envs)
+            found[own] = _records(batch, faults[own], designs[own], rng)
+        return found[:, 0] if one else found
+
+    return prior, simulate
+
+
+def _check(batch: EpisodeBatch, prior: FaultPrior, theta: Array, designs: Array) -> None:
+    n, most = batch.arm.n, batch.settings.max_records
+    if theta.ndim != 2 or theta.shape[1] != len(NAMES) or not np.isfinite(theta).all():
+        raise InvalidSetting(
+            f"theta is (B, {len(NAMES)}) finite numbers {list(NAMES)}, got shape {theta.shape}"
+        )
+    if designs.ndim != 3 or designs.shape[::2] != (len(theta), 2 * n + 1):
+        raise InvalidSetting(
+            f"a design is ({len(theta)}, {2 * n + 1}) numbers, or ({len(theta)}, T, {2 * n + 1}): "
+            f"pose, levels, index of the length; got shape {designs.shape}"
+        )
+    if designs.shape[1] > most:
+        raise InvalidSetting(
+            f"an arm takes {most} records at most, got {designs.shape[1]}: give max_records"
+        )
+    checked_indices("hypotheses of theta", theta[:, 0], np.full(len(theta), len(prior.hypotheses)))
+
+
+def _fault(batch: EpisodeBatch, hypothesis: str, figures: Array) -> Fault:
+    """Fault of a hypothesis with given parameters."""
+    if hypothesis == "healthy":
+        return Healthy()
+    return batch.sampler.fault(
+        hypothesis,
+        gap=float(figures[0]),
+        ratio=float(figures[1]),
+        modes=figures[2:4],
+        damping=figures[4:6],
+        direction=(float(figures[6]), float(figures[7])),
+    )
+
+
+def _records(
+    batch: EpisodeBatch, faults: list[Fault], designs: Array, rng: np.random.Generator
+) -> Array:
+    """Take records of some arms, one after the other (B, T, S)."""
+    count, records, n = *designs.shape[:2], batch.arm.n
+    slots = np.arange(count)
+    batch.start_all(
+        slots.tolist(),
+        seeds=[int(rng.integers(1 << 63)) for _ in range(count)],
+        numbers=[0] * count,
+        options=[{"fault": fault} for fault in faults],
+    )
+    failed = np.zeros(count, dtype=bool)
+    for t in range(records):
+        going = slots[~failed]
+        batch.place(going, designs[going, t, :n])
+        actions = [
+            batch.actions.encode(levels=row[n : 2 * n], duration=row[2 * n])
+            for row in designs[going, t]
+        ]
+        failed[going] = batch.step(going, np.array(actions)).truncated
+    found = np.array([batch.episode(int(slot)).slots[:records] for slot in slots], dtype=float)
+    found[failed] = np.nan
+    return found
