@@ -360,7 +360,9 @@ def proposal_text(proposal: Proposal, model: str) -> str:
     lines = [f"format = {quoted(MAPPING_FORMAT)}"]
     lines.append(f"model = {quoted(model)}" if model else "# model: give it by --model")
     if proposal.unused:
-        lines.append(f"unused = [{', '.join(map(quoted, proposal.unused))}]  # no signals in them")
+        lines.append(
+            f"unused = [{', '.join(map(quoted, proposal.unused))}]  # no signals that the proposal uses"
+        )
     for name, log in proposal.logs.items():
         lines += ["", f"[sources.{name}]", f"file = {quoted(log.files[0][0])}", *log.lines]
     lines += [
