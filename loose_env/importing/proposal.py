@@ -361,7 +361,7 @@ def proposal_text(proposal: Proposal, model: str) -> str:
     lines.append(f"model = {quoted(model)}" if model else "# model: give it by --model")
     if proposal.unused:
         lines.append(
-            f"unused = [{', '.join(map(quoted, proposal.unused))}]  # no signals that the proposal uses"
+            f"unused = [{', '.join(map(quoted, proposal.unused))}]  # none of their signals is used"
         )
     for name, log in proposal.logs.items():
         lines += ["", f"[sources.{name}]", f"file = {quoted(log.files[0][0])}", *log.lines]
