@@ -88,7 +88,12 @@ class Plan(Output):
         from loose_env.report import summary, write_plan_page
 
         known = None if self.known is None else read_diagnosis(self.known)
-        place = self.out if (self.out / PLAN).is_file() else self.like
+        there = self.out / PLAN
+        if self.like is not None and there.is_file():
+            raise InvalidSetting(
+                f"--like is for a new folder: {there} has settings of its own, which hold as before"
+            )
+        place = self.out if there.is_file() else self.like
         before = None if place is None else read_plan(place).settings
         own = settled(self.settings, before, "the earlier plan")
         if self.out.exists() and not self.out.is_dir():

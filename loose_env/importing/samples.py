@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
@@ -175,25 +174,3 @@ def found_in(tables: Iterable[Table], key: ChannelKey, name: str) -> tuple[Table
 def unreadable(name: str, error: OSError) -> InvalidData:
     """Error for a file that the system does not read."""
     return InvalidData(f"{name}: it cannot be read: {error.strerror or error}")
-
-
-def file_within(folder: Path, given: str, place: str) -> Path:
-    """Find a file that a dataset names, in the folder that the user gave.
-
-    Links are followed, since downloaded datasets consist of them; the name itself may not lead
-    out of the folder.
-
-    Examples
-    --------
-    >>> file_within(Path("bag"), "../other.mcap", "bag/metadata.yaml")
-    Traceback (most recent call last):
-    ...
-    loose_env.errors.InvalidData: bag/metadata.yaml: '../other.mcap' is no path within the folder
-    """
-    path = PurePosixPath(given)
-    if not given.isprintable() or "\\" in given or path.is_absolute() or ".." in path.parts:
-        raise InvalidData(f"{place}: {given!r:.200} is no path within the folder")
-    found = folder / path
-    if not found.is_file():
-        raise InvalidData(f"{place}: there is no file {given!r:.200} in {folder.name}")
-    return found

@@ -63,6 +63,11 @@ def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
     return found
 
 
+_TURNING = {"gyro", "gyroscope", "angular"}
+_GRAVITY = 0.2
+"""Share by which the median reading of an accelerometer that no name tells may be off 1 g [1]."""
+
+
 def tool_sensors(
     model: mujoco.MjModel, free: Sequence[Signal], rates: Mapping[str, Sequence[Array]]
 ) -> Iterator[tuple[str, Signal, str, str]]:
@@ -75,22 +80,27 @@ def tool_sensors(
     kinds = (
         (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration",
          {"acc", "accel", "acceleration", "accelerometer"}),
-        (mujoco.mjtSensor.mjSENS_GYRO, "angular speed", {"gyro", "gyroscope", "angular"}),
+        (mujoco.mjtSensor.mjSENS_GYRO, "angular speed", _TURNING),
     )  # fmt: skip
     for kind, quantity, words in kinds:
         ids = np.flatnonzero(model.sensor_type == kind)
         name = model.sensor(int(ids[0])).name if len(ids) == 1 else ""
-        own: dict[str, Signal] = {}
+        own, told = dict[str, Signal](), True
         for s in free:
             stated, named = quantity_of(s.unit), bool(set(s.meaning.words) & words)
             alone = quantity == "acceleration" and stated == quantity
-            if s.meaning.axis and (alone or (named and stated in ("", quantity))):
+            # A file's name may be all that says acceleration: then gravity has to be in it.
+            beside = quantity == s.meaning.role and not set(s.meaning.words) & _TURNING
+            if s.meaning.axis and (alone or ((named or beside) and stated in ("", quantity))):
                 own.setdefault(s.meaning.axis, s)
+                told &= alone or named
         if not name or len(own) != 3:
             continue
         if quantity == "acceleration":
             norm = float(np.median(np.sqrt(sum(own[axis].values ** 2 for axis in "xyz"))))
             unit = min(at_rest, key=lambda u: abs(np.log(max(norm, 1e-9) / at_rest[u])))
+            if not told and abs(norm / at_rest[unit] - 1) > _GRAVITY:
+                continue
         else:
             joint = max((float(np.std(np.concatenate(v))) for v in rates.values()), default=0.0)
             fast = max(float(np.std(s.values)) for s in own.values())

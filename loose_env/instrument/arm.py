@@ -135,7 +135,8 @@ class SuspectArm:
     def base(self) -> str:
         """Body that carries the first link and is bolted to the ground."""
         parent = int(self.model.body_parentid[self.model.body(self.links[0]).id])
-        return self.model.body(parent).name if parent else "base"
+        free = (name for name in ("base", "ground", "floor") if name not in self.links)
+        return self.model.body(parent).name if parent else next(free)
 
     @cached_property
     def model(self) -> mujoco.MjModel:

@@ -124,11 +124,18 @@ class Evidence:
     """Columns that are not what they are called, in sentences."""
     started: float
     """Processor time at which it was begun [s]."""
-    gears: Gears | None = None
-    heard: Heard | None = None
-    rhythm: Rhythm | None = None
-    """None, as the two before, where too few runs can be used or columns are exchanged."""
-    change: Change | None = None
+    rang: _Rang | None = None
+    """What rang; None where too few runs can be used or columns are exchanged."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rang:
+    """What rang in a session, and which places foretell it."""
+
+    gears: Gears
+    heard: Heard
+    rhythm: Rhythm
+    change: Change | None
     """Against the healthy session; None without."""
 
 
@@ -163,24 +170,24 @@ def listen(
     say(f"following the loads of {len(arm.places)} places")
     rhythm = rhythm_of(heard, knocks.sphere(knocks.DIRECTIONS))
     session = replace(session, remarks=session.remarks + _short(session, plan))
-    return replace(found, session=session, gears=gears, heard=heard, rhythm=rhythm, change=compared)
+    rang = _Rang(gears=gears, heard=heard, rhythm=rhythm, change=compared)
+    return replace(found, session=session, rang=rang)
 
 
 def judge(found: Evidence, numbers: decide.Numbers) -> Diagnosis:
     """Decide what the evidence of a session means."""
-    arm, session = found.arm, found.session
-    done = _Finished(found.recording, found.plan, numbers, session, found.started)
+    done, session, rang = _Finished(found, numbers), found.session, found.rang
     if found.exchanged:
-        return done.refused(arm, found.exchanged)
-    if found.rhythm is None or found.heard is None or found.gears is None:
-        return done.unread(arm)
+        return done.refused()
+    if rang is None:
+        return done.unread()
     steady = decide.repeats(session.suspect)
-    alarm = decide.detect(found.rhythm, numbers, change=found.change, repeats=steady)
+    alarm = decide.detect(rang.rhythm, numbers, change=rang.change, repeats=steady)
     scores = decide.score(
-        arm, found.rhythm, session.suspect, found.gears,
-        numbers=numbers, change=found.change, healthy=session.healthy or None,
+        found.arm, rang.rhythm, session.suspect, rang.gears,
+        numbers=numbers, change=rang.change, healthy=session.healthy or None,
     )  # fmt: skip
-    return done.judged(arm, found.heard, found.rhythm, alarm, scores, found.gears)
+    return done.judged(rang, alarm, scores)
 
 
 def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettings) -> _Session:
@@ -292,85 +299,77 @@ def _seen(arm: SuspectArm, record: Record, signal: Multisine) -> RunSeen:
 class _Finished:
     """Makes the result of a session."""
 
-    recording: Recording
-    plan: Plan
+    found: Evidence
     numbers: decide.Numbers
-    session: _Session
-    started: float
 
-    def unread(self, arm: SuspectArm) -> Diagnosis:
+    def unread(self) -> Diagnosis:
         """Result of a session with too few records."""
-        used = len(self.session.suspect)
-        why = [run.why for run in self.session.runs if not run.used]
+        session = self.found.session
+        used = len(session.suspect)
+        why = [run.why for run in session.runs if not run.used]
         headline = (
-            f"Nothing can be said: {used} of {len(self.session.runs)} runs can be used, "
+            f"Nothing can be said: {used} of {len(session.runs)} runs can be used, "
             f"{decide.FEWEST_POSES} are needed."
         )
         first = why[0] if why else "record the runs that are still planned"
         remedy = f"{first[0].upper()}{first[1:]}."
-        return self._result("open" if used else "refused", headline, remedy, _untold(arm))
+        return self._result("open" if used else "refused", headline, remedy, self._untold())
 
-    def refused(self, arm: SuspectArm, reasons: Sequence[str]) -> Diagnosis:
+    def refused(self) -> Diagnosis:
         """Result of a session whose columns are not what they are called."""
+        reasons = self.found.exchanged
         headline = f"The recording is not that of the plan: {reasons[0]}."
         remedy = "Correct the columns' names or signs in the mapping, and import again."
-        return self._result("refused", headline, remedy, _untold(arm), reasons=tuple(reasons))
+        return self._result("refused", headline, remedy, self._untold(), reasons=reasons)
 
-    def judged(
-        self,
-        arm: SuspectArm,
-        heard: Heard,
-        rhythm: Rhythm,
-        alarm: Alarm,
-        scores: Scores,
-        gears: Gears,
-    ) -> Diagnosis:
+    def judged(self, rang: _Rang, alarm: Alarm, scores: Scores) -> Diagnosis:
         """Result of a session that can be judged."""
-        hobby = self.plan.hobby
+        hobby, left = self.found.plan.hobby, rang.gears.left
         top = scores.order[0]
-        told = foretold(heard, rhythm, scores.best[top])
+        told = foretold(rang.heard, rang.rhythm, scores.best[top])
         sure = bool(scores.probability[top] >= self.numbers.sure)  # JSON has no numpy.bool
         settled = alarm.loose and sure and not hobby
-        places = _places(arm, rhythm, alarm, scores, settled=settled)
-        remarks = list(self.session.remarks)
+        places = _places(self.found.arm, rang.rhythm, alarm, scores, settled=settled)
+        remarks = list(self.found.session.remarks)
         heavier = alarm.evidence.get("payload_kg", 0.0)
         if heavier and not alarm.loose:
             remarks.append(
                 f"the arm moves as if its tool carried {abs(heavier):.2g} kg "
                 f"{'more' if heavier > 0 else 'less'} than on the healthy day"
             )
-        if gears.left > _POOR:
+        if left > _POOR:
             remarks.append(
-                f"the model leaves {100 * gears.left:.0f} % of the tool's slow motion: check "
+                f"the model leaves {100 * left:.0f} % of the tool's slow motion: check "
                 "link lengths, joint zeros and the accelerometer's place in the model"
             )
         headline, remedy = _words(places, alarm, settled=settled, hobby=hobby)
-        runs = self._with_told(heard, told, alarm.loose)
+        runs = self._with_told(rang.heard, told, alarm.loose)
         verdict: Verdict = (
             "loose" if alarm.loose else "open" if alarm.louder or alarm.masked else "tight"
         )
         return self._result(
             verdict, headline, remedy, places,
             settled=settled, reasons=alarm.reasons, remarks=tuple(remarks),
-            evidence={**alarm.evidence, "gears_left": gears.left}, runs=runs,
+            evidence={**alarm.evidence, "gears_left": left}, runs=runs,
         )  # fmt: skip
 
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
         """Runs with what the best place foretells, and the healthy day's lines."""
+        session = self.found.session
         scale = sum(float(a @ t) for a, t in zip(heard.amplitude, told, strict=True)) / max(
             sum(float(t @ t) for t in told), 1e-30
         )
-        own = {record.name: k for k, record in enumerate(self.session.suspect)}
+        own = {record.name: k for k, record in enumerate(session.suspect)}
         found = []
-        for run in self.session.runs:
+        for run in session.runs:
             k = own.get(run.file)
             if k is not None:
                 each = asdict(run)
                 if loose:
                     thinned = told[k].reshape(_SHOWN, GRID // _SHOWN).mean(1) * scale
                     each["foretold"] = tuple(thinned.round(5).tolist())
-                if self.session.healthy:
-                    then = np.linalg.norm(self.session.healthy[k].tool[1:], axis=1)
+                if session.healthy:
+                    then = np.linalg.norm(session.healthy[k].tool[1:], axis=1)
                     each["healthy_lines"] = tuple(then.round(6).tolist())
                 run = RunSeen(**each)
             found.append(run)
@@ -389,7 +388,8 @@ class _Finished:
         evidence: Mapping[str, float] | None = None,
         runs: tuple[RunSeen, ...] | None = None,
     ) -> Diagnosis:
-        files = [self.recording.folder / run.name for run in self.recording.runs]
+        recording, session = self.found.recording, self.found.session
+        files = [recording.folder / run.name for run in recording.runs]
         times = [file.stat().st_mtime for file in files if file.is_file()]
         latest = datetime.fromtimestamp(max(times), UTC) if times else None
         return Diagnosis(
@@ -399,47 +399,42 @@ class _Finished:
             places=places,
             settled=settled,
             reasons=reasons,
-            remarks=self.session.remarks if remarks is None else remarks,
+            remarks=session.remarks if remarks is None else remarks,
             evidence=evidence or {},
-            runs=self.session.runs if runs is None else runs,
-            reference=bool(self.session.healthy),
-            hobby=self.plan.hobby,
-            model=self.recording.model_path.name,
+            runs=session.runs if runs is None else runs,
+            reference=bool(session.healthy),
+            hobby=self.found.plan.hobby,
+            model=recording.model_path.name,
             date="" if latest is None else latest.isoformat(timespec="seconds"),
             version=__version__,
-            seconds=round(time.process_time() - self.started, 2),
+            seconds=round(time.process_time() - self.found.started, 2),
             shaken_s=round(
-                sum(
-                    r.time[-1] - r.time[0] for r in self.recording.runs if r.condition == "suspect"
-                ),
+                sum(r.time[-1] - r.time[0] for r in recording.runs if r.condition == "suspect"),
                 2,
             ),
             settings=asdict(self.numbers),
         )
 
-
-_POOR = 0.3
-"""Share of the tool's slow motion left from which the model is said to be another's [1]."""
-
-
-def _untold(arm: SuspectArm) -> tuple[Place, ...]:
-    """All places, of which a session says nothing."""
-    found = []
-    for place in arm.places:
-        kind, at = place.split("@")
-        found.append(
+    def _untold(self) -> tuple[Place, ...]:
+        """All places, of which a session says nothing."""
+        arm = self.found.arm
+        return tuple(
             Place(
-                kind=kind,
-                at=at,
+                kind=place.split("@", 1)[0],
+                at=place.split("@", 1)[1],
                 verdict="not tested",
                 probability=0.0,
                 rhythm=0.0,
                 tested=0.0,
                 why="no run can be used",
-                base=at == arm.base,
+                base=place == arm.places[-1],
             )
+            for place in arm.places
         )
-    return tuple(found)
+
+
+_POOR = 0.3
+"""Share of the tool's slow motion left from which the model is said to be another's [1]."""
 
 
 _LISTED = 0.05
@@ -460,7 +455,7 @@ def _places(
         best = scores.best[place]
         chance = scores.probability[place] if alarm.loose else 0.0
         direction = None
-        if kind == BOLTS and at != arm.base:
+        if kind == BOLTS and place != arm.places[-1]:
             d = rhythm.directions[rhythm.labels[best][2]]
             direction = (round(float(d[0]), 5), round(float(d[1]), 5), round(float(d[2]), 5))
         verdict: PlaceVerdict
@@ -478,7 +473,7 @@ def _places(
             verdict, why = "not tested", "other strikes hide whether it knocks"
         elif is_tested_share(shares[place]):
             verdict = "tight"
-            turns = at == arm.base or (kind != BOLTS and not slides[at])
+            turns = place == arm.places[-1] or (kind != BOLTS and not slides[at])
             held = f"{np.median(rhythm.held[names == place]):.2g} {'N·m' if turns else 'N'}"
             why = f"its load reversed by up to {held}, and " + (
                 "another place fits what was heard better" if alarm.loose else "it was not heard"
@@ -495,7 +490,7 @@ def _places(
                 tested=round(shares[place], 3),
                 direction=direction,
                 why=why,
-                base=at == arm.base,
+                base=place == arm.places[-1],
             )
         )
     return tuple(found)

@@ -51,14 +51,6 @@ def as_records(values: ArrayLike, name: str) -> Array:
     return samples[None] if samples.ndim == 1 else samples
 
 
-def as_direction(direction: ArrayLike, dimension: int, name: str = "direction") -> Array:
-    """Return `direction` as a unit vector with `dimension` components."""
-    vector = as_floats(direction, name)
-    if vector.shape != (dimension,):
-        raise InvalidData(f"{name} has shape {vector.shape}; it must be ({dimension},)")
-    return as_directions(vector, name)
-
-
 def as_directions(directions: ArrayLike, name: str = "direction") -> Array:
     """Return `directions`, of shape (..., d), as unit vectors."""
     vectors = np.atleast_1d(as_floats(directions, name))

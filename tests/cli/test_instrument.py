@@ -49,7 +49,9 @@ def test_a_plan_is_written_for_the_machine_and_goes_on(home: Path, tmp_path: Pat
     assert all(entry["planned"] for entry in entries)
 
 
-def test_a_session_is_repeated_with_the_limits_of_the_first(tmp_path: Path) -> None:
+def test_a_session_is_repeated_with_the_limits_of_the_first(
+    tmp_path: Path, capsys: Capture
+) -> None:
     first, again = tmp_path / "first", tmp_path / "again"
     words = ["plan", ARM, "--controller", "ros2_jtc", "--max-speed-rad-s", "0.3", "--poses", "3"]
     assert main([*words, "--out", str(first)]) == 0
@@ -57,6 +59,10 @@ def test_a_session_is_repeated_with_the_limits_of_the_first(tmp_path: Path) -> N
     for file in ("run-01.csv", "run-02.csv", "run-03.csv"):
         assert (again / file).read_bytes() == (first / file).read_bytes()
     assert read_plan(again).settings == read_plan(first).settings
+    assert main(["plan", ARM, "--out", str(again), "--like", str(first)]) == 1
+    assert "--like is for a new folder" in last_line(capsys)
+    assert main(["plan", ARM, "--out", str(tmp_path / "new"), "--like", str(tmp_path)]) == 1
+    assert "there is no plan.json" in last_line(capsys) and not (tmp_path / "new").exists()
 
 
 def test_a_session_is_diagnosed_and_planned_on(home: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -408,6 +408,34 @@ def test_a_urdf_is_guessed_and_imported_with_the_columns_of_its_joints(tmp_path:
     assert run.torques["lift"] == pytest.approx(torque, abs=1e-9)
 
 
+SENSED = """<mujoco><worldbody><body><joint name="lift" axis="0 1 0" range="-2 2"/>
+<geom size=".1" mass="1" pos=".2 0 0"/><site name="tip" pos=".4 0 0"/></body></worldbody>
+<sensor><jointpos name="lift_pos" joint="lift"/><accelerometer name="tool" site="tip"/></sensor>
+</mujoco>"""
+
+
+@pytest.mark.parametrize(("gravity", "unit"), [(9.81, "m/s^2"), (1.0, "g"), (0.0, "")])
+def test_an_accelerometer_that_its_file_names_is_told_by_gravity(
+    tmp_path: Path, gravity: float, unit: str
+) -> None:
+    (tmp_path / "arm.xml").write_text(SENSED)
+    for run in "12":
+        time, fine = np.arange(0, 4, 0.01), np.arange(0, 4, 0.002)
+        angle = np.column_stack([time, 0.3 * np.sin(5 * time + int(run))])
+        noise = np.random.default_rng(int(run)).normal(0, 0.01, (3, len(fine)))
+        tool = np.column_stack([1e3 * fine, *(noise + np.array([[0.0], [0.1], [gravity]]))])
+        write_csv(tmp_path / f"robot-{run}.csv", angle, ["t", "q_lift"])
+        write_csv(tmp_path / f"acc-{run}.csv", tool, ["t_ms", "ax", "ay", "az"])
+    logs = [str(tmp_path / f"{kind}-{run}.csv") for kind in ("robot", "acc") for run in "12"]
+    words = ["--model", str(tmp_path / "arm.xml"), "--mapping", str(tmp_path / "map.toml")]
+    assert main(["import", "--guess", *logs, *words]) == 0
+    said = (tmp_path / "map.toml").read_text()
+    for axis in "xyz":
+        column = f'"sensor.tool.{axis}" = {{ source = "acc-1", channel = "a{axis}", unit = "{unit}"'
+        assert (column in said) == bool(unit)
+    assert (said.count("[[runs]]") == 2) or not unit
+
+
 PLANNED = """{"format": "loose-recording/1", "model": "arm.xml", "runs": [
  {"file": "run-01.csv", "pose": {"elbow": 0.25}, "planned": true},
  {"file": "run-02.csv", "condition": "healthy", "planned": true},

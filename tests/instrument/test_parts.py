@@ -20,7 +20,7 @@ from loose_env.instrument.motion import accelerations, fit_gears, links_of, moun
 from loose_env.instrument.records import GRID, Record, followed_hz, read_run
 from loose_env.instrument.signals import Multisine, multisine
 from loose_env.recording import Run
-from tests.instrument.machine import JOINTS, RATE, REST, Truth, played, simulated
+from tests.instrument.machine import JOINTS, NOMINAL, RATE, REST, Truth, played, simulated
 
 
 class Elastic(NamedTuple):
@@ -242,6 +242,20 @@ def test_rigid_dynamics_agree_with_weights(arm: SuspectArm) -> None:
     throws, stiff, turns, free = model.throws(np.zeros(arm.n))
     assert throws.shape == (6, 3, 3) and (np.linalg.eigvalsh(stiff) > -1e-9).all()
     assert turns.shape == (6 + ROCKS, 3) and (free > 0).all()
+
+
+def test_a_link_that_is_called_base_is_not_the_ground(tmp_path: Path) -> None:
+    path = tmp_path / "named.xml"
+    named = NOMINAL.replace('"foot"', '"plate"').replace('"column"', '"base"')
+    path.write_text(named.replace('<inertial pos="0 0 -.1" mass="15" diaginertia=".2 .2 .1"/>', ""))
+    arm = read_arm(path)
+    assert arm.base == "plate" and len(set(arm.places)) == 7
+    path.write_text("""<mujoco><worldbody><body name="base"><joint name="turn" axis="0 0 1"
+    range="-1 1"/><geom size=".1" mass="2"/><body name="fore" pos=".4 0 0"><joint name="base"
+    axis="0 1 0" range="-1 1"/><geom size=".1" mass="1"/><site name="tool" pos=".3 0 0"/></body>
+    </body></worldbody></mujoco>""")
+    arm = read_arm(path)
+    assert arm.base == "ground" and len(set(arm.places)) == 5
 
 
 def test_a_base_rocks_as_if_it_hung_on_a_hinge(bench: Path) -> None:

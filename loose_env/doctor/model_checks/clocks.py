@@ -216,7 +216,7 @@ def _signs(machine: Machine, kind: str, group: Sequence[_Seen]) -> Iterator[Find
                 consequence="directions found by it are mirrored",
                 remedy="import the column with sign = -1, or turn the sensor's site in the model",
                 fix=Correction(kind="scale", columns=(name,), factor=-1.0)
-                if kind in _KINEMATIC
+                if kind == "velocity"
                 else None,
             )
         units = {"acceleration": ACCELERATION, "turning": ANGLE, "torque": {}}.get(kind)
