@@ -126,10 +126,12 @@ def simulator(
     """
     if not is_whole(num_envs) or num_envs < 1:
         raise InvalidSetting(f"num_envs must be 1 or more, got {num_envs!r}")
+    if not str(gymnasium.spec(env_id).vector_entry_point).startswith("loose_env."):
+        raise InvalidSetting(
+            f"{env_id!r} hides no fault of an arm: give an arm's id, such as 'loose_env/Planar-v0'"
+        )
     made: Any = gymnasium.make_vec(env_id, num_envs=num_envs, engine=engine, **arguments)
-    batch = getattr(made.unwrapped, "batch", None)
-    if not isinstance(batch, EpisodeBatch):
-        raise InvalidSetting(f"{env_id!r} hides no fault of an arm: give one of loose_env's ids")
+    batch: EpisodeBatch = made.unwrapped.batch
     hypotheses, difficulty = batch.hypotheses, batch.difficulty
     kinds = [name.partition("@")[0] for name in hypotheses]
     others = sorted(set(kinds) - set(DEFAULT_KINDS))

@@ -153,9 +153,9 @@ class Lines:
             and all(len(row) == len(self.excited) for row in self.phases)
         ):
             raise InvalidData(
-                "a signal has a positive period and lead, 2 periods or more, positive lines, a "
-                "phase for each line and a crest for each joint; take the plan.json that 'loose "
-                "plan' wrote"
+                "a signal has a positive period and lead, no negative tail, 2 periods or more, "
+                "positive lines, a phase for each line and a crest for each joint; take the "
+                "plan.json that 'loose plan' wrote"
             )
 
     @classmethod

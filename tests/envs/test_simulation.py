@@ -64,3 +64,6 @@ def test_what_does_not_fit_is_refused(theta: Any, design: Any, words: str) -> No
     kinds = ("healthy", "rotational_looseness")
     with pytest.raises(InvalidSetting, match="have other parameters"):
         loose_env.simulator("loose_env/Planar-v0", kinds=kinds, **SHORT)
+    for other in ("loose_env/Gap-v0", "CartPole-v1"):
+        with pytest.raises(InvalidSetting, match="hides no fault of an arm"):
+            loose_env.simulator(other)
