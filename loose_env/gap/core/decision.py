@@ -414,12 +414,13 @@ def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
 
 
 def left_open(selection: Selection, fit: SetFit) -> list[int]:
-    """Channels that a set leaves open: much is left, or most of the time says nothing of it."""
+    """Joints that a set leaves open: much is left, or most of the time says nothing of it."""
     unexplained = _unexplained(_before(selection), held_out_rms(selection, fit))
+    joints = len(selection.evidence.balance.machine.joints)
     return [
         channel.joint
         for channel, most in zip(selection.evidence.channels, unexplained, strict=True)
-        if most or channel.blanked > 0.5
+        if channel.joint < joints and (most or channel.blanked > 0.5)
     ]
 
 
