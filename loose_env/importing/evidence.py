@@ -54,6 +54,13 @@ class Signal:
         """Values of all runs in a row."""
         return np.concatenate(self.runs) if self.runs else np.empty(0)
 
+    def averaged(self, seconds: float) -> Array:
+        """Values of all runs in a row, each a mean over so long about it."""
+        width = max(1, round(seconds / self.step))
+        return np.concatenate(
+            [ndimage.uniform_filter1d(run, min(width, len(run))) for run in self.runs if len(run)]
+        )
+
     @cached_property
     def moves(self) -> bool:
         """True if it changes by more than the rounding of its values in some run."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -383,8 +385,7 @@ def proposal_text(proposal: Proposal, model: str) -> str:
     if len(proposal.unassigned) > _MOST_LEFT:
         more = len(proposal.unassigned) - _MOST_LEFT
         lines.append(f"# and {more} more: loose import --describe lists them")
-    for i, files in enumerate(proposal.runs):
-        name = _run_name(proposal, i)
+    for i, (name, files) in enumerate(zip(_run_names(proposal), proposal.runs, strict=True)):
         lines += ["", "[[runs]]", f"file = {quoted(name)}"]
         if len(proposal.runs) > 1:
             own = ", ".join(f"{source} = {quoted(file)}" for source, file in files.items())
@@ -397,17 +398,30 @@ def proposal_text(proposal: Proposal, model: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _run_name(proposal: Proposal, i: int) -> str:
-    """Name of a run: that of its file without the ending, or of its folder."""
-    files = list(proposal.runs[i].values())
-    name = files[0] if len(files) == 1 or len(proposal.runs) == 1 else files[0].split("/")[0]
+def _run_names(proposal: Proposal) -> list[str]:
+    """Names of the runs: of their files or folders, or what the names of a run's files share."""
+    if len(proposal.runs) == 1:
+        return [*proposal.logs][:1]
     taken: dict[str, None] = {}
-    for other in proposal.runs[: i + 1]:
-        own = list(other.values())
-        call = own[0] if len(own) == 1 or len(proposal.runs) == 1 else own[0].split("/")[0]
-        last = source_name(call.replace("/", "-"), taken)
-        taken[last] = None
-    return last if len(proposal.runs) > 1 else next(iter(proposal.logs), name)
+    files = [list(run.values()) for run in proposal.runs]
+    for call in _shared(files) or [own[0].split("/")[0] if own[1:] else own[0] for own in files]:
+        taken[source_name(call.replace("/", "-"), taken)] = None
+    return [*taken]
+
+
+def _shared(runs: Sequence[Sequence[str]]) -> list[str]:
+    """Words with which all file names of a run begin, or end; none if they do not tell the runs."""
+    words = [[re.split(r"[-_.]+", Path(f).stem) for f in own] for own in runs if "/" not in own[0]]
+    for way in (1, -1):
+        told = []
+        for own in words:
+            alike = itertools.takewhile(
+                lambda each: len(set(each)) == 1, zip(*(w[::way] for w in own), strict=False)
+            )
+            told.append("-".join([each[0] for each in alike][::way]))
+        if len(set(told)) == len(runs) and all(told):
+            return [f"run-{call}" if call.isdigit() else call for call in told]
+    return []
 
 
 def _place(source: str, key: ChannelKey, several: bool) -> list[str]:

@@ -65,7 +65,8 @@ def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
 
 _TURNING = {"gyro", "gyroscope", "angular"}
 _GRAVITY = 0.2
-"""Share by which the median reading of an accelerometer that no name tells may be off 1 g [1]."""
+"""Share by which the mean over a second of an accelerometer that no name tells may be
+off 1 g [1]."""
 
 
 def tool_sensors(
@@ -73,8 +74,8 @@ def tool_sensors(
 ) -> Iterator[tuple[str, Signal, str, str]]:
     """Channels of the model's only accelerometer and gyro: column, channel, unit, and reason.
 
-    An accelerometer's unit is the one in which it reads 1 g at rest; a gyro's the one in which it
-    is not much faster than the fastest joint.
+    An accelerometer's unit is the one in which its mean over a second is 1 g; a gyro's the one in
+    which it is not much faster than the fastest joint.
     """
     at_rest = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1e3}
     kinds = (
@@ -97,7 +98,8 @@ def tool_sensors(
         if not name or len(own) != 3:
             continue
         if quantity == "acceleration":
-            norm = float(np.median(np.sqrt(sum(own[axis].values ** 2 for axis in "xyz"))))
+            still = [own[axis].averaged(1.0) for axis in "xyz"]
+            norm = float(np.median(np.linalg.norm(still, axis=0)))
             unit = min(at_rest, key=lambda u: abs(np.log(max(norm, 1e-9) / at_rest[u])))
             if not told and abs(norm / at_rest[unit] - 1) > _GRAVITY:
                 continue

@@ -202,7 +202,7 @@ def _steps(plan: Plan) -> list[str]:
         f"whole ({kind} in SI units). Save positions and "
         f"accelerometer as {RECORDING}/{run.file}: columns time, sensor.NAME of the positions, "
         "sensor.NAME.x, .y, .z of the accelerometer, in m/s² with gravity; the names are those of "
-        f"{RECORDING}/model.xml. loose import makes it of the files of two loggers.",
+        f"{RECORDING}/model.xml. loose import --guess makes it of the files of your loggers.",
         "Go on with the next run: move, look, record, play. All runs belong to one session; leave "
         "screws and cables as they are.",
     ]

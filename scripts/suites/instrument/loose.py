@@ -7,7 +7,7 @@ import functools
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from loose_env.instrument import (
     DiagnoseSettings,
@@ -37,12 +37,13 @@ class Loose:
     variants = (
         *LEFT_OUT,
         *(f"{field.name} x{k}" for field in dataclasses.fields(Numbers) for k in ("0.5", "2")),
-        "three poses",
     )
+    changed: ClassVar[Mapping[str, Any]] = {}
+    """Settings of the plan that are not the defaults."""
 
     def plan(self, folder: Path) -> dict[str, Any]:
         """Poses and commands of a session."""
-        made, arm = _planned(folder)
+        made, arm = _planned(folder, self.changed)
         runs = []
         for run in made.runs:
             _, played = commands_of(made, arm, run)
@@ -58,7 +59,7 @@ class Loose:
         if name:
             changed = {name: getattr(Numbers(), name) * float(times)}
         changed["sure"] = min(changed.get("sure", Numbers.sure), 0.99)
-        found = judge(_heard(folder, 3 if variant == "three poses" else None), Numbers(**changed))
+        found = judge(_heard(folder, **self.changed), Numbers(**changed))
         return {
             "verdict": found.verdict,
             "settled": found.settled,
@@ -81,11 +82,33 @@ class Loose:
         }
 
 
+class ThreePoses(Loose):
+    """The instrument with half of its poses."""
+
+    changed: ClassVar = {"poses": 3}
+
+
+class NinePoses(Loose):
+    """The instrument with half as many poses again."""
+
+    changed: ClassVar = {"poses": 9}
+
+
+class ThreeLevels(Loose):
+    """The instrument at rising levels, until something knocks."""
+
+    changed: ClassVar = {"levels": (0.3, 0.6, 1.0)}
+
+    def enough(self, folder: Path) -> bool:
+        """True if the levels played so far show a knock."""
+        return bool(self.diagnose(folder)["verdict"] == "loose")
+
+
 @functools.cache
-def _heard(folder: Path, poses: int | None) -> Evidence:
+def _heard(folder: Path, **changed: Any) -> Evidence:
     """Evidence of a session, by which all variants of its decision judge."""
     suspect = read_recording(folder / "recording")
-    runs = list(suspect.runs)[:poses]
+    runs = list(suspect.runs)
     if (folder / "reference").is_dir():
         healthy = read_recording(folder / "reference").runs
         runs += [
@@ -93,11 +116,11 @@ def _heard(folder: Path, poses: int | None) -> Evidence:
             for run in healthy
         ]
     whole = Recording(folder=suspect.folder, model_path=suspect.model_path, runs=tuple(runs))
-    return listen(whole, DiagnoseSettings(), plan=_by_name(_planned(folder)[0]))
+    return listen(whole, DiagnoseSettings(), plan=_by_name(_planned(folder, changed)[0]))
 
 
-def _planned(folder: Path) -> tuple[Plan, Any]:
-    """Plan of a machine, by what its sheet says."""
+def _planned(folder: Path, changed: Mapping[str, Any]) -> tuple[Plan, Any]:
+    """Plan of a machine, by what its sheet says and what is changed of the defaults."""
     sheet = json.loads((folder / "session.json").read_text("utf-8"))
     own = sheet["controller"]
     hobby = own["rate_hz"] <= 100
@@ -113,6 +136,7 @@ def _planned(folder: Path) -> tuple[Plan, Any]:
         high=tuple(own["high"]),
         corner_hz=sheet["accelerometer"].get("corner_hz"),
         tool=sheet["accelerometer"]["site"],
+        **changed,
     )
     return plan(folder / "model.xml", settings)
 

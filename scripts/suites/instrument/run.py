@@ -57,8 +57,10 @@ ROOT = Path(__file__).resolve().parents[3]
 OUT = ROOT / "out" / "instrument_suite"
 LONGEST = 900.0
 """Time after which a tool counts as failed [s]."""
-NAMED = {"loose": "scripts.suites.instrument.loose:Loose",
-         "null": "scripts.suites.instrument.null:Null"}  # fmt: skip
+_HERE = "scripts.suites.instrument"
+NAMED = {"loose": f"{_HERE}.loose:Loose", "three-poses": f"{_HERE}.loose:ThreePoses",
+         "nine-poses": f"{_HERE}.loose:NinePoses", "three-levels": f"{_HERE}.loose:ThreeLevels",
+         "null": f"{_HERE}.null:Null"}  # fmt: skip
 """Tools by their short names."""
 GENERATOR = ("machines", "physics", "standins", "sensing", "cases", "session")
 
@@ -83,7 +85,7 @@ def code_of(tool: str) -> str:
     here = Path(__file__).parent
     module = NAMED.get(tool, tool).partition(":")[0]
     own = [Path(importlib.import_module(module).__file__ or "")]
-    if tool == "loose":
+    if module == NAMED["loose"].partition(":")[0]:
         base = Path(loose_env.__file__).parent
         own += [base / part for part in ("instrument", "recording") if (base / part).is_dir()]
     return code_hash(*own, *(here / f"{name}.py" for name in (*GENERATOR, "grading")))
@@ -295,7 +297,8 @@ class RunSettings(Checked):
     phrase: str = ""
     """Words of which cases for judging are drawn; choose new ones when you judge."""
     tool: str = "loose"
-    """Tool that is graded: loose, null or module:object."""
+    """Tool that is graded: loose, its plans three-poses, nine-poses or three-levels, null or
+    module:object."""
     plan_of: str = ""
     """Tool whose plan is played; the tool that is graded by default."""
     out: Path | None = None
