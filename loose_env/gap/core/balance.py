@@ -25,7 +25,6 @@ from loose_env.gap.model.effects.inertia import MountedPayload
 from loose_env.gap.model.effects.sensors import column_of
 from loose_env.gap.model.hypothesis import compiled
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.recording import joint_sensors
 from loose_env.typing import Array, ComplexArray
 
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
@@ -131,12 +130,7 @@ class Balance:
         self.bias = self._bias(model)
         self.operator = self._operator(model)
         self._nominal = model
-        sensors = joint_sensors(machine.model)
-        self.encoders = {
-            name: number
-            for number, joint in enumerate(machine.joints)
-            for name in sensors[joint].position
-        }
+        self.encoders = {n: machine.joints.index(j) for n, j in machine.encoders.items()}
         self.stiffness = np.zeros(len(machine.joints))
         if not self.released.all():
             self.stiffness = np.diag(self._operator(model, drives=True)[2]).copy()

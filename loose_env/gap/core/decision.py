@@ -470,8 +470,7 @@ def places_of(balance: Balance, channel: int) -> set[str]:
     name, joints = balance.channels[channel], balance.machine.joints
     if channel >= len(joints):
         return {name.removeprefix("sensor.").split(".")[0]}
-    encoders = {sensor for sensor, joint in balance.encoders.items() if joint == channel}
-    return at_joint(balance.machine, name) | encoders | {"all", "tool", "base"}
+    return at_joint(balance.machine, name) | {"all", "tool", "base"}
 
 
 def held_out_rms(selection: Selection, fit: SetFit) -> Array:

@@ -398,8 +398,6 @@ def pool_of(
     evidence = selection.evidence
     balance, known = evidence.balance, evidence.terms
     places = {place for joint in joints for place in at_joint(balance.machine, joint)}
-    names = balance.machine.joints
-    places |= {encoder for encoder, k in balance.encoders.items() if names[k] in joints}
     found: list[Start] = []
     everywhere: dict[tuple[str, str, int], list[Term]] = {}
     for effect in candidates(balance.machine, kinds):

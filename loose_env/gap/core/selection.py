@@ -464,17 +464,42 @@ class Selection:
         contacts: tuple[str, ...],
     ) -> SetFit | None:
         """Fit with a member's columns along other axes; None if that is out of bounds."""
+        new = self._along(term, axes, contacts)
+        if new is None:
+            return None
+        fit = self.fit((*(t for t in state.terms if t is not term), new), state.powers)
+        return fit if fit.allowed else None
+
+    def _along(
+        self, term: Term, axes: tuple[tuple[float, ...], ...], contacts: tuple[str, ...]
+    ) -> Term | None:
+        """An effect's columns along other axes; None if there are none."""
         evidence, key = self.evidence, (*term.effect.key, axes, contacts)
         if key not in self._replaced:
             found = terms_of(evidence.balance, term.effect, axes, term.law, contacts)
             self._replaced[key] = found[0] if found else None
             if found:
                 append(evidence, found[0])
-        new = self._replaced[key]
-        if new is None:
-            return None
-        fit = self.fit((*(t for t in state.terms if t is not term), new), state.powers)
-        return fit if fit.allowed else None
+        return self._replaced[key]
+
+    def approached(self, fit: SetFit) -> SetFit:
+        """The same set with shapes where out of bounds coefficients point, until they stay.
+
+        Between two shapes that are tried may lie one that explains more than both.
+        """
+        for _ in range(0 if fit.allowed else _SECANTS):
+            terms = []
+            for term in fit.terms:
+                own = fit.values[fit.places(self.evidence.columns_of(term))]
+                pairs = zip(term.effect.parameters, term.values(own), strict=True)
+                shape = tuple(float(f"{p.clipped(float(v)):.2e}") for p, v in pairs)
+                if term.law and shape != term.axes[0]:
+                    term = self._along(term, (shape,), (term.contact,)) or term
+                terms.append(term)
+            fit = self.fit(tuple(terms), fit.powers)
+            if fit.allowed:
+                break
+        return fit
 
     def search(self, start: Sequence[Term] = ()) -> SetFit:
         """Best set by steps from a start."""
@@ -487,12 +512,19 @@ class Selection:
             state = better
         return state
 
+    def _weightings(self, state: SetFit) -> list[Sequence[Array]]:
+        """Residuals by whose weights steps are judged: of a set, of all effects, and between.
+
+        What a set leaves of a channel hides what another set would explain of it.
+        """
+        between = [np.sqrt(a * b) for a, b in zip(state.powers, self.rich, strict=True)]
+        return [state.powers, between, self.rich]
+
     def _grown(self, state: SetFit) -> SetFit | None:
         """Best set with one more effect, or one more kind at all its places."""
         forms = {term.form for term in state.terms}
         pool = [term for term in self.evidence.terms if term.form not in forms]
-        between = [np.sqrt(a * b) for a, b in zip(state.powers, self.rich, strict=True)]
-        weightings = [state.powers, between, self.rich]
+        weightings = self._weightings(state)
         sets: dict[frozenset[int], Set] = {}
         for powers in weightings:
             seen: Counter[tuple[str, str]] = Counter()
@@ -521,7 +553,8 @@ class Selection:
             for total, k in likely:
                 if np.isfinite(total):
                     chosen.setdefault(k, powers)
-        found = (self.solve(sets[k], powers) for k, powers in chosen.items())
+        found = [self.solve(sets[k], powers) for k, powers in chosen.items()]
+        found = [self.approached(f) if f.total < state.total else f for f in found]
         order = sorted((fit for fit in found if fit.allowed), key=lambda f: f.total)
         # a kind too many is not made up for by a bend
         near = [fit for fit in order[:_SETTLED] if fit.total < state.total + KIND]
@@ -540,8 +573,9 @@ class Selection:
     def polished(self, state: SetFit) -> SetFit:
         """Remove, reshape and exchange members until nothing helps."""
         while True:
-            moves = self._exchanges(state)
-            fitted = self.fitted(state, moves, [state.powers], 5)
+            weightings = self._weightings(state)
+            moves = self._exchanges(state, weightings)
+            fitted = self.fitted(state, moves, weightings, 5)
             best = min(fitted, key=lambda f: f.total, default=state)
             if best.total > state.total - 0.3:
                 return state
@@ -558,28 +592,30 @@ class Selection:
         ]
         return [t for _, t in self.screened(form, rest, others)]
 
-    def _exchanges(self, state: SetFit) -> list[Set]:
+    def _exchanges(self, state: SetFit, weightings: Sequence[Sequence[Array]]) -> list[Set]:
         """Sets with a member removed, reshaped or exchanged, or a kind exchanged everywhere."""
-        form, found = self.whole(state.powers, state), []
-        everything = self.evidence.terms
+        forms = [self.whole(powers, state) for powers in weightings]
+        found, everything = [], self.evidence.terms
         for term in state.terms:
             rest = tuple(t for t in state.terms if t is not term)
             found.append(rest)
             found += [(*rest, t) for t in everything if t.name == term.name and t is not term]
-            found += [(*rest, t) for t in self.alternatives(form, rest, term)[:2]]
+            for form in forms:
+                found += [(*rest, t) for t in self.alternatives(form, rest, term)[:2]]
         for kind, count in Counter(t.effect.kind for t in state.terms).items():
             if count < 2:
                 continue
             rest = tuple(t for t in state.terms if t.effect.kind != kind)
             found.append(rest)
-            forms = {t.form for t in rest}
+            taken = {t.form for t in rest}
             places = {t.effect.where for t in state.terms if t.effect.kind == kind}
-            pool = [t for t in everything if t.effect.where in places and t.form not in forms]
-            others = _by_kind(
-                t for _, t in self.screened(form, rest, pool) if t.effect.kind != kind
-            )
-            found += [(*rest, *own) for own in others if len(own) == count]
-        return found
+            pool = [t for t in everything if t.effect.where in places and t.form not in taken]
+            for form in forms:
+                others = _by_kind(
+                    t for _, t in self.screened(form, rest, pool) if t.effect.kind != kind
+                )
+                found += [(*rest, *own) for own in others if len(own) == count]
+        return [*{frozenset(map(id, own)): own for own in found}.values()]
 
 
 def _by_kind(terms: Iterable[Term]) -> list[Set]:
@@ -601,7 +637,7 @@ def _is_linear(term: Term) -> bool:
 
 
 def neighbours(machine: NominalModel, where: str) -> set[str]:
-    """Joint, link and drive of one place; "all", the tool and the base are beside any."""
+    """Joint, link, drive and encoder of one place; "all", the tool and the base are beside any."""
     found = {where, "all", "tool", "base"}
     for joint in machine.joints:
         own = at_joint(machine, joint)
@@ -611,9 +647,9 @@ def neighbours(machine: NominalModel, where: str) -> set[str]:
 
 
 def at_joint(machine: NominalModel, joint: str) -> set[str]:
-    """Joint, its link and its drives."""
-    drives = {a for a, j in machine.actuated_joint.items() if j == joint}
-    return {joint, machine.body_of(joint), *drives}
+    """Joint, its link, its drives and its encoders."""
+    parts = (*machine.actuated_joint.items(), *machine.encoders.items())
+    return {joint, machine.body_of(joint), *(name for name, own in parts if own == joint)}
 
 
 def few(count: Array) -> Array:

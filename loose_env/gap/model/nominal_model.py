@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.recording import joint_sensors
 from loose_env.typing import Array
 
 _MOVING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -90,6 +91,12 @@ class NominalModel:
             if int(self.model.actuator_trntype[k]) in _AT_JOINT:
                 found[name] = self.model.joint(int(self.model.actuator_trnid[k, 0])).name
         return found
+
+    @cached_property
+    def encoders(self) -> dict[str, str]:
+        """Joint that each position sensor reads."""
+        sensors = joint_sensors(self.model).items()
+        return {name: joint for joint, own in sensors for name in own.position}
 
     @property
     def time_step(self) -> float:
