@@ -182,7 +182,9 @@ def test_joints_that_move_before_their_commands_are_told(servo: Recording) -> No
     (found,) = [f for f in examine(replace(servo, runs=(moved(4),))).findings if f.check == "clock"]
     assert "move before their commands: 20.0 ms early" in found.found
     assert found.severity == "warning" and found.value == pytest.approx(-0.02, abs=1e-4)
-    assert not [f for f in examine(replace(servo, runs=(moved(-4),))).findings if f.check == "clock"]
+    assert not [
+        f for f in examine(replace(servo, runs=(moved(-4),))).findings if f.check == "clock"
+    ]
 
 
 def resonant(values: Array) -> Array:
