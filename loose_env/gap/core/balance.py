@@ -14,7 +14,7 @@ from functools import partial
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
+from mujoco.batch import MODEL_FIELDS, Batch
 from scipy.optimize import minimize
 
 from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passed, rates
@@ -665,13 +665,10 @@ _NO_FORCES = ("_solref", "_solimp", "_frictionloss", "_group", "_invweight0", "_
 
 def _same_forces(model: mujoco.MjModel, other: mujoco.MjModel) -> bool:
     """Whether two models need and give the same forces, dry friction and constraints apart."""
-    names = [
-        name for name in dir(other) if name.startswith(_FORCES) and not name.endswith(_NO_FORCES)
-    ]
+    names = [n for n in MODEL_FIELDS if n.startswith(_FORCES) and not n.endswith(_NO_FORCES)]
     pairs = ((getattr(model, name), getattr(other, name)) for name in names)
-    arrays = ((a, b) for a, b in pairs if isinstance(b, np.ndarray))
     return model.opt.gravity.tolist() == other.opt.gravity.tolist() and all(
-        np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in arrays
+        np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs
     )
 
 

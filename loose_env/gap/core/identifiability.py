@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -70,17 +71,25 @@ class _Shown:
     term: Term
     at: list[int]
     precision: Array
+    prior: Array  # Prior precisions of the coefficients
     needed: float  # Number of standard deviations at which it pays for its prior
 
-    def smallest(self, precision: Array) -> Array:
-        """Smallest visible coefficients at some precision."""
-        inverse = np.linalg.pinv(precision, hermitian=True)
-        seen = np.diag(precision) > 1e-9 * max(float(np.trace(precision)), 1e-300)
-        return np.where(seen, self.needed * np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf)
+    @cached_property
+    def inverse(self) -> Array:
+        """Covariance of the coefficients."""
+        return np.asarray(np.linalg.inv(self.precision + np.diag(self.prior)))
 
-    def share(self, precision: Array) -> float:
-        """Smallest visible coefficient over the usual one, of the axis that shows best."""
-        return float(np.min(self.smallest(precision) / self.usual))
+    def smallest(self, precision: Array) -> Array:
+        """Smallest visible coefficients (..., K) at some precisions (..., K, K)."""
+        own = np.diagonal(precision, axis1=-2, axis2=-1)
+        inverse = np.linalg.pinv(precision, hermitian=True)
+        spread = np.sqrt(np.maximum(np.diagonal(inverse, axis1=-2, axis2=-1), 0.0))
+        seen = own > 1e-9 * np.maximum(own.sum(axis=-1, keepdims=True), 1e-300)
+        return np.where(seen, self.needed * spread, np.inf)
+
+    def shares(self, precisions: Array) -> Array:
+        """Smallest visible coefficient over the usual one, of the axis that shows best (...,)."""
+        return np.asarray(np.min(self.smallest(precisions) / self.usual, axis=-1))
 
     @property
     def usual(self) -> Array:
@@ -101,17 +110,18 @@ def _effects(selection: Selection) -> tuple[VisibleEffect, ...]:
         if term.contact in ("", USUAL) and not term.effect.mountings:
             at = list(evidence.columns_of(term))
             precision = beyond[np.ix_(at, at)]
-            gain = np.log1p(np.max(np.diag(precision) / evidence.precision[at]))
+            prior = evidence.precision[at]
+            gain = np.log1p(np.max(np.diag(precision) / prior))
             needed = float(np.sqrt(selection.prior((term,)) + max(gain, 0.0)))
-            groups.setdefault(term.name, []).append(_Shown(term, at, precision, needed))
-    chosen = {name: _best(shapes, [s.precision for s in shapes]) for name, shapes in groups.items()}
+            groups.setdefault(term.name, []).append(_Shown(term, at, precision, prior, needed))
+    chosen = {name: _best(shapes) for name, shapes in groups.items()}
     found = []
     for name, shapes in groups.items():
         shown = chosen[name]
-        visible = shown.share(shown.precision) <= 1
+        visible = bool(shown.shares(shown.precision) <= 1)
         near = neighbours(evidence.balance.machine, name[1])
         rivals = [o for n, o in chosen.items() if n != name and n[1] in near]
-        rival = _rival(shapes, rivals, beyond, evidence.precision) if visible else None
+        rival = _rival(shapes, rivals, beyond) if visible else None
         found.append(
             VisibleEffect(
                 kind=name[0], where=name[1], smallest=_sizes(shown),
@@ -123,9 +133,9 @@ def _effects(selection: Selection) -> tuple[VisibleEffect, ...]:
     return tuple(found)
 
 
-def _best(shapes: Sequence[_Shown], precisions: Sequence[Array]) -> _Shown:
+def _best(shapes: Sequence[_Shown]) -> _Shown:
     """Smallest visible shape of a law, or the shape that shows best."""
-    shares = [s.share(p) for s, p in zip(shapes, precisions, strict=True)]
+    shares = [float(s.shares(s.precision)) for s in shapes]
     seen = [k for k, share in enumerate(shares) if share <= 1]
     if shapes[0].term.law and seen:
         return shapes[max(seen, key=lambda k: shares[k])]
@@ -133,22 +143,22 @@ def _best(shapes: Sequence[_Shown], precisions: Sequence[Array]) -> _Shown:
 
 
 def _rival(
-    shapes: Sequence[_Shown], rivals: Sequence[_Shown], beyond: Array, prior: Array
+    shapes: Sequence[_Shown], rivals: Sequence[_Shown], beyond: Array
 ) -> EffectLocation | None:
     """Effect beside which no shape is visible any more; that which hides most."""
-    worst: Term | None = None
-    most = 1.0
-    for other in rivals:
-        inverse = np.linalg.inv(other.precision + np.diag(prior[other.at]))
-        shares = []
-        for shape in shapes:
-            cross = beyond[np.ix_(shape.at, other.at)]
-            shares.append(shape.share(shape.precision - cross @ inverse @ cross.T))
-        if min(shares) > most:
-            most, worst = min(shares), other.term
-    if worst is None:
+    if not rivals:
         return None
-    return EffectLocation(kind=worst.name[0], where=worst.name[1])
+    hidden = []
+    for shape in shapes:
+        cross = (beyond[np.ix_(shape.at, other.at)] for other in rivals)
+        taken = [c @ other.inverse @ c.T for c, other in zip(cross, rivals, strict=True)]
+        hidden.append(shape.shares(shape.precision - np.stack(taken)))
+    shares = np.min(hidden, axis=0)
+    worst = int(np.argmax(shares))
+    if not shares[worst] > 1:
+        return None
+    kind, where = rivals[worst].term.name
+    return EffectLocation(kind=kind, where=where)
 
 
 def _sizes(shown: _Shown) -> dict[str, float]:

@@ -148,13 +148,14 @@ class Readings:
         """Change of one run's readings, and of more columns, by an effect on sensors (T, R)."""
         own = finer(own)
         time, count = np.arange(len(own)) * run.step / FINER, len(self.names)
-        columns = dict(zip(beside, own[:, count:].T, strict=True))
-        columns |= {
+        given = dict(zip(beside, own[:, count:].T, strict=True))
+        given |= {
             column_of(name): own[:, at] if len(at) > 1 else own[:, at[0]]
             for name, at in self._sensors
         }
-        columns = effect.read(time, columns, values)
-        found = np.empty((len(own), count))
+        shown, found = effect.read(time, given, values), np.zeros((len(own) // FINER, count))
         for name, at in self._sensors:
-            found[:, at] = columns[column_of(name)].reshape(len(own), len(at)) - own[:, at]
-        return low_passed(found, self.motion.band, run.step / FINER)[::FINER]
+            if shown[column_of(name)] is not given[column_of(name)]:
+                off = shown[column_of(name)].reshape(len(own), len(at)) - own[:, at]
+                found[:, at] = low_passed(off, self.motion.band, run.step / FINER)[::FINER]
+        return found
