@@ -116,9 +116,10 @@ def bounded_step(
 
 
 def squared_distances(products: Array) -> Array:
-    """Squared distances of points (n, n) from their inner products (n, n)."""
-    squares = np.diag(products)
-    return np.asarray(np.maximum(squares[:, None] + squares - 2 * products, 0.0))
+    """Squared distances of points (..., n, n) from their inner products (..., n, n)."""
+    squares = np.diagonal(products, axis1=-2, axis2=-1)
+    both = squares[..., :, None] + squares[..., None, :]
+    return np.asarray(np.maximum(both - 2 * products, 0.0))
 
 
 def overlap(squared: Array, variance: ArrayLike = 1.0) -> Array:
@@ -171,7 +172,7 @@ def information_bound(weights: Array, squared: Array) -> float:
 
 def expected_log_score(
     weights: Array, hypothesis: NDArray[np.intp], near: Array
-) -> tuple[float, float]:
+) -> tuple[Any, Any]:
     """Expected log score and largest probability of a posterior over sampled cases.
 
     Parameters
@@ -180,28 +181,28 @@ def expected_log_score(
         Probability of each case beforehand.
     hypothesis : ndarray of int (M,)
         Hypothesis of each case.
-    near : ndarray (M, M) or (1, M)
+    near : ndarray (..., M, M) or (..., 1, M)
         Weights of the cases after the outcome of each case; one row if alike after all.
 
     Returns
     -------
-    float, float
+    ndarray (...), ndarray (...)
         Expected log probability of the truth [nat], and expected largest probability.
 
     Examples
     --------
     >>> score, sure = expected_log_score(np.full(2, 0.5), np.array([0, 1]), np.eye(2))
-    >>> round(score, 6), sure
+    >>> round(float(score), 6), float(sure)
     (0.0, 1.0)
     """
     labels = np.zeros((len(weights), int(hypothesis.max()) + 1))
     labels[np.arange(len(labels)), hypothesis] = 1.0
     after = near @ labels
-    after /= after.sum(1, keepdims=True)
-    row = np.arange(len(near)) if len(near) > 1 else 0
-    kept = np.log(np.maximum(after[row, hypothesis], 1e-12))
-    most = np.broadcast_to(after.max(1), len(labels))
-    return float(weights @ kept), float(weights @ most)
+    after /= after.sum(-1, keepdims=True)
+    row = np.arange(near.shape[-2]) if near.shape[-2] > 1 else 0
+    kept = np.log(np.maximum(after[..., row, hypothesis], 1e-12))
+    most = np.broadcast_to(after.max(-1), kept.shape)
+    return kept @ weights, most @ weights
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,6 +42,7 @@ __all__ = [
     "posterior_bounds",
     "posterior_features",
     "record_from",
+    "records_from",
 ]
 
 
@@ -259,8 +260,8 @@ class Posterior(Protocol):
         """Return the prior, an object with ``probabilities``."""
         ...
 
-    def update(self, belief: Any, record: RecordStatistics) -> Any:
-        """Update with one record."""
+    def update_all(self, beliefs: Sequence[Any], records: RecordStatistics) -> list[Any]:
+        """Update B beliefs with one record each, given as arrays (B, ...)."""
         ...
 
 
@@ -290,36 +291,36 @@ def record_from(
 ) -> RecordStatistics | None:
     """Decode one record's statistics from an observation; None for an empty slot."""
     row = layout.slots_of(observation)[slot]
-    if row[0] < 0.5:
-        return None
-    at = layout.groups_of(row)
+    return None if row[0] < 0.5 else records_from(layout, row[None])[0]
+
+
+def records_from(layout: ObservationLayout, rows: NDArray[np.float32]) -> RecordStatistics:
+    """Decode the statistics of B records from their slots (B, slot size), none of them empty."""
+    at = layout.groups_of(rows)
     arm = layout.arm
     n, d = arm.n, len(arm.axes)
     rms = at["tool_rms"]
-    covariance = np.diag(rms**2)
-    upper = np.triu_indices(d, 1)
-    covariance[upper] = at["tool_correlation"] * rms[upper[0]] * rms[upper[1]]
-    covariance.T[upper] = covariance[upper]
-    products = np.zeros((d, d))
-    products[np.triu_indices(d)] = at["lowest_direction"]
-    products = products + np.triu(products, 1).T
-    return RecordStatistics(
-        pose=at["pose"],
-        torque=at["torque"] * np.array(arm.torque_limits),
-        duration=float(at["duration"][0]),
-        transmission=at["transmission"].reshape(n, d).T,
-        transmission_by_instrument=at["transmission_by_instrument"].reshape(n, d).T,
-        joint_rms=at["joint_rms"],
-        inertia=at["inertia"],
-        tool_covariance=covariance,
-        lowest_direction=np.linalg.eigh(products)[1][:, -1],
-        lowest_coherence=float(at["coherence"][0]),
-        maximum_correlation=float(at["correlation"][0]),
-        skewness=at["skewness"],
-        kurtosis=at["kurtosis"],
-        lowest_skewness=float(at["lowest_skewness"][0]),
-        lowest_kurtosis=float(at["lowest_kurtosis"][0]),
-    )
+    covariance = rms[:, :, None] ** 2 * np.eye(d)
+    i, j = np.triu_indices(d, 1)
+    covariance[:, i, j] = at["tool_correlation"] * rms[:, i] * rms[:, j]
+    covariance[:, j, i] = covariance[:, i, j]
+    products = np.zeros((len(rows), d, d))
+    products[:, *np.triu_indices(d)] = at["lowest_direction"]
+    products += np.triu(products, 1).mT
+    several: dict[str, Any] = {
+        **{name: at[name] for name in ("pose", "joint_rms", "inertia", "skewness", "kurtosis")},
+        **{name: at[name][:, 0] for name in ("duration", "lowest_skewness", "lowest_kurtosis")},
+        **{name: at[name].reshape(-1, n, d).mT for name in _TRANSMISSIONS},
+        "torque": at["torque"] * np.array(arm.torque_limits),
+        "tool_covariance": covariance,
+        "lowest_direction": np.linalg.eigh(products)[1][..., -1],
+        "lowest_coherence": at["coherence"][:, 0],
+        "maximum_correlation": at["correlation"][:, 0],
+    }
+    return RecordStatistics(**several)
+
+
+_TRANSMISSIONS = ("transmission", "transmission_by_instrument")
 
 
 def posterior_bounds(hypotheses: int, start: Sequence[Element]) -> list[tuple[float, float]]:
@@ -418,7 +419,7 @@ class PosteriorObservation(DiagnosisWrapper):
         for slot in range(self._records, taken):
             record = record_from(self.diagnosis.layout, observation, slot)
             if record is not None:
-                self._belief = self.posterior.update(self._belief, record)
+                (self._belief,) = self.posterior.update_all([self._belief], record.several)
         self._records = taken
         info = {**info, "probabilities": self.probabilities}
         return self._observation(observation), reward, terminated, truncated, info

@@ -128,13 +128,17 @@ class EpisodeAgent(ABC):
         starts = (
             np.full(num, state is None) if episode_start is None else np.atleast_1d(episode_start)
         )
-        actions = []
         for i, row in enumerate(rows):
             if starts[i] or memories[i] is None:
                 memories[i] = self.begin(self._generator(row))
-            actions.append(self.act(row, memories[i]))
-        chosen = np.array(actions) if np.ndim(observation) == 2 else actions[0]
-        return chosen, memories
+        chosen = np.array(self.act_all(rows, memories))
+        return chosen if np.ndim(observation) == 2 else chosen[0], memories
+
+    def act_all(
+        self, observations: NDArray[np.float32], memories: Sequence[Any]
+    ) -> Sequence[NDArray[np.int64]]:
+        """Choose an action for each of several episodes; they do not depend on each other."""
+        return [self.act(row, memory) for row, memory in zip(observations, memories, strict=True)]
 
     def _generator(self, first: NDArray[np.float32]) -> np.random.Generator:
         """Seed an episode's own generator from its first observation.

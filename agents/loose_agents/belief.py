@@ -6,7 +6,7 @@ import copy
 import hashlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -20,7 +20,7 @@ from loose_env.diagnosis import Belief, LinkReadings, link_axes
 from loose_env.envs import DiagnosisSettings, EpisodeBatch, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import UNSURE
-from loose_env.wrappers import Posterior, analytic_posterior, record_from
+from loose_env.wrappers import Posterior, analytic_posterior, records_from
 
 SURPRISING = 0.003
 """p-value of an episode among those of the trained kind, below which nothing is named."""
@@ -29,7 +29,7 @@ DECISIVE = 0.3
 
 
 class Estimator(Protocol):
-    """Maps the records of an episode to probabilities of the hypotheses."""
+    """Maps the records of episodes to probabilities of the hypotheses."""
 
     problem: Problem
     """The nominal arm and the rules."""
@@ -38,10 +38,12 @@ class Estimator(Protocol):
         """Return the initial state of an episode."""
         ...
 
-    def follow(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.float64]:
-        """Update with the new records; return the probabilities (hypotheses,).
+    def follow(
+        self, observations: NDArray[np.float32], memories: Sequence[Any]
+    ) -> NDArray[np.float64]:
+        """Update with the new records of A episodes; return the probabilities (A, hypotheses).
 
-        May change the memory. They stand in the order of ``problem.hypotheses``.
+        May change the memories. They stand in the order of ``problem.hypotheses``.
         """
         ...
 
@@ -166,7 +168,16 @@ class BeliefAgent(EpisodeAgent):
 
     def act(self, observation: NDArray[np.float32], memory: _Memory) -> NDArray[np.int64]:
         """Take a measurement, or give the verdict of highest expected reward."""
-        situation = self.situation(observation, memory)
+        return self.act_all(observation[None], [memory])[0]
+
+    def act_all(
+        self, observations: NDArray[np.float32], memories: Sequence[_Memory]
+    ) -> list[NDArray[np.int64]]:
+        """Choose an action for each episode; their new records are taken in together."""
+        return [self.decide(now) for now in self.situations(observations, memories)]
+
+    def decide(self, situation: Situation) -> NDArray[np.int64]:
+        """Take a measurement, or give the verdict of highest expected reward."""
         if situation.records > 0 and (
             situation.records >= self.problem.settings.max_records
             or self.stopping.stop(situation)
@@ -178,28 +189,37 @@ class BeliefAgent(EpisodeAgent):
         action: NDArray[np.int64] = self.policy.choose(situation)
         return action
 
-    def situation(self, observation: NDArray[np.float32], memory: _Memory) -> Situation:
-        """Take the new records in; return what is known now."""
-        memory.probabilities = self.estimator.follow(observation, memory.estimate)
-        return Situation(
-            observation=observation,
-            pose=self.problem.layout.pose_of(observation),
-            records=records_taken(self.problem, observation),
-            probabilities=memory.probabilities,
-            memory=memory.estimate,
-            rng=memory.rng,
-        )
+    def situations(
+        self, observations: NDArray[np.float32], memories: Sequence[_Memory]
+    ) -> list[Situation]:
+        """Take the new records in; return what is known now of each episode."""
+        probabilities = self.estimator.follow(observations, [m.estimate for m in memories])
+        poses = self.problem.layout.pose_of(observations)
+        taken = records_taken(self.problem, observations)
+        for memory, own in zip(memories, probabilities, strict=True):
+            memory.probabilities = own
+        return [
+            Situation(
+                observation=observations[k],
+                pose=poses[k],
+                records=int(taken[k]),
+                probabilities=probabilities[k],
+                memory=memory.estimate,
+                rng=memory.rng,
+            )
+            for k, memory in enumerate(memories)
+        ]
 
 
-def records_taken(problem: Problem, observation: NDArray[np.float32]) -> int:
-    """Number of records in an observation."""
-    share = float(problem.layout.physical(observation, "spent")[0])
-    return round(share * problem.settings.max_records)
+def records_taken(problem: Problem, observations: NDArray[np.float32]) -> Any:
+    """Number of records in observations (..., size)."""
+    share = problem.layout.physical(observations, "spent")[..., 0]
+    return np.rint(share * problem.settings.max_records).astype(np.intp)
 
 
-def records_measured(problem: Problem, observation: NDArray[np.float32]) -> int:
-    """Number of records in an observation that are not empty."""
-    return int(np.count_nonzero(problem.layout.slots_of(observation)[:, 0]))
+def records_measured(problem: Problem, observations: NDArray[np.float32]) -> Any:
+    """Number of records in observations (..., size) that are not empty."""
+    return np.count_nonzero(problem.layout.slots_of(observations)[..., 0], axis=-1)
 
 
 def surprise_of(memory: Any) -> float:
@@ -414,16 +434,24 @@ class Tracker:
         """Return the initial state of an episode."""
         return _Tracked(belief=self.posterior.start())
 
-    def follow(self, observation: NDArray[np.float32], memory: _Tracked) -> NDArray[np.float64]:
-        """Update with the new records; return the hypotheses' probabilities."""
-        layout = self.problem.layout
-        taken = records_taken(self.problem, observation)
-        for slot in range(memory.records, taken):
-            record = record_from(layout, observation, slot)
-            if record is not None:
-                memory.belief = self.posterior.update(memory.belief, record)
-        memory.records = taken
-        return np.asarray(memory.belief.probabilities[self._order])
+    def follow(
+        self, observations: NDArray[np.float32], memories: Sequence[_Tracked]
+    ) -> NDArray[np.float64]:
+        """Update with the new records of A episodes; return the probabilities (A, hypotheses)."""
+        slots = self.problem.layout.slots_of(observations)
+        taken = records_taken(self.problem, observations)
+        while new := [k for k, memory in enumerate(memories) if memory.records < taken[k]]:
+            rows = slots[new, [memories[k].records for k in new]]
+            for k in new:
+                memories[k].records += 1
+            shown = np.flatnonzero(rows[:, 0] > 0.5)
+            if len(shown):
+                own = [memories[new[k]] for k in shown]
+                records = records_from(self.problem.layout, rows[shown])
+                after = self.posterior.update_all([memory.belief for memory in own], records)
+                for memory, belief in zip(own, after, strict=True):
+                    memory.belief = belief
+        return np.array([memory.belief.probabilities[self._order] for memory in memories])
 
     @property
     def feature_size(self) -> int:

@@ -32,6 +32,7 @@ from loose_env.diagnosis import (
     SeatFeatures,
     SeatNetwork,
     Seen,
+    seen_in,
     used_columns,
 )
 from loose_env.errors import InvalidData
@@ -39,7 +40,7 @@ from loose_env.evaluation import expected_calibration_error
 from loose_env.io import written_beside
 from loose_env.statistics import fit_gaussian_mixture
 from loose_env.typing import Array
-from loose_env.wrappers import PROBABILITY_FLOOR
+from loose_env.wrappers import PROBABILITY_FLOOR, records_from
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -335,10 +336,10 @@ def seen_episodes(
     problem: Problem, features: SeatFeatures, bank: RecordBank
 ) -> Iterator[list[Seen]]:
     """Iterate over the episodes of a bank that have records, with their statistics."""
-    for records in bank.records(problem.layout):
-        seen = [Seen(*features.with_change(record)) for record in records if record is not None]
-        if seen:
-            yield seen
+    for slots in bank.slots:
+        shown = slots[slots[:, 0] > 0.5]
+        if len(shown):
+            yield seen_in(features, records_from(problem.layout, shown))
 
 
 def episode_sights(
@@ -480,13 +481,14 @@ def transitions_of(
             if record is None or before.max() > _LAST_INFORMATIVE:
                 break
             faults = information.imagine(belief.belief, rng)
-            expected = information.of(faults, record.pose, record.torque, record.duration)
+            own = record.several
+            expected = information.of(faults, own.pose, own.torque, own.duration)
             belief = posterior.update(belief, record)
             after = belief.probabilities[truth]
             gained = np.log(max(after, PROBABILITY_FLOOR)) - np.log(
                 max(before[truth], PROBABILITY_FLOOR)
             )
-            rows.append((expected.information, gained, record.duration, record.excited))
+            rows.append((expected.information[0], gained, record.duration, record.excited))
     forecast, gained, seconds, excited = (np.array(column) for column in zip(*rows, strict=True))
     return Transitions(expected=forecast, gained=gained, seconds=seconds, excited=excited)
 

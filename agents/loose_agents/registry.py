@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from loose_agents.base import Agent, Problem
 from loose_agents.belief import (
@@ -225,7 +225,8 @@ def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
     A learned agent's further trainings, from other seeds, are ``ppo#2``, ``ppo#3``, ...;
     ``ppo#1`` is the first, ``ppo`` itself. From outside the package come
 
-    * ``module:Class``, called as ``Class(problem, seed=seed)``, with `predict`;
+    * ``module:Class``, called as ``Class(problem, seed=seed)``, with `predict`, or `choose` alone:
+      a policy on the usual estimator;
     * ``path/model.zip``, a model of stable-baselines3 (`loose_agents.rl.model_agent`);
     * ``path/folder``, a policy that ``scripts/agents/train.py --export`` wrote.
 
@@ -296,14 +297,16 @@ def _from_outside(name: str, problem: Problem, seed: int) -> Agent:
         inspect.signature(kind).bind(problem, seed=seed)
     except (TypeError, ValueError) as error:
         raise UnknownName(f"{name!r} is not made by Class(problem, seed=seed): {error}") from error
-    agent = kind(problem, seed=seed)
-    if not callable(getattr(agent, "predict", None)):
+    made: Any = kind(problem, seed=seed)
+    if callable(getattr(made, "predict", None)):
+        return cast(Agent, made)
+    if not callable(getattr(made, "choose", None)):
         raise UnknownName(
-            f"{name!r} makes a {type(agent).__name__}, which has no predict(observation, state, "
-            "episode_start, deterministic)"
+            f"{name!r} makes a {type(made).__name__}, which has no predict(observation, state, "
+            "episode_start, deterministic), nor choose(situation)"
         )
-    found: Agent = agent
-    return found
+    estimator = make_estimator(usual_estimator(problem), problem)
+    return BeliefAgent(problem, estimator, made, Sure(), seed=seed)
 
 
 def _look_beside_the_command() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,7 +19,10 @@ from loose_env.typing import Array, ComplexArray, IndexArray
 
 @dataclass(frozen=True, kw_only=True)
 class OpenResponse:
-    """Response of the arm through each of its seats, were it open, over the band."""
+    """Response of the arm through each of its seats, were it open, over the band.
+
+    Of B poses, as `LinearPoses.open_responses` gives it, arrays have an axis more in front.
+    """
 
     tool_open_slide: ComplexArray
     """Change of tool acceleration per unit seat acceleration, (K, d, n links, s axes)."""
@@ -38,6 +42,11 @@ class OpenResponse:
     """As `joint_open_slide`, for slides and rotations of links, (K, m, n, t); None without."""
     mass_twist: ComplexArray | None = None
     """Apparent mass of slides and rotations of links [kg, kg·m, kg·m²], (K, n, t, t)."""
+
+    def __getitem__(self, k: int) -> OpenResponse:
+        """Response in one pose of several."""
+        own = {name: None if part is None else part[k] for name, part in vars(self).items()}
+        return OpenResponse(**own)  # type: ignore[arg-type]
 
 
 def inertance_rate(timestep: float) -> float:
@@ -117,14 +126,12 @@ class Response:
         Forces, then moments about the link frame's origin [N or N·m per N·m]; see
         `LinearArm.twist_dofs`.
         """
-        pose = self.pose
-        return self._transmitted[:, pose.twists] if pose.linear.rotations else None
+        linear = self.pose.linear
+        return self._transmitted[:, linear.twists] if linear.rotations else None
 
     @cached_property
     def _transmitted(self) -> ComplexArray:
-        pose = self.pose
-        coupling = pose.inertia[np.ix_(pose.linear.moving, pose.seats)]
-        return np.asarray(np.einsum("vs,kvm->ksm", coupling, self.acceleration))
+        return np.asarray(self.pose.alone.transmitted(self.acceleration[None])[0])
 
 
 class LinearArm:
@@ -239,6 +246,24 @@ class LinearArm:
         """Degrees of freedom that answer: joints, then bending modes (v,)."""
         return np.concatenate([self.joint_dofs, self.flexible_dofs])
 
+    @cached_property
+    def seats(self) -> NDArray[np.intp]:
+        """Degrees of freedom of all seats: slides, link sides of joints, then rotations."""
+        return np.concatenate([self.slide_dofs.ravel(), self.hinge_dofs, self.turn_dofs.ravel()])
+
+    @cached_property
+    def twists(self) -> NDArray[np.intp]:
+        """Indices of each link's slides and rotations among the seats (n, t)."""
+        slides, turns = self.slide_dofs, self.turn_dofs
+        first = slides.size + len(self.hinge_dofs)
+        return np.concatenate(
+            [
+                np.arange(slides.size).reshape(slides.shape),
+                first + np.arange(turns.size).reshape(turns.shape),
+            ],
+            axis=1,
+        )
+
     @property
     def springs(self) -> tuple[Array, Array]:
         """Stiffness and damping of the arm itself at every degree of freedom (nv,) each.
@@ -303,6 +328,17 @@ class LinearArm:
             inertia = all_of.T @ inertia @ all_of
             jacobian, load = jacobian @ all_of, load @ all_of
         return LinearPoses(linear=self, pose=poses, inertia=inertia, jacobian=jacobian, load=load)
+
+    def kinematics(self, poses: Array) -> Array:
+        """Tool motion per joint motion at poses [rad] (B, n), as `LinearPose.kinematic`."""
+        model, data = self.model, self._data
+        jacobian = np.zeros((len(poses), 3, model.nv))
+        frames, frame = np.empty((len(poses), 3, 3)), data.site_xmat[self.tool].reshape(3, 3)
+        for k in self._placed(poses):
+            mujoco.mj_jacSite(model, data, jacobian[k], None, self.tool)
+            frames[k] = frame
+        turned = frames.transpose(0, 2, 1) @ jacobian[:, :, self.joint_dofs]
+        return turned[:, list(self.arm.axes)]
 
     def gravity_torques(self, poses: Array) -> Array:
         """Torque that holds each joint against gravity at poses [rad] (B, n) [N·m] (B, n)."""
@@ -429,6 +465,44 @@ class LinearPoses:
             np.ascontiguousarray(tool.transpose(2, 3, 0, 1)),
         )
 
+    def transmitted(self, acceleration: ComplexArray) -> ComplexArray:
+        """Load through each shut seat (B, K, s, m) while the arm accelerates (B, K, v, m)."""
+        lin = self.linear
+        coupling = self.inertia[:, lin.moving[:, None], lin.seats]
+        return np.asarray(np.einsum("bvs,bkvm->bksm", coupling, acceleration))
+
+    def open_responses(self, excited: NDArray[np.bool_]) -> OpenResponse:
+        """Answers through every seat, with equally many joints excited in each pose (B, n)."""
+        lin, move, seats = self.linear, self.linear.moving, self.linear.seats
+        n, axes, d = lin.arm.n, lin.slide_dofs.shape[1], self.jacobian.shape[1]
+        b, count = len(self), len(lin.frequency)
+        # Unit seat acceleration pushes back on the moving coordinates through the inertia.
+        coupling = self.inertia[:, move[:, None], seats]
+        mass = self.inertia[:, move[:, None], move]
+        stiffness = lin.dynamic_stiffness(mass, excited).transpose(2, 3, 0, 1)
+        push = np.broadcast_to(-coupling[:, None], (b, count, *coupling.shape[1:]))
+        by_seat: ComplexArray = np.linalg.solve(stiffness, push).astype(complex, copy=False)
+        by_seat *= -((2 * np.pi * lin.frequency) ** 2)[:, None, None]
+        tool: Any = self.jacobian[:, None, :, move] @ by_seat + self.jacobian[:, None, :, seats]
+        own = self.inertia[:, seats[:, None], seats]
+        apparent: Any = coupling.mT[:, None] @ by_seat + own[:, None]
+        ns = n * axes
+        blocks = apparent[:, :, :ns, :ns].reshape(b, count, n, axes, n, axes)
+        hinges, at = slice(ns, ns + n), lin.twists
+        driven = np.nonzero(excited)[1].reshape(b, 1, -1, 1)
+        joint: Any = np.take_along_axis(by_seat, driven, axis=2)
+        return OpenResponse(
+            tool_open_slide=tool[..., :ns].reshape(b, count, d, n, axes),
+            joint_open_slide=joint[..., :ns].reshape(b, count, -1, n, axes),
+            mass_slide=np.einsum("bkiaic->bkiac", blocks),
+            tool_open_hinge=tool[..., hinges],
+            joint_open_hinge=joint[..., hinges],
+            inertia_hinge=np.einsum("bkii->bki", apparent[..., hinges, hinges]),
+            tool_open_twist=tool[..., at] if lin.rotations else None,
+            joint_open_twist=joint[..., at] if lin.rotations else None,
+            mass_twist=apparent[..., at[:, :, None], at[:, None, :]] if lin.rotations else None,
+        )
+
 
 _FIT = 1 << 15
 """Complex numbers of a chunk's largest array, for the processor's cache."""
@@ -469,70 +543,22 @@ class LinearPose:
         return {}
 
     @property
-    def seats(self) -> NDArray[np.intp]:
-        """Degrees of freedom of all seats: slides, link sides of joints, then rotations."""
-        lin = self.linear
-        return np.concatenate([lin.slide_dofs.ravel(), lin.hinge_dofs, lin.turn_dofs.ravel()])
-
-    @property
-    def twists(self) -> NDArray[np.intp]:
-        """Indices of each link's slides and rotations among the seats (n, t)."""
-        slides, turns = self.linear.slide_dofs, self.linear.turn_dofs
-        first = slides.size + len(self.linear.hinge_dofs)
-        return np.concatenate(
-            [
-                np.arange(slides.size).reshape(slides.shape),
-                first + np.arange(turns.size).reshape(turns.shape),
-            ],
-            axis=1,
+    def alone(self) -> LinearPoses:
+        """The pose as a batch of one."""
+        parts = (self.pose, self.inertia, self.jacobian, self.load)
+        pose, inertia, jacobian, load = (part[None] for part in parts)
+        return LinearPoses(
+            linear=self.linear, pose=pose, inertia=inertia, jacobian=jacobian, load=load
         )
 
     def response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> Response:
         """Return the frequency response with the given joints excited and all others held."""
         mask = tuple(np.asarray(excited, dtype=bool).tolist())
         if mask not in self.remembered:
-            parts = (self.pose, self.inertia, self.jacobian, self.load)
-            pose, inertia, jacobian, load = (part[None] for part in parts)
-            alone = LinearPoses(
-                linear=self.linear, pose=pose, inertia=inertia, jacobian=jacobian, load=load
-            )
-            acceleration, tool = alone.responses(np.array([mask]))
+            acceleration, tool = self.alone.responses(np.array([mask]))
             self.remembered[mask] = Response(pose=self, acceleration=acceleration[0], tool=tool[0])
         return self.remembered[mask]
 
     def open_response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> OpenResponse:
         """Return the answer through every seat, with the given joints excited."""
-        lin, move, seats = self.linear, self.linear.moving, self.seats
-        mask = np.array([bool(e) for e in excited])
-        n, axes, d = lin.arm.n, lin.slide_dofs.shape[1], self.jacobian.shape[0]
-        driven = np.flatnonzero(mask)
-        count, m = len(lin.frequency), len(driven)
-        # Unit seat acceleration pushes back on the moving coordinates through the inertia.
-        coupling = self.inertia[np.ix_(move, seats)]
-        push = np.broadcast_to(-coupling.astype(complex), (count, *coupling.shape))
-        by_seat = self._accelerations(mask, push)
-        tool = np.einsum("dv,kvs->kds", self.jacobian[:, move], by_seat) + self.jacobian[:, seats]
-        apparent = np.einsum("vs,kvt->kst", coupling, by_seat) + self.inertia[np.ix_(seats, seats)]
-        ns = n * axes
-        blocks = apparent[:, :ns, :ns].reshape(count, n, axes, n, axes)
-        hinges, at = slice(ns, ns + n), self.twists
-        return OpenResponse(
-            tool_open_slide=tool[:, :, :ns].reshape(count, d, n, axes),
-            joint_open_slide=by_seat[:, driven, :ns].reshape(count, m, n, axes),
-            mass_slide=np.einsum("kiaib->kiab", blocks),
-            tool_open_hinge=tool[:, :, hinges],
-            joint_open_hinge=by_seat[:, driven, hinges],
-            inertia_hinge=np.einsum("kii->ki", apparent[:, hinges, hinges]),
-            tool_open_twist=tool[:, :, at] if lin.rotations else None,
-            joint_open_twist=by_seat[:, driven][:, :, at] if lin.rotations else None,
-            mass_twist=apparent[:, at[:, :, None], at[:, None, :]] if lin.rotations else None,
-        )
-
-    def _accelerations(self, excited: NDArray[np.bool_], force: ComplexArray) -> ComplexArray:
-        """Accelerations of joints and bending modes under generalised forces (K, v, ...)."""
-        omega = 2 * np.pi * self.linear.frequency
-        move = self.linear.moving
-        mass = self.inertia[np.ix_(move, move)]
-        stiffness = self.linear.dynamic_stiffness(mass[None], excited[None])[:, :, 0]
-        motion = np.linalg.solve(stiffness.transpose(2, 0, 1), force)
-        return np.asarray(-(omega**2)[:, None, None] * motion, dtype=np.complex128)
+        return self.alone.open_responses(np.array([excited], dtype=bool))[0]

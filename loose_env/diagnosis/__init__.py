@@ -38,6 +38,7 @@ from loose_env.diagnosis.learned import (
     AmortisedPosterior,
     SeatNetwork,
     read_network,
+    seen_in,
     write_network,
 )
 from loose_env.diagnosis.link_finding import (
@@ -77,7 +78,7 @@ from loose_env.diagnosis.posterior import (
     Belief,
     FaultPosterior,
     PosteriorSettings,
-    fit_record,
+    fit_records,
     shipped_table,
     variants,
 )
@@ -157,7 +158,7 @@ __all__ = [
     "confusable_faults",
     "direction_limit",
     "fault_locations",
-    "fit_record",
+    "fit_records",
     "holding_modes",
     "judge_turn",
     "least_records",
@@ -174,6 +175,7 @@ __all__ = [
     "propose_excitation",
     "read_network",
     "scattered_axes",
+    "seen_in",
     "shape_of_motion",
     "shipped_table",
     "shut_seats",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,13 +13,21 @@ from scipy import stats
 
 from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.diagnosis.features import SeatFeatures
-from loose_env.diagnosis.posterior import LOOSE, OPENINGS, Belief, OpeningTable, shipped_table
+from loose_env.diagnosis.posterior import (
+    LOOSE,
+    OPENINGS,
+    Belief,
+    OpeningTable,
+    away_from,
+    shipped_table,
+)
 from loose_env.diagnosis.prediction import (
     INERTIA_ERROR,
     LINEAR_ERROR,
     POWER_ERROR,
     channel_noise,
     independent_samples,
+    joints_on,
     predict_seats,
     seat_drives,
     shut_seats,
@@ -26,7 +36,7 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.excitation import Excitation, SeatReference, at_levels
 from loose_env.inference import expected_log_score, overlap, squared_distances, whitener
 from loose_env.statistics import axes_grid
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 _CLEAR = 2.0
 """A band ends at this share below the lowest holding mode."""
@@ -309,14 +319,14 @@ class ImaginedFaults:
     """A uniform number each, which decides how its seat opens (M,)."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Expectation:
-    """Expected information gain of a record."""
+    """Expected information gain of C records."""
 
-    information: float
-    """Expected fall of the log score [nat]."""
-    sure: float
-    """Expected probability of the most probable hypothesis after it [1]."""
+    information: Array
+    """Expected fall of the log score [nat] (C,)."""
+    sure: Array
+    """Expected probability of the most probable hypothesis after it [1] (C,)."""
 
 
 USUAL_FACTORS = InformationFactors(length=0.06, together=-0.46)
@@ -347,11 +357,8 @@ class RecordInformation:
         self.features, self.frictions = features, frictions
         self.factors = USUAL_FACTORS if factors is None else factors
         self.table = shipped_table()
-        shape = (-1, len(OPENINGS) * len(LOOSE))
-        self._cumulative = {
-            "slide": np.cumsum(self.table.slide.reshape(shape), axis=1),
-            "hinge": np.cumsum(self.table.hinge.reshape(shape), axis=1),
-        }
+        both = np.stack([self.table.slide, self.table.hinge])
+        self._cumulative = np.cumsum(both.reshape(-1, len(OPENINGS) * len(LOOSE)), axis=1)
 
     def imagine(self, belief: Belief, rng: np.random.Generator) -> ImaginedFaults:
         """Thin a belief by systematic resampling."""
@@ -382,88 +389,116 @@ class RecordInformation:
     def of(
         self,
         faults: ImaginedFaults,
-        pose: Array,
+        poses: Array,
         torque: Array,
-        duration: float,
+        durations: Any,
         planned: Array | None = None,
     ) -> Expectation:
-        """Expected information gain of a record at a pose (n,) by rms torques (n,) [N·m].
+        """Expected information gain of C records at poses (C, n) by rms torques (C, n) [N·m].
 
         Parameters
         ----------
         faults : ImaginedFaults
             The belief, thinned.
-        pose, torque : ndarray (n,)
-            Pose of the record [rad or m] and rms torque of every joint [N·m]; at least one is on.
-        duration : float
-            Its length [s].
+        poses, torque : ndarray (C, n)
+            Poses [rad or m] and rms torques [N·m]; at least one joint is on in every record.
+        durations : ndarray (C,)
+            Lengths [s].
         planned : ndarray (M, M), optional
-            Likelihood of records before it whose outcome is not known: products of `likelihood`.
+            Likelihood of records before it whose outcome is not known: products of `likelihoods`.
         """
         before = faults.weight if planned is None else faults.weight * planned
-        likely = self.likelihood(faults, pose, torque, duration)
         score_now, _ = expected_log_score(faults.weight, faults.hypothesis, np.atleast_2d(before))
-        score, sure = expected_log_score(faults.weight, faults.hypothesis, before * likely)
-        factor = self.factors.of(torque > 0, duration)
-        return Expectation(information=factor * (score - score_now), sure=sure)
+        information, sure = np.zeros((2, len(poses)))
+        for rows, likely in self._likely(faults, poses, torque, durations):
+            likely *= before
+            score, sure[rows] = expected_log_score(faults.weight, faults.hypothesis, likely)
+            information[rows] = score - score_now
+        pairs = zip(torque, np.asarray(durations).tolist(), strict=True)
+        factors = np.array([self.factors.of(own > 0, seconds) for own, seconds in pairs])
+        return Expectation(information=factors * information, sure=sure)
 
-    def likelihood(
-        self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
+    def likelihoods(
+        self, faults: ImaginedFaults, poses: Array, torque: Array, durations: Any
     ) -> Array:
-        """Likelihood of the record of fault k, by row, under each other fault (M, M)."""
-        shown = self.outcomes(faults, pose, torque, duration)
-        # Two records of one fault differ too: each has its own errors.
-        return overlap(squared_distances(shown @ shown.T), _BLUR / 2)
+        """Likelihood of the record of fault k, by row, under each other fault (C, M, M).
+
+        Of C records, as `of` takes them.
+        """
+        found = np.empty((len(poses), len(faults.weight), len(faults.weight)))
+        for rows, likely in self._likely(faults, poses, torque, durations):
+            found[rows] = likely
+        return found
+
+    def _likely(
+        self, faults: ImaginedFaults, poses: Array, torque: Array, durations: Any
+    ) -> Iterator[tuple[IndexArray, Array]]:
+        """Likelihoods of records with as many joints on, a few at a time, with their rows."""
+        excited = np.count_nonzero(torque, axis=1)
+        for count in np.unique(excited):
+            rows = np.flatnonzero(excited == count)
+            for own in np.array_split(rows, -(-len(rows) // _TOGETHER)):
+                shown = self.outcomes(faults, poses[own], torque[own], durations[own])
+                # Two records of one fault differ too: each has its own errors.
+                yield own, overlap(squared_distances(shown @ shown.mT), _BLUR / 2)
 
     def outcomes(
-        self, faults: ImaginedFaults, pose: Array, torque: Array, duration: float
+        self, faults: ImaginedFaults, poses: Array, torque: Array, durations: Any
     ) -> Array:
-        """Features of each simulated fault, in standard deviations (M, features)."""
+        """Features of each simulated fault, in standard deviations (C, M, features)."""
         features = self.features
         linear, floor = features.linear, features.floor
-        arm = linear.arm
-        excited = torque > 0
-        on = np.flatnonzero(excited)
-        m, d = len(on), len(arm.axes)
+        arm, on = linear.arm, joints_on(torque)
+        m, d = on.shape[1], len(arm.axes)
         noise = channel_noise(floor, arm, on)
         asked, at = np.unique(faults.location, return_inverse=True)
-        seats = predict_seats(linear.at(pose), torque, features.directions, noise, locations=asked)
-        x = seats.in_step[:m]
-        b = seats.in_step[m:] @ np.linalg.inv(x)
-        away = np.concatenate([-b, np.eye(d)], axis=1)
-        total = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
-        residual = away @ seats.rest @ away.T + LINEAR_ERROR**2 * total * np.eye(d)
-        white = whitener(features.covariance(pose, excited, b, residual, x, duration))
-        samples = independent_samples(arm, duration)
+        different, back = np.unique(poses, axis=0, return_inverse=True)
+        there = linear.at_all(different).some(back.ravel())
+        seats = predict_seats(there, torque, features.directions, noise, locations=asked)
+        x = seats.in_step[:, :m]
+        b = seats.in_step[:, m:] @ np.linalg.inv(x)
+        away = away_from(b)
+        total = (seats.in_step[:, m:] ** 2).sum((1, 2))
+        residual = away @ seats.rest @ away.mT
+        residual += LINEAR_ERROR**2 * total[:, None, None] * np.eye(d)
+        errors = features.errors(there, torque > 0, b)
+        white = whitener(features.covariance(errors, residual, x, durations))
+        samples = independent_samples(arm, durations)
 
-        opening, loose = self._openings(faults, seats.force[at], seats.load[at])
-        change = opening[:, None] * (features.open_change(seats)[at] @ white.T)
-        nominal = np.diag(x)
-        opened = np.diagonal(seats.in_step_open[:, :m], axis1=1, axis2=2)[at] / nominal
-        error = np.sqrt(INERTIA_ERROR**2 + 1 / samples)
-        inertia = np.clip(opening[:, None] * opened / error, -10.0, 10.0)
-        free = np.diagonal(away @ seats.loose[at] @ away.T, axis1=1, axis2=2)
-        rest = np.diag(residual)
-        error = np.sqrt(POWER_ERROR**2 + 2 / samples)
-        motion = np.log1p(loose[:, None] * np.maximum(free, 0.0) / rest) / error
-        return np.concatenate([np.clip(change, -60.0, 60.0), inertia, motion], axis=1)
+        opening, loose = self._openings(faults, seats.force[:, at], seats.load[:, at])
+        change = opening[..., None] * (features.open_change(seats) @ white.mT)[:, at]
+        nominal = np.diagonal(x, axis1=1, axis2=2)[:, None]
+        opened = np.diagonal(seats.in_step_open[:, :, :m], axis1=2, axis2=3) / nominal
+        error = np.sqrt(INERTIA_ERROR**2 + 1 / samples)[:, None, None]
+        inertia = np.clip(opening[..., None] * opened[:, at] / error, -10.0, 10.0)
+        free = np.diagonal(away[:, None] @ seats.loose @ away[:, None].mT, axis1=2, axis2=3)
+        rest = np.diagonal(residual, axis1=1, axis2=2)[:, None]
+        error = np.sqrt(POWER_ERROR**2 + 2 / samples)[:, None, None]
+        motion = np.log1p(loose[..., None] * np.maximum(free, 0.0)[:, at] / rest) / error
+        return np.concatenate([np.clip(change, -60.0, 60.0), inertia, motion], axis=-1)
 
     def _openings(self, faults: ImaginedFaults, force: Array, load: Array) -> tuple[Array, Array]:
-        """Opening and loose motion of the seat of every simulated fault (M,) each."""
+        """Opening and loose motion of the seat of every simulated fault (C, M) each."""
         at = faults.location
-        slides = self.features.locations - self.features.linear.arm.n
         friction = faults.friction * self.features.top[at]
         nodes = self.table.nodes(force, friction, load)
-        pick = np.zeros(len(at), dtype=np.intp)
-        for kind, chosen in (("slide", at < slides), ("hinge", at >= slides)):
-            mixed = sum(weight[:, None] * self._cumulative[kind][node] for node, weight in nodes)
-            cell = (np.asarray(mixed) < faults.chance[:, None]).sum(1)
-            pick = np.where(chosen, cell, pick)
-        pick = np.minimum(pick, len(OPENINGS) * len(LOOSE) - 1)
+        # Plays follow the slides in one table of cumulative probabilities, which only rise.
+        plays = at >= self.features.locations - self.features.linear.arm.n
+        first = np.where(plays, len(self._cumulative) // 2, 0)
+        pick, last = np.zeros(force.shape, dtype=np.intp), len(OPENINGS) * len(LOOSE) - 1
+        for step in 2 ** np.arange(last.bit_length() - 1, -1, -1):
+            cell = pick + step - 1
+            inside = np.minimum(cell, last)
+            mixed = sum(weight * self._cumulative[first + node, inside] for node, weight in nodes)
+            pick += step * ((np.asarray(mixed) < faults.chance) & (cell <= last))
+        pick = np.minimum(pick, last)
         loose = np.where(faults.hypothesis > 0, LOOSE[pick % len(LOOSE)], 0.0)
         opening = np.where(faults.hypothesis > 0, OPENINGS[pick // len(LOOSE)], 0.0)
         return opening, loose
 
+
+_TOGETHER = 16
+"""Records worked out at once: what the processor's cache holds."""
 
 _STEPS = 7
 """Frictions across their range."""

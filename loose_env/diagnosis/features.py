@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, LinearArm, Mismatch
-from loose_env.diagnosis.posterior import transmission_errors, unexplained
+from loose_env.arms import Arm, LinearArm, LinearPoses, Mismatch
+from loose_env.diagnosis.posterior import away_from, transmission_errors, unexplained
 from loose_env.diagnosis.prediction import (
     INERTIA_ERROR,
     RecordStatistics,
@@ -22,8 +22,10 @@ from loose_env.diagnosis.prediction import (
     SensorFloor,
     channel_noise,
     independent_samples,
+    joints_on,
     predict_seats,
     seat_drives,
+    sensor_errors,
     stiffness_errors,
 )
 from loose_env.excitation import SeatReference
@@ -51,6 +53,11 @@ class TransmissionChange:
     every sensor and in every record of an arm [m/s²] (K, d m); None where none is known."""
     sensor_errors: Array | None = None
     """What errors of the sensor and its levers make of it: the same in every record (L, d m)."""
+
+    def __getitem__(self, k: int) -> TransmissionChange:
+        """Change in one record of several."""
+        own = {name: None if part is None else part[k] for name, part in vars(self).items()}
+        return TransmissionChange(**own)  # type: ignore[arg-type]
 
 
 def sampling_covariance(rest: ComplexArray, noise: Array, samples: float) -> Array:
@@ -173,12 +180,16 @@ class SeatFeatures:
 
     def change_at(self, record: RecordStatistics, transmission: Array) -> TransmissionChange:
         """Change at a sensor of which the transmission (d, m) in a record is known."""
-        on = np.flatnonzero(record.excited)
-        noise = channel_noise(self.floor, self.linear.arm, on)
-        pose = self.linear.at(record.pose)
-        seats = predict_seats(pose, record.torque, self.directions, noise, covariances=False)
-        springs = self._springs(record.pose, record.excited)
-        return self._changed(record, transmission, seats, springs)
+        records = record.several
+        poses, noise = self._placed(records)
+        seats = predict_seats(poses, records.torque, self.directions, noise, covariances=False)
+        errors = self.errors(poses, records.excited, transmission[None])
+        return self._changed(transmission[None], seats, errors)[0]
+
+    def _placed(self, records: RecordStatistics) -> tuple[LinearPoses, Array]:
+        """The nominal arm in the records' poses, and the sensors' noise in each channel (B, p)."""
+        noise = channel_noise(self.floor, self.linear.arm, joints_on(records.torque))
+        return self.linear.at_all(records.pose), noise
 
     @property
     def locations(self) -> int:
@@ -187,52 +198,44 @@ class SeatFeatures:
 
     def of(self, record: RecordStatistics) -> tuple[Array, Array]:
         """Features of one record: by location (P, 15), and of the record as a whole (12,)."""
-        location, whole, _ = self.with_change(record)
-        return location, whole
+        location, whole, _ = self.with_changes(record.several)
+        return location[0], whole[0]
 
-    def with_change(self, record: RecordStatistics) -> tuple[Array, Array, TransmissionChange]:
-        """Features of one record as of `of`, and the change behind them."""
-        arm = self.linear.arm
-        on = np.flatnonzero(record.excited)
-        m, d = len(on), len(record.tool_covariance)
-        seats = predict_seats(
-            self.linear.at(record.pose),
-            record.torque,
-            self.directions,
-            channel_noise(self.floor, arm, on),
-        )
-        b, residual = unexplained(record, seats, least=1e-3 * self.floor.tool**2)
-        springs = self._springs(record.pose, record.excited)
-        covariance = self.covariance(
-            record.pose,
-            record.excited,
-            b,
-            residual,
-            seats.in_step[:m],
-            record.duration,
-            springs=springs,
-        )
-        change = replace(self._changed(record, b, seats, springs), covariance=covariance)
+    def with_changes(self, records: RecordStatistics) -> tuple[Array, Array, TransmissionChange]:
+        """Features as of `of` of B records with equally many joints on, and the changes behind."""
+        arm, d = self.linear.arm, records.tool_covariance.shape[-1]
+        poses, noise = self._placed(records)
+        m = noise.shape[1] - d
+        seats = predict_seats(poses, records.torque, self.directions, noise)
+        b, residual = unexplained(records, seats, least=1e-3 * self.floor.tool**2)
+        errors = self.errors(poses, records.excited, b)
+        covariance = self.covariance(errors, residual, seats.in_step[:, :m], records.duration)
+        change = replace(self._changed(b, seats, errors), covariance=covariance)
         white = whitener(covariance)
-        seen, opened = white @ change.measured, change.open @ white.T
+        seen = (white @ change.measured[..., None])[..., 0]
+        opened = change.open @ white.mT
         power = (opened**2).sum(-1)
-        inner = opened @ seen
-        chi = float(seen @ seen)
+        inner = (opened @ seen[..., None])[..., 0]
+        chi = (seen**2).sum(-1)[:, None]
         opening = inner / (power + 1.0)
         gain = inner**2 / (power + 1.0)
-        inertia, inertia_open = self._inertias(record, on, seats)
-        s = np.clip(opening, 0.0, 1.2)[:, None]
-        inertia_left = ((inertia - s * inertia_open) ** 2).sum(-1)
-        inertia_chi = float(inertia @ inertia)
+        inertia, inertia_open = self._inertias(records, seats)
+        s = np.clip(opening, 0.0, 1.2)[..., None]
+        inertia_left = ((inertia[:, None] - s * inertia_open) ** 2).sum(-1)
+        inertia_chi = (inertia**2).sum(-1)[:, None]
 
-        away = np.concatenate([-b, np.eye(d)], axis=1)
-        loose = away @ seats.loose @ away.T
-        size = np.trace(loose, axis1=1, axis2=2)
-        total = float(np.trace(record.tool_covariance))
-        axes = loose / np.maximum(size, _TINY)[:, None, None]
-        beside = np.einsum("pij,ij->p", axes, residual)
-        rest = float(np.trace(residual))
-        expected = float(np.trace(seats.in_step[m:] @ seats.in_step[m:].T))
+        away = away_from(b)[:, None]
+        loose = away @ seats.loose @ away.mT
+        size = np.trace(loose, axis1=2, axis2=3)
+        total, rest = (
+            np.trace(part, axis1=1, axis2=2)[:, None]
+            for part in (records.tool_covariance, residual)
+        )
+        axes = loose / np.maximum(size, _TINY)[..., None, None]
+        beside = (axes * residual[:, None]).sum((2, 3))
+        expected = (seats.in_step[:, m:] ** 2).sum((1, 2))[:, None]
+        lowest = records.lowest_direction[:, None, :, None]
+        along = np.diagonal(axes, axis1=2, axis2=3) @ records.kurtosis[..., None]
         location = np.stack(
             [
                 np.clip(opening, -1.5, 2.5),
@@ -247,114 +250,100 @@ class SeatFeatures:
                 np.log1p((inertia_open**2).sum(-1)),
                 np.log((beside + _TINY) / (total + _TINY)),
                 np.log((size + _TINY) / (total + _TINY)),
-                beside / max(rest, _TINY),
-                np.einsum("pij,i,j->p", axes, record.lowest_direction, record.lowest_direction),
-                np.arcsinh(np.einsum("pii,i->p", axes, record.kurtosis)),
+                beside / np.maximum(rest, _TINY),
+                (lowest.mT @ axes @ lowest)[..., 0, 0],
+                np.arcsinh(along[..., 0]),
             ],
-            axis=1,
+            axis=-1,
         )
-        whole = np.array(
+        whole = np.stack(
             [
-                np.log1p(chi),
-                np.log(d * m),
-                np.log1p(inertia_chi),
-                np.log((rest + _TINY) / (total + _TINY)),
-                0.5 * np.log((total + _TINY) / (expected + _TINY)),
-                np.log(record.duration),
-                m / arm.n,
-                0.5 * np.log((expected + _TINY) / arm.levels[-1] ** 2),
-                np.arcsinh(record.kurtosis.max()),
-                np.arcsinh(record.lowest_kurtosis),
-                np.arcsinh(np.abs(record.skewness).max()),
-                record.lowest_coherence,
-            ]
+                np.log1p(chi[:, 0]),
+                np.full(len(b), np.log(d * m)),
+                np.log1p(inertia_chi[:, 0]),
+                np.log((rest + _TINY) / (total + _TINY))[:, 0],
+                0.5 * np.log((total + _TINY) / (expected + _TINY))[:, 0],
+                np.log(records.duration),
+                np.full(len(b), m / arm.n),
+                0.5 * np.log((expected[:, 0] + _TINY) / arm.levels[-1] ** 2),
+                np.arcsinh(records.kurtosis.max(-1)),
+                np.arcsinh(records.lowest_kurtosis),
+                np.arcsinh(np.abs(records.skewness).max(-1)),
+                records.lowest_coherence,
+            ],
+            axis=-1,
         )
         return location, whole, change
 
-    def _changed(
-        self, record: RecordStatistics, b: Array, seats: SeatPrediction, springs: Array
-    ) -> TransmissionChange:
-        """Change of transmission b (d, m), with the changes by errors of the springs (K, d, m)."""
-        x = seats.in_step[: b.shape[1]]
-        nominal = seats.in_step[b.shape[1] :] @ np.linalg.inv(x)
-        pose, on, n = record.pose, np.flatnonzero(record.excited), self.linear.arm.n
-        errors = transmission_errors(self.linear, pose, on, b, self.mismatch)
-        first = len(errors) - len(b) - n  # the sensor's own, n joint zeros, then the levers
-        sensor, zeros, levers = np.split(errors, [first, first + n])
-        # A row for every spring, those of driven joints zero, so that records can be pooled.
-        modes = len(springs) - int((~record.excited).sum())
-        held = modes + np.flatnonzero(~record.excited)
-        sprung = np.zeros((modes + n if len(springs) else 0, *b.shape))
-        if len(springs):
-            sprung[np.concatenate([np.arange(modes), held])] = springs
+    def _changed(self, b: Array, seats: SeatPrediction, errors: Array) -> TransmissionChange:
+        """Changes of transmissions b (B, d, m), and by the errors of the model."""
+        count, d, m = b.shape
+        x, n = seats.in_step[:, :m], self.linear.arm.n
+        nominal = seats.in_step[:, m:] @ np.linalg.inv(x)
+        # The sensor's own, n joint zeros, the levers, then the springs.
+        own = len(sensor_errors(b[:1], self.mismatch)[0])
+        moved = errors @ x[:, None]
+        sensor, zeros, levers, springs = np.split(moved, [own, own + n, own + n + d], axis=1)
         return TransmissionChange(
-            measured=((b - nominal) @ x).ravel(),
+            measured=((b - nominal) @ x).reshape(count, -1),
             open=self.open_change(seats),
-            nominal=(nominal @ x).ravel(),
-            arm_errors=(np.concatenate([zeros, sprung]) @ x).reshape(-1, b.size),
-            sensor_errors=(np.concatenate([sensor, levers]) @ x).reshape(-1, b.size),
+            nominal=(nominal @ x).reshape(count, -1),
+            arm_errors=np.concatenate([zeros, springs], axis=1).reshape(count, -1, d * m),
+            sensor_errors=np.concatenate([sensor, levers], axis=1).reshape(count, -1, d * m),
         )
 
     def open_change(self, seats: SeatPrediction) -> Array:
-        """Change of the tool's in-step motion by each floating seat, per command (P, d m).
+        """Change of the tool's in-step motion by each floating seat, per command (B, P, d m).
 
         The part which the change of transmission makes; the joints move as before.
         """
-        p, m = seats.in_step.shape
-        x = seats.in_step[:m]
-        nominal = seats.in_step[m:] @ np.linalg.inv(x)
-        opened = seats.in_step + seats.in_step_open
-        floating = opened[:, m:] @ np.linalg.inv(opened[:, :m])
-        return np.asarray(((floating - nominal) @ x).reshape(-1, (p - m) * m))
+        p, m = seats.in_step.shape[1:]
+        x = seats.in_step[:, :m]
+        nominal = seats.in_step[:, m:] @ np.linalg.inv(x)
+        opened = seats.in_step[:, None] + seats.in_step_open
+        floating = opened[:, :, m:] @ np.linalg.inv(opened[:, :, :m])
+        change = (floating - nominal[:, None]) @ x[:, None]
+        return np.asarray(change.reshape(*change.shape[:2], (p - m) * m))
 
     def covariance(
-        self,
-        pose: Array,
-        excited: NDArray[np.bool_],
-        b: Array,
-        residual: Array,
-        x: Array,
-        duration: float,
-        *,
-        springs: Array | None = None,
+        self, errors: Array, residual: Array, x: Array, duration: Array | float
     ) -> Array:
-        """Covariance of in-step motion by model and sampling errors [m²/s⁴] (d m, d m).
+        """Covariances of in-step motion by model and sampling errors [m²/s⁴] (B, d m, d m).
 
-        For a transmission b (d, m), motion of the tool (d, d) that does not follow the joints, and
-        in-step motion x (m, m) of the joints; ``springs`` (K, d, m) are the errors by springs where
-        known.
+        For errors of the transmission (B, K, d, m), motion of the tool (B, d, d) that does not
+        follow the joints, and in-step motion x (B, m, m) of the joints.
         """
-        d, m = b.shape
-        on = np.flatnonzero(excited)
-        errors = transmission_errors(self.linear, pose, on, b, self.mismatch)
-        springs = self._springs(pose, excited) if springs is None else springs
-        errors = np.concatenate([errors, springs])
+        d, m = errors.shape[2:]
         # In units of the tool's motion per command, in which sampling errors are even.
-        uncertain = (errors @ x).reshape(len(errors), d * m)
-        sampling = np.kron(residual, np.eye(m)) / independent_samples(self.linear.arm, duration)
-        covariance = uncertain.T @ uncertain + sampling
-        covariance += 1e-6 * np.trace(covariance) / (d * m) * np.eye(d * m)
-        return np.asarray(covariance)
+        uncertain = (errors @ x[:, None]).reshape(*errors.shape[:2], d * m)
+        samples = np.reshape(independent_samples(self.linear.arm, duration), (-1, 1, 1))
+        sampling = np.einsum("bij,kl->bikjl", residual / samples, np.eye(m))
+        covariance = uncertain.mT @ uncertain + sampling.reshape(-1, d * m, d * m)
+        share = 1e-6 * np.trace(covariance, axis1=1, axis2=2) / (d * m)
+        return np.asarray(covariance + share[:, None, None] * np.eye(d * m))
 
-    def _springs(self, pose: Array, excited: NDArray[np.bool_]) -> Array:
-        """Change of the transmission by an error of each spring in the band (K, d, m)."""
-        if self.bends:
-            return stiffness_errors(self.linear, pose, excited, self.mismatch)
-        return np.zeros((0, len(self.linear.arm.axes), int(excited.sum())))
+    def errors(self, poses: LinearPoses, excited: NDArray[np.bool_], b: Array) -> Array:
+        """Changes of transmissions (B, d, m) by each independent error of the model (B, K, d, m).
 
-    def _inertias(
-        self, record: RecordStatistics, on: NDArray[np.intp], seats: SeatPrediction
-    ) -> tuple[Array, Array]:
-        """Change of the joints' motion per torque: measured, and if each seat floats (P, m)."""
-        m = len(on)
-        nominal = np.diag(seats.in_step[:m])
-        error = np.sqrt(
-            INERTIA_ERROR**2 + 1 / independent_samples(self.linear.arm, record.duration)
-        )
+        There is a row for every spring in the band, zero for those of driven joints, so that
+        records can be pooled.
+        """
+        errors = transmission_errors(poses, joints_on(excited), b, self.mismatch)
+        if not self.bends:
+            return errors
+        return np.concatenate([errors, stiffness_errors(poses, excited, self.mismatch)], axis=1)
+
+    def _inertias(self, records: RecordStatistics, seats: SeatPrediction) -> tuple[Array, Array]:
+        """Change of the joints' motion per torque (B, m): measured, and by each seat (B, P, m)."""
+        on = joints_on(records.torque)
+        m = on.shape[1]
+        nominal = np.diagonal(seats.in_step[:, :m], axis1=1, axis2=2)
+        samples = independent_samples(self.linear.arm, records.duration)
+        error = np.sqrt(INERTIA_ERROR**2 + 1 / samples)[:, None]
         # Inertia is torque over in-step motion of the joint itself; motion adds where inertia
         # does not.
-        inertia = record.inertia[on]
-        found = record.torque[on] / np.where(np.abs(inertia) < _TINY, _TINY, inertia)
+        inertia, torque = (np.take_along_axis(x, on, 1) for x in (records.inertia, records.torque))
+        found = torque / np.where(np.abs(inertia) < _TINY, _TINY, inertia)
         measured = np.clip(found / nominal - 1, -3.0, 3.0) / error
-        opened = np.diagonal(seats.in_step_open[:, :m], axis1=1, axis2=2) / nominal / error
-        return measured, np.clip(opened, -100.0, 100.0)
+        opened = np.diagonal(seats.in_step_open[:, :, :m], axis1=2, axis2=3) / nominal[:, None]
+        return measured, np.clip(opened / error[:, None], -100.0, 100.0)

@@ -10,8 +10,8 @@ them. Mismatch, which all records of an arm share, enters as a temper by the num
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,7 +24,7 @@ from scipy.special import expit, logsumexp
 from loose_env.arms import LinearArm, Mismatch
 from loose_env.diagnosis.features import LOCATION_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.diagnosis.novelty import NOVELTY_STATISTICS, NoveltyReference, Seen, sights
-from loose_env.diagnosis.posterior import Belief, friction_nodes, location_prior, log_prior
+from loose_env.diagnosis.posterior import Belief, alike, friction_nodes, location_prior, log_prior
 from loose_env.diagnosis.prediction import RecordStatistics
 from loose_env.errors import InvalidData
 from loose_env.faults import DEFAULT_KINDS, hypotheses
@@ -204,6 +204,19 @@ class AmortisedBelief:
         return 1.0 if self.reference is None else self.reference.surprise(self.novelty)
 
 
+_TOGETHER = 16
+"""Records worked out at once: what the processor's cache holds."""
+
+
+def seen_in(features: SeatFeatures, records: RecordStatistics) -> list[Seen]:
+    """Features of each of B records."""
+    found: dict[int, Seen] = {}
+    for rows in alike(records, _TOGETHER):
+        location, record, change = features.with_changes(records[rows])
+        found |= {int(row): Seen(location[k], record[k], change[k]) for k, row in enumerate(rows)}
+    return [found[row] for row in range(len(found))]
+
+
 class AmortisedPosterior:
     """Bayes' rule over faults, with a learned likelihood.
 
@@ -271,18 +284,24 @@ class AmortisedPosterior:
 
     def update(self, belief: AmortisedBelief, record: RecordStatistics) -> AmortisedBelief:
         """Take in one record; the order of records does not matter."""
-        seen = Seen(*self.features.with_change(record))
+        return self.update_all([belief], record.several)[0]
+
+    def update_all(
+        self, beliefs: Sequence[AmortisedBelief], records: RecordStatistics
+    ) -> list[AmortisedBelief]:
+        """Take one record each into B beliefs; they do not depend on each other."""
+        seen = seen_in(self.features, records)
+        return [self.with_seen(*pair) for pair in zip(beliefs, seen, strict=True)]
+
+    def with_seen(self, belief: AmortisedBelief, seen: Seen) -> AmortisedBelief:
+        """Take in the features of one record."""
         likelihood = self.network.likelihood(seen.location, seen.record, belief.hypothesis)
-        records = belief.records + 1
-        return AmortisedBelief(
+        return replace(
+            belief,
             total=belief.total + likelihood,
-            records=records,
-            temper=self.network.temper(records),
-            prior=self._prior,
-            directions=belief.directions,
-            hypothesis=belief.hypothesis,
+            records=belief.records + 1,
+            temper=self.network.temper(belief.records + 1),
             seen=(*belief.seen, seen),
-            reference=self.reference,
         )
 
     @property

@@ -7,18 +7,17 @@ record to record; it is summed out with the probabilities that its drive, fricti
 
 from __future__ import annotations
 
-import dataclasses
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from loose_env.arms import Arm, LinearArm, Mismatch
+from loose_env.arms import Arm, LinearArm, LinearPoses, Mismatch
 from loose_env.diagnosis.prediction import (
     INERTIA_ERROR,
     LINEAR_ERROR,
@@ -29,6 +28,7 @@ from loose_env.diagnosis.prediction import (
     channel_noise,
     independent_samples,
     joint_zero_errors,
+    joints_on,
     predict_seats,
     seat_drives,
     sensor_errors,
@@ -56,24 +56,24 @@ _SPREAD = 0.03
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """Log-likelihood of one record."""
+    """Log-likelihood of B records."""
 
     log: Array
-    """Over locations, openings and loose motion (P, S, Q)."""
+    """Over locations, openings and loose motion (B, P, S, Q)."""
     force: Array
-    """Rms force that each shut seat transmits in the record (P,)."""
+    """Rms force that each shut seat transmits in the record (B, P)."""
     load: Array
-    """Force that gravity puts on each seat at rest (P,)."""
+    """Force that gravity puts on each seat at rest (B, P)."""
 
 
-def fit_record(
-    linear: LinearArm,
-    record: RecordStatistics,
+def fit_records(
+    poses: LinearPoses,
+    records: RecordStatistics,
     directions: Array,
     floor: SensorFloor,
     mismatch: Mismatch,
 ) -> Fit:
-    """Likelihood of a record, for sliding directions (A, axes).
+    """Likelihood of B records with equally many joints excited, for sliding directions (A, axes).
 
     Three things are compared with what each seat would do. The part of the tool's motion that
     does not follow the joint as measured, a - B x, must not follow the command either. The
@@ -81,150 +81,179 @@ def fit_record(
     arm's modes, the sensors and the loose seat leave (a Wishart density). With several joints
     excited at once only the first is asked.
     """
-    pose = linear.at(record.pose)
-    on = np.flatnonzero(record.excited)
-    d, m = len(record.tool_covariance), len(on)
-    noise = channel_noise(floor, linear.arm, on)
-    seats = predict_seats(pose, record.torque, directions, noise)
-    samples = independent_samples(linear.arm, record.duration)
+    arm, on = poses.linear.arm, joints_on(records.torque)
+    d, m = records.tool_covariance.shape[-1], on.shape[1]
+    noise = channel_noise(floor, arm, on)
+    seats = predict_seats(poses, records.torque, directions, noise)
+    samples = independent_samples(arm, records.duration)
 
-    b, residual = unexplained(record, seats, least=0.0 if m > 1 else -np.inf)
+    b, residual = unexplained(records, seats, least=0.0 if m > 1 else -np.inf)
     # Error floor of float32 readings and the linear model.
-    rounding = (1e-3 * floor.tool**2 + LINEAR_ERROR**2 * np.trace(record.tool_covariance)) * np.eye(
-        d
-    )
-    residual += rounding
-    away = np.concatenate([-b, np.eye(d)], axis=1)
-
-    s = OPENINGS[None, :, None, None]
-    step = seats.in_step + s * seats.in_step_open[:, None]  # (P, S, p, m)
-    log = _in_step(linear, record, on, b, away, residual, samples, seats.in_step, step, mismatch)
+    total = np.trace(records.tool_covariance, axis1=1, axis2=2)
+    floors = (1e-3 * floor.tool**2 + LINEAR_ERROR**2 * total)[:, None, None] * np.eye(d)
+    residual += floors
+    away = away_from(b)
+    log, x = _in_step(poses, on, b, away, residual, samples, seats, mismatch)
     if m > 1:
-        log = np.repeat(log[..., None], len(LOOSE), 2)
+        log = np.repeat(log[..., None], len(LOOSE), 3)
         return Fit(log=log, force=seats.force, load=seats.load)
 
-    x = step[..., 0, 0]
-    inertia = float(record.inertia[on[0]])
-    expected = float(record.torque[on[0]]) / np.where(np.abs(x) < 1e-9, 1e-9, x)
-    error = np.sqrt(INERTIA_ERROR**2 + 1 / samples)
-    log = log - 0.5 * np.log1p(((expected / inertia - 1) / error) ** 2 / 4) * 5
+    def each(values: Array) -> Array:
+        """One number a record, before locations and openings."""
+        return np.asarray(values)[:, None, None]
 
-    s = OPENINGS[None, :]
-    rest = [seats.rest, seats.rest_mixed[:, None], seats.rest_open[:, None]]
-    alone = [part[..., 0, 0] for part in rest]
-    power = x**2 + alone[0] + s * alone[1] + s**2 * alone[2] - noise[0]
+    inertia = np.take_along_axis(records.inertia, on, axis=1)[:, 0]
+    torque = np.take_along_axis(records.torque, on, axis=1)[:, 0]
+    expected = each(torque / inertia) / np.where(np.abs(x) < 1e-9, 1e-9, x)
+    error = np.sqrt(INERTIA_ERROR**2 + 1 / samples)
+    log = log - 0.5 * np.log1p(((expected - 1) / each(error)) ** 2 / 4) * 5
+
+    s = OPENINGS
+    mixed, opened = (part[..., :1, 0] for part in (seats.rest_mixed, seats.rest_open))
+    power = x**2 + each(seats.rest[:, 0, 0] - noise[:, 0]) + s * mixed + s**2 * opened
     # Scaled to the joint motion that was measured: the command's own power drops out.
-    scale = np.maximum(record.joint_rms[on[0]] ** 2 - noise[0], 0.1 * noise[0])
-    scale = scale / np.maximum(power, 1e-3 * float(seats.in_step[0, 0]) ** 2)
-    scale, s = np.clip(scale, 0.2, 5.0)[..., None, None], s[..., None, None]
+    own = np.take_along_axis(records.joint_rms, on, axis=1)[:, 0] ** 2
+    scale = np.maximum(own - noise[:, 0], 0.1 * noise[:, 0])
+    scale = each(scale) / np.maximum(power, each(1e-3 * seats.in_step[:, 0, 0] ** 2))
+    scale = np.clip(scale, 0.2, 5.0)
     # Sensor noise is no motion: it does not scale.
-    sensed = away @ np.diag(noise) @ away.T
-    shut, mixed_in, opened = (away @ part @ away.T for part in rest)
-    across = (shut - sensed + s * mixed_in + s**2 * opened) * scale + sensed + rounding
-    loose = away @ seats.loose @ away.T
-    loose = loose + _SPREAD * np.trace(loose, axis1=1, axis2=2)[:, None, None] * np.eye(d)
+    sensed = away @ (noise[..., None] * away.mT)
+    fixed_part = _elements(sensed + floors + 1e-12 * np.eye(d))[..., None, None]
+    healthy = _elements(away @ seats.rest @ away.mT - sensed)[..., None, None]
+    away = away[:, None]
+    changed = (away @ part @ away.mT for part in (seats.rest_mixed, seats.rest_open))
+    linear, square = (_elements(part)[..., None] for part in changed)
+    loose = away @ seats.loose @ away.mT
+    loose += _SPREAD * np.trace(loose, axis1=2, axis2=3)[..., None, None] * np.eye(d)
+    fixed = (healthy + s * linear + s**2 * square) * scale + fixed_part
     degrees = 2 / (2 / samples + POWER_ERROR**2)
+    found = _elements(residual)[..., None, None]
+    added = _elements(loose)[..., None]
+    measured = np.log(np.maximum(np.linalg.det(residual), _TINY))
     log = log[..., None] + wishart_fit(
-        residual, across + 1e-12 * np.eye(d), loose[:, None], LOOSE, degrees
+        found, fixed, added, LOOSE, each(degrees)[..., None], each(measured)[..., None]
     )
     return Fit(log=log, force=seats.force, load=seats.load)
 
 
+def away_from(b: Array) -> Array:
+    """Matrix that takes from the tool's motion what follows the joints (..., d, m + d)."""
+    eye = np.broadcast_to(np.eye(b.shape[-2]), (*b.shape[:-1], b.shape[-2]))
+    return np.concatenate([-b, eye], axis=-1)
+
+
 def unexplained(
-    record: RecordStatistics, seats: SeatPrediction, *, least: float
+    records: RecordStatistics, seats: SeatPrediction, *, least: float
 ) -> tuple[Array, Array]:
-    """Transmission by instrument (d, m), and covariance of what it leaves of the tool's motion.
+    """Transmission by instrument (B, d, m), and covariance of what it leaves of the tool's motion.
 
     With several joints their covariance is only predicted, and more may be taken off than was
     there: no eigenvalue falls below ``least``.
     """
-    on = np.flatnonzero(record.excited)
-    m, b = len(on), record.transmission_by_instrument[:, on]
-    joint = joint_covariance(record.joint_rms[on], seats.in_step[:m], seats.rest[:m, :m])
-    mixed = joint @ record.transmission[:, on].T
-    residual = record.tool_covariance - b @ mixed - mixed.T @ b.T + b @ joint @ b.T
+    on = joints_on(records.torque)
+    m, b = on.shape[1], at_joints(records.transmission_by_instrument, on)
+    rms = np.take_along_axis(records.joint_rms, on, axis=1)
+    joint = joint_covariance(rms, seats.in_step[:, :m], seats.rest[:, :m, :m])
+    mixed = joint @ at_joints(records.transmission, on).mT
+    residual = records.tool_covariance - b @ mixed - mixed.mT @ b.mT + b @ joint @ b.mT
     if np.isfinite(least):
         size, along = np.linalg.eigh(residual)
-        residual = along @ np.diag(np.maximum(size, least)) @ along.T
+        residual = along @ (np.maximum(size, least)[..., None] * along.mT)
     return b, residual
 
 
+def at_joints(values: Array, on: IndexArray) -> Array:
+    """Columns (B, d, m) of some joints (B, m) among those of all (B, d, n)."""
+    return np.take_along_axis(values, on[:, None], axis=2)
+
+
 def joint_covariance(rms: Array, in_step: Array, rest: Array) -> Array:
-    """Covariance of the excited joints (m, m): as strong as measured, correlated as predicted."""
-    predicted = in_step @ in_step.T + rest
-    scale = rms / np.sqrt(np.diag(predicted))
-    return np.asarray(predicted * np.outer(scale, scale))
+    """Covariances of the excited joints (B, m, m): strong as measured, correlated as predicted."""
+    predicted = in_step @ in_step.mT + rest
+    scale = rms / np.sqrt(np.diagonal(predicted, axis1=1, axis2=2))
+    return np.asarray(predicted * (scale[:, :, None] * scale[:, None]))
 
 
 def _in_step(
-    linear: LinearArm,
-    record: RecordStatistics,
-    on: NDArray[np.intp],
+    poses: LinearPoses,
+    on: IndexArray,
     b: Array,
     away: Array,
     residual: Array,
-    samples: float,
-    healthy: Array,
-    step: Array,
+    samples: Array,
+    seats: SeatPrediction,
     mismatch: Mismatch,
-) -> Array:
-    """Log-density of "a - B x does not follow the command" (P, S)."""
-    d, m = b.shape
+) -> tuple[Array, Array]:
+    """Log-density of "a - B x does not follow the command" (B, P, S).
+
+    And the motion of the joint by its command there, for one joint.
+    """
+    d, m = b.shape[1:]
+    healthy, opened = seats.in_step, seats.in_step_open
     # Unit of the residual: joint motion as predicted, so that the density is one of B.
-    x = np.sqrt(np.diag(healthy[:m] @ healthy[:m].T))
-    errors = transmission_errors(linear, record.pose, on, b, mismatch)
-    uncertain = np.array([(e * x).ravel() for e in errors])
-    covariance = uncertain.T @ uncertain + np.kron(residual, np.eye(m)) / samples
-    nominal = healthy[m:] @ np.linalg.inv(healthy[:m])
-    covariance += _OPEN_ERROR**2 * float((((b - nominal) * x) ** 2).sum()) * np.eye(d * m)
-    missing = (away @ step).reshape(*step.shape[:2], d * m)
-    white = missing @ whitener(covariance).T
+    x = np.sqrt((healthy[:, :m] ** 2).sum(-1))
+    errors = transmission_errors(poses, on, b, mismatch)
+    uncertain = (errors * x[:, None, None]).reshape(*errors.shape[:2], d * m)
+    sampling = np.einsum("bij,kl->bikjl", residual / samples[:, None, None], np.eye(m))
+    covariance = uncertain.mT @ uncertain + sampling.reshape(-1, d * m, d * m)
+    nominal = healthy[:, m:] @ np.linalg.inv(healthy[:, :m])
+    off = (((b - nominal) * x[:, None]) ** 2).sum((1, 2))
+    covariance += _OPEN_ERROR**2 * off[:, None, None] * np.eye(d * m)
+    # The residual is linear in the opening, and so is its white form.
+    white = whitener(covariance)
+    shut = ((away @ healthy).reshape(len(b), 1, -1) @ white.mT)[..., None, :]
+    change = (away[:, None] @ opened).reshape(len(b), -1, d * m) @ white.mT
+    far = ((shut + OPENINGS[:, None] * change[:, :, None]) ** 2).sum(-1)
     # Heavier tails than normal: mismatch is cut off, not Gaussian, and shared by all records.
-    fit = -0.5 * (5 + d * m) * np.log1p((white**2).sum(-1) / 5)
-    motion = step[..., 0, 0] if m == 1 else np.linalg.det(step[..., :m, :])
-    motion = np.abs(motion) / np.prod(x)
-    return np.asarray(fit + d * np.log(np.maximum(motion, 1e-9)))
+    fit = -0.5 * (5 + d * m) * np.log1p(far / 5)
+    if m == 1:
+        motion = healthy[:, :1, 0, None] + OPENINGS * opened[..., 0, 0][..., None]
+        size = np.abs(motion)
+    else:
+        of_joints = opened[:, :, None, :m] * OPENINGS[:, None, None]
+        motion = np.linalg.det(healthy[:, None, None, :m] + of_joints)
+        size = np.abs(motion)
+    size = size / np.prod(x, axis=1)[:, None, None]
+    return fit + d * np.log(np.maximum(size, 1e-9)), motion
 
 
-def transmission_errors(
-    linear: LinearArm,
-    pose: Array,
-    on: NDArray[np.intp],
-    b: Array,
-    mismatch: Mismatch,
-) -> Array:
-    """Changes of the transmission, one for each independent error of the model [m] (K, d, m)."""
-    zeros = joint_zero_errors(linear, pose, mismatch)[:, :, on]
+def transmission_errors(poses: LinearPoses, on: IndexArray, b: Array, mismatch: Mismatch) -> Array:
+    """Changes of transmissions (B, d, m) by each error of the model [m] (B, K, d, m)."""
+    zeros = joint_zero_errors(poses.linear, poses.pose, mismatch)
     # Lengths in the rough: each tool axis by as much as the longest lever would change.
-    longer = np.zeros((len(b), *b.shape))
-    longer[np.arange(len(b)), np.arange(len(b))] = mismatch.length * np.abs(b).max()
-    return np.concatenate([sensor_errors(b, mismatch), zeros, longer])
+    d = b.shape[1]
+    longest = mismatch.length * np.abs(b).max(axis=(1, 2))
+    longer = longest[:, None, None, None] * np.eye(d)[..., None] * np.ones(b.shape[2])
+    own = np.take_along_axis(zeros, on[:, None, None], axis=3)
+    return np.concatenate([sensor_errors(b, mismatch), own, longer], axis=1)
 
 
 _TINY = 1e-300
 
 
-def wishart_fit(found: Array, fixed: Array, added: Array, amounts: Array, degrees: float) -> Array:
-    """Log-density of a covariance (d, d), less its highest value: 0 where expectation meets it.
+def wishart_fit(
+    found: Array, fixed: Array, added: Array, amounts: Array, degrees: Array, measured: Array
+) -> Array:
+    """Log-density of covariances, less its highest value: 0 where expectation meets it.
 
     ``-degrees / 2 (tr(E⁻¹ F) - d - ln det(E⁻¹ F))``, the log-density of Wishart's distribution of
     ``degrees * F`` with scale E up to a constant, for E = ``fixed + amount * added`` at all amounts
     (..., Q). Determinant and trace are ratios of polynomials in the amount, so the cofactors are
-    worked out once for all amounts.
+    worked out once for all amounts. Matrices are their `_elements` (., ...), ``measured`` is
+    ln det F.
     """
-    d = len(found)
+    d = 2 if len(found) == 3 else 3
     of_fixed, of_added = _cofactors(fixed), _cofactors(added)
     if d == 2:  # det(A + q B) = det A + q tr(adj A B) + q² det B
-        determinant = [_det(fixed, of_fixed), _dot(of_fixed, added), _det(added, of_added)]
+        determinant = [_dot(fixed, of_fixed) / 2, _dot(of_fixed, added), _dot(added, of_added) / 2]
         numerator = [_dot(of_fixed, found), _dot(of_added, found)]
     else:
-        determinant = [_det(fixed, of_fixed), _dot(of_fixed, added)]
-        determinant += [_dot(fixed, of_added), _det(added, of_added)]
+        determinant = [_dot(fixed, of_fixed) / 3, _dot(of_fixed, added)]
+        determinant += [_dot(fixed, of_added), _dot(added, of_added) / 3]
         between = _cofactors(fixed + added) - of_fixed - of_added
         numerator = [_dot(of_fixed, found), _dot(between, found), _dot(of_added, found)]
     expected = np.maximum(_polynomial(determinant, amounts), _TINY)
     trace = _polynomial(numerator, amounts) / expected
-    measured = np.log(max(np.linalg.det(found), _TINY))
     return np.asarray(-0.5 * degrees * (trace - d - measured + np.log(expected)))
 
 
@@ -234,21 +263,28 @@ def _polynomial(coefficients: list[Array], at: Array) -> Array:
     return np.asarray(stacked @ at ** np.arange(len(coefficients))[:, None])
 
 
+def _elements(m: Array) -> Array:
+    """Elements of symmetric matrices (..., d, d): the diagonal, then those above it (., ...)."""
+    rows, columns = np.triu_indices(m.shape[-1], 1)
+    both = np.arange(m.shape[-1])
+    return np.moveaxis(m[..., [*both, *rows], [*both, *columns]], -1, 0)
+
+
 def _dot(a: Array, b: Array) -> Array:
-    """Trace of the product of symmetric matrices (...)."""
-    return np.asarray(np.einsum("...ij,...ij->...", a, b))
-
-
-def _det(matrix: Array, cofactors: Array) -> Array:
-    """Determinant, along the first row (...)."""
-    return np.asarray(np.einsum("...i,...i->...", matrix[..., 0, :], cofactors[..., 0, :]))
+    """Trace of the product of symmetric matrices, given as `_elements`."""
+    if len(a) == 3:
+        return np.asarray(a[0] * b[0] + a[1] * b[1] + 2 * a[2] * b[2])
+    on = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return np.asarray(on + 2 * (a[3] * b[3] + a[4] * b[4] + a[5] * b[5]))
 
 
 def _cofactors(m: Array) -> Array:
-    """Cofactors of symmetric 2 x 2 or 3 x 3 matrices (..., d, d)."""
-    if m.shape[-1] == 2:
-        return np.asarray(np.trace(m, axis1=-2, axis2=-1)[..., None, None] * np.eye(2) - m)
-    return np.cross(np.roll(m, -1, axis=-2), np.roll(m, -2, axis=-2))
+    """Cofactors of symmetric 2 x 2 or 3 x 3 matrices, all as `_elements`."""
+    if len(m) == 3:
+        return np.stack([m[1], m[0], -m[2]])
+    a, d, f, b, c, e = m
+    on = [d * f - e * e, a * f - c * c, a * d - b * b]
+    return np.stack([*on, c * e - b * f, b * e - c * d, b * c - a * e])
 
 
 RATIOS = np.geomspace(0.05, 100.0, 20)
@@ -355,11 +391,11 @@ class Belief:
     @property
     def probabilities(self) -> Array:
         """Probability of each of the posterior's hypotheses, in their order."""
-        slides = self.loose.shape[1] - self.links
-        by_place = logsumexp(self.loose, axis=(0, 2))
-        by_link = logsumexp(by_place[:slides].reshape(self.links, -1), axis=1)
-        log = np.concatenate([[logsumexp(self.healthy)], by_link, by_place[slides:]])
-        return np.asarray(np.exp(log - logsumexp(log)))
+        slides, top = self.loose.shape[1] - self.links, max(self.loose.max(), self.healthy.max())
+        by_place = np.exp(self.loose - top).sum((0, 2))
+        by_link = by_place[:slides].reshape(self.links, -1).sum(1)
+        weight = np.concatenate([[np.exp(self.healthy - top).sum()], by_link, by_place[slides:]])
+        return np.asarray(weight / weight.sum())
 
     def by_direction(self, link: int) -> Array:
         """Probability of each sliding direction, if that link is loose (A,)."""
@@ -443,37 +479,60 @@ class FaultPosterior:
 
     def update(self, belief: Belief, record: RecordStatistics) -> Belief:
         """Take in one record; the order of records does not matter."""
-        fits = [
-            fit_record(arm, record, self.directions, self.floor, self.settings.mismatch)
-            for arm in self.variants
-        ]
-        temper = self.settings.temper
-        healthy = np.array([fit.log[0, SHUT, 0] for fit in fits])
-        loose = np.stack([self._summed(fit) for fit in fits])
-        return Belief(
-            healthy=belief.healthy + temper * healthy,
-            loose=belief.loose + temper * loose,
-            links=belief.links,
-            directions=belief.directions,
-        )
+        return self.update_all([belief], record.several)[0]
+
+    def update_all(self, beliefs: Sequence[Belief], records: RecordStatistics) -> list[Belief]:
+        """Take one record each into B beliefs; they do not depend on each other."""
+        settings, found = self.settings, list(beliefs)
+        few = max(1, _CELLS // (self._friction.shape[0] * len(OPENINGS) * len(LOOSE)))
+        for rows in alike(records, few):
+            own = records[rows]
+            poses = self.variants[0].at_all(own.pose)
+            fits = [  # springs change no inertia: every variant stands as the first does
+                fit_records(
+                    replace(poses, linear=arm), own, self.directions, self.floor, settings.mismatch
+                )
+                for arm in self.variants
+            ]
+            healthy = np.stack([fit.log[:, 0, SHUT, 0] for fit in fits], axis=1)
+            loose = np.stack([self._summed(fit) for fit in fits], axis=1)
+            for k, row in enumerate(rows):
+                found[row] = replace(
+                    found[row],
+                    healthy=found[row].healthy + settings.temper * healthy[k],
+                    loose=found[row].loose + settings.temper * loose[k],
+                )
+        return found
 
     def _summed(self, fit: Fit) -> Array:
-        """Sum a record's likelihood over openings and loose motion (P, F)."""
+        """Sum the records' likelihoods over openings and loose motion (B, P, F)."""
         slides = self.linear.arm.n * len(self.directions)
-        top = fit.log.max()
-        likelihood = np.exp(fit.log - top).reshape(len(fit.log), -1)
-        nodes = self.table.nodes(fit.force[:, None], self._friction, fit.load[:, None])
-        mixed = np.zeros(self._friction.shape)
+        top = fit.log.max(axis=(1, 2, 3), keepdims=True)
+        likelihood = np.exp(fit.log - top).reshape(*fit.log.shape[:2], -1)
+        nodes = self.table.nodes(fit.force[..., None], self._friction, fit.load[..., None])
+        mixed = np.zeros((len(likelihood), *self._friction.shape))
         for table, locations in (
             (self.table.slide, slice(0, slides)),
             (self.table.hinge, slice(slides, None)),
         ):
-            by_node = likelihood[locations] @ table.reshape(-1, likelihood.shape[1]).T
+            by_node = likelihood[:, locations] @ table.reshape(-1, likelihood.shape[-1]).T
             for node, weight in nodes:
-                mixed[locations] += weight[locations] * np.take_along_axis(
-                    by_node, node[locations], 1
+                mixed[:, locations] += weight[:, locations] * np.take_along_axis(
+                    by_node, node[:, locations], 2
                 )
-        return np.asarray(np.log(np.maximum(mixed, 1e-300)) + top)
+        return np.asarray(np.log(np.maximum(mixed, 1e-300)) + top[..., 0])
+
+
+_CELLS = 200_000
+"""Likelihoods worked out at once: what the processor's cache holds."""
+
+
+def alike(records: RecordStatistics, few: int) -> Iterator[IndexArray]:
+    """Rows of records in which equally many joints are on, a few at a time."""
+    excited = np.count_nonzero(records.torque, axis=1)
+    for count in np.unique(excited):
+        rows = np.flatnonzero(excited == count)
+        yield from (rows[k : k + few] for k in range(0, len(rows), few))
 
 
 def log_prior(arm: Arm, kinds: Mapping[str, float]) -> Array:
@@ -507,13 +566,11 @@ def variants(linear: LinearArm, stiffness: float) -> tuple[list[LinearArm], Arra
     """
     if not len(linear.flexible_dofs) or stiffness == 0:
         return [linear], np.zeros(1)
-    offsets = np.linspace(-1.8, 1.8, 6)
-    arms = []
+    offsets, base = np.linspace(-1.8, 1.8, 6), LinearArm(linear.arm, points=120, remember=16)
+    bending, arms = base.model.dof_jntid[base.flexible_dofs], []
     for offset in offsets:
-        spec = linear.arm.spec.copy()
-        for joint in spec.joints:
-            if joint.name not in linear.arm.joints:
-                joint.stiffness = joint.stiffness * np.exp(stiffness * offset)
-        arms.append(LinearArm(dataclasses.replace(linear.arm, spec=spec), points=120, remember=16))
+        model = copy(base.model)
+        model.jnt_stiffness[bending] *= np.exp(stiffness * offset)
+        arms.append(base.variant(base.arm, model))
     log = -0.5 * offsets**2
     return arms, np.asarray(log - logsumexp(log))

@@ -10,7 +10,7 @@ that opens in part moves ``s`` times as far, in step with the force; what it doe
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, LinearArm, LinearPose, Mismatch, Response, link_site
+from loose_env.arms import Arm, LinearArm, LinearPose, LinearPoses, Mismatch, link_site
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, SeatDrive, SeatReference
 from loose_env.rig import Measurement, Records
@@ -37,7 +37,7 @@ from loose_env.statistics import (
     transmission_by_instrument_from,
     transmission_from,
 )
-from loose_env.typing import Array, ComplexArray
+from loose_env.typing import Array, ComplexArray, IndexArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +196,7 @@ def predictions(
     Prediction
         Of all records; arrays have a first axis of length B.
     """
-    joints = np.nonzero(torque_rms)[1].reshape(len(torque_rms), -1)
+    joints = joints_on(torque_rms)
     torque = np.take_along_axis(torque_rms, joints, axis=1)
     noise = floor.joints(arm)[joints]
     joint = np.take_along_axis(acceleration, joints[:, None, :, None], axis=2)
@@ -235,7 +235,8 @@ class SeatPrediction:
     """Answers of the m excited joints and the d tool axes, p = m + d channels.
 
     Places are the sliding directions of link 1, those of link 2, ..., then the joints' plays:
-    P = n A + n of them. The command of each excited joint has its rms.
+    P = n A + n of them. The command of each excited joint has its rms. Of B records together,
+    as `predict_seats` gives them, arrays have an axis more in front.
     """
 
     in_step: Array
@@ -257,7 +258,7 @@ class SeatPrediction:
 
 
 def predict_seats(
-    pose: LinearPose,
+    poses: LinearPoses,
     torque: Array,
     directions: Array,
     floor: Array,
@@ -265,17 +266,17 @@ def predict_seats(
     locations: NDArray[np.intp] | None = None,
     covariances: bool = True,
 ) -> SeatPrediction:
-    """Work out all seats of the arm in one pose.
+    """Work out all seats of the arm in B records in which equally many joints are on.
 
     Parameters
     ----------
-    pose : LinearPose
-        The nominal arm at the pose.
-    torque : ndarray (n,)
+    poses : LinearPoses
+        The nominal arm at the poses.
+    torque : ndarray (B, n)
         Rms torque of every joint [N·m]; zero for held joints. At least one must be on.
     directions : ndarray (A, axes)
         Sliding directions of a link, unit vectors in its frame.
-    floor : ndarray (p,)
+    floor : ndarray (B, p)
         Variance that the sensors add to each channel.
     locations : ndarray of int, optional
         Places that are asked for, in the order in which they are wanted; all by default.
@@ -288,84 +289,100 @@ def predict_seats(
     >>> import numpy as np
     >>> from loose_env.arms import planar
     >>> from loose_env.arms import LinearArm
-    >>> at = LinearArm(planar(2)).at([0.0, 1.0])
-    >>> seats = predict_seats(at, np.array([0.0, 3.0]), np.eye(2), np.zeros(3))
+    >>> at = LinearArm(planar(2)).at_all(np.array([[0.0, 1.0]]))
+    >>> seats = predict_seats(at, np.array([[0.0, 3.0]]), np.eye(2), np.zeros((1, 3)))
     >>> seats.in_step_open.shape
-    (6, 3, 1)
+    (1, 6, 3, 1)
     """
-    excited = torque > 0
-    on = np.flatnonzero(excited)
-    answer, opened = pose.response(excited), pose.open_response(excited)
-    t = torque[on]
-    n, count = pose.linear.arm.n, len(answer.frequency)
-    slides = n * len(directions)
+    linear, excited = poses.linear, torque > 0
+    (acceleration, tool), opened = poses.responses(excited), poses.open_responses(excited)
+    transmitted = poses.transmitted(acceleration)
+    on = joints_on(torque)
+    t = np.take_along_axis(torque, on, axis=1)[:, None, None]
+    n, axes = linear.slide_dofs.shape
+    records, count, d, m = tool.shape
+    p, slides = m + d, n * len(directions)
     asked = np.arange(slides + n) if locations is None else np.asarray(locations)
     of_slide = asked < slides
     link, u = asked[of_slide] // len(directions), directions[asked[of_slide] % len(directions)]
     joint = asked[~of_slide] - slides
 
     def placed(of_slides: ComplexArray, of_hinges: ComplexArray) -> ComplexArray:
-        """Put slides and hinges where they were asked for, along the second axis."""
-        both = np.empty((count, len(asked), *of_slides.shape[2:]), dtype=complex)
-        both[:, of_slide], both[:, ~of_slide] = of_slides, of_hinges
+        """Put slides and hinges where they were asked for, along the third axis."""
+        both = np.empty((records, count, len(asked), *of_slides.shape[3:]), dtype=complex)
+        both[:, :, of_slide], both[:, :, ~of_slide] = of_slides, of_hinges
         return both
 
-    healthy = np.concatenate([answer.joint[:, on], answer.tool], axis=1) * t
-    force = placed(np.einsum("kpsm,ps->kpm", answer.slide[:, link], u), answer.hinge[:, joint]) * t
+    joints = np.take_along_axis(acceleration, on[:, None, :, None], axis=2)
+    healthy = np.concatenate([joints, tool], axis=2) * t
+    by_link = transmitted[:, :, : n * axes].reshape(records, count, n, axes, m)
+    force = placed(
+        np.einsum("bkpsm,ps->bkpm", by_link[:, :, link], u),
+        transmitted[:, :, n * axes : n * axes + n][:, :, joint],
+    )
+    force *= t
     mass = placed(
-        np.einsum("kpsr,ps,pr->kp", opened.mass_slide[:, link], u, u),
-        opened.inertia_hinge[:, joint],
+        np.einsum("bkpsr,psr->bkp", opened.mass_slide[:, :, link], u[:, :, None] * u[:, None]),
+        opened.inertia_hinge[:, :, joint],
     )
-    slide = np.concatenate([opened.joint_open_slide, opened.tool_open_slide], axis=1)
-    hinge = np.concatenate([opened.joint_open_hinge, opened.tool_open_hinge], axis=1)
-    column = placed(
-        np.einsum("kcps,ps->kpc", slide[:, :, link], u), hinge[:, :, joint].transpose(0, 2, 1)
-    )
+    slide = np.concatenate([opened.joint_open_slide, opened.tool_open_slide], axis=2)
+    hinge = np.concatenate([opened.joint_open_hinge, opened.tool_open_hinge], axis=2)
+    column = placed(np.einsum("bkcps,ps->bkpc", slide[:, :, :, link], u), hinge[:, :, :, joint].mT)
     free = -force / mass[..., None]
 
     # Averages over the band, locations first so that each is one small matrix product.
-    column, free = column.transpose(1, 2, 0), free.transpose(1, 2, 0)
-    in_step = healthy.real.mean(0)
-    own = healthy.transpose(1, 2, 0).reshape(len(in_step), -1)
-    p, m = len(in_step), len(on)
-    in_step_open = np.empty((len(free), p, m))
-    asked_for = len(free) if covariances else 0
-    mixed, rest_open, loose = (np.empty((asked_for, p, p)) for _ in range(3))
+    column, free = (np.ascontiguousarray(x.transpose(0, 2, 3, 1)) for x in (column, free))
+    in_step = healthy.real.mean(1)
+    own = np.ascontiguousarray(healthy.transpose(0, 2, 3, 1)).reshape(records, p, -1)
+    shape = records, len(asked)
+    in_step_open = np.empty((*shape, p, m))
+    places = len(asked) if covariances else 0
+    mixed, rest_open, loose = (np.empty((records, places, p, p)) for _ in range(3))
     if not covariances:
-        in_step_open = (column @ free.transpose(0, 2, 1)).real / count
-    chunk = max(1, _CHUNK // (p * m * count))
-    for some in (slice(k, k + chunk) for k in range(0, asked_for, chunk)):
-        change = column[some, :, None] * free[some, None]  # (chunk, p, m, K)
-        step = change.real.mean(-1)
-        flat = change.reshape(*change.shape[:2], -1)
-        across = (own @ flat.conj().transpose(0, 2, 1)).real / count
-        in_step_open[some] = step
-        mixed[some] = across - in_step @ step.transpose(0, 2, 1)
-        rest_open[some] = (flat @ flat.conj().transpose(0, 2, 1)).real / count
-        rest_open[some] -= step @ step.transpose(0, 2, 1)
-        loose[some] = (column[some] @ column[some].conj().transpose(0, 2, 1)).real / count
-    power = np.mean(np.sum(np.abs(free) ** 2, axis=1), axis=-1)
-    at_rest = [(pose.seat_load @ directions.T).ravel(), pose.load[pose.linear.hinge_dofs]]
+        in_step_open = (column @ free.mT).real / count
+    some = max(1, _CHUNK // (p * m * count))
+    few = max(1, some // max(places, 1))
+    for first in range(0, records if covariances else 0, few):
+        for at in range(0, places, some):
+            part = slice(first, first + few), slice(at, at + some)
+            change = column[part][..., None, :] * free[part][:, :, None]  # (few, some, p, m, K)
+            step = change.real.mean(-1)
+            flat = change.reshape(*change.shape[:3], -1)
+            back = flat.conj().mT
+            steady, healthy_part = in_step[part[0], None], own[part[0], None]
+            in_step_open[part] = step
+            mixed[part] = (healthy_part @ back).real / count - steady @ step.mT
+            rest_open[part] = (flat @ back).real / count - step @ step.mT
+            loose[part] = (column[part] @ column[part].conj().mT).real / count
+    power = np.mean(np.sum(np.abs(free) ** 2, axis=2), axis=-1)[:, :places, None, None]
+    seat_load = poses.load[:, linear.slide_dofs] @ directions.T
+    at_rest = [seat_load.reshape(records, -1), poses.load[:, linear.hinge_dofs]]
     return SeatPrediction(
         in_step=in_step,
         in_step_open=in_step_open,
-        rest=(own @ own.conj().T).real / count - in_step @ in_step.T + np.diag(floor),
-        rest_mixed=mixed + mixed.transpose(0, 2, 1),
+        rest=(own @ own.conj().mT).real / count - in_step @ in_step.mT + _diagonal(floor),
+        rest_mixed=mixed + mixed.mT,
         rest_open=rest_open,
-        loose=loose * power[:asked_for, None, None],
-        force=np.sqrt(np.mean(np.sum(np.abs(force) ** 2, axis=-1), axis=0)),
-        load=np.abs(np.concatenate(at_rest))[asked],
+        loose=loose * power,
+        force=np.sqrt(np.mean(np.sum(np.abs(force) ** 2, axis=-1), axis=1)),
+        load=np.abs(np.concatenate(at_rest, axis=1))[:, asked],
     )
 
 
-def independent_samples(arm: Arm, duration: float) -> float:
-    """Independent samples in the arm's band in a record of some length [s]."""
+def joints_on(torque: NDArray[Any]) -> IndexArray:
+    """Numbers of the excited joints in each record (B, m), equally many in all (B, n)."""
+    return np.nonzero(torque)[1].reshape(len(torque), -1)
+
+
+def independent_samples(arm: Arm, duration: Any) -> Any:
+    """Independent samples in the arm's band in records of some length [s]."""
     return 2 * (arm.band[1] - arm.band[0]) * duration
 
 
 def channel_noise(floor: SensorFloor, arm: Arm, on: NDArray[np.intp]) -> Array:
-    """Variance that the sensors add to the excited joints and to the axes of the tool (p,)."""
-    return np.concatenate([floor.joints(arm)[on], np.full(len(arm.axes), floor.tool)]) ** 2
+    """Variance that the sensors add to the excited joints (..., m) and the tool's axes (..., p)."""
+    tool = np.full((*on.shape[:-1], len(arm.axes)), floor.tool)
+    return np.concatenate([floor.joints(arm)[on], tool], axis=-1) ** 2
 
 
 def shut_seats(pose: LinearPose, torque: Array, directions: Array) -> tuple[Array, Array]:
@@ -396,92 +413,87 @@ def seat_drives(linear: LinearArm, directions: Array, over: SeatReference) -> Ar
 
 
 def sensor_errors(b: Array, mismatch: Mismatch) -> Array:
-    """Change of a measured transmission (d, m) by each error of the sensor (K, d, m).
+    """Change of measured transmissions (B, d, m) by each error of the sensor (B, K, d, m).
 
     Gain of every axis and leakage from every axis into every other one, then rotation about each
     axis, one standard deviation each.
     """
-    d = len(b)
+    d = b.shape[-2]
     units = np.eye(d * d).reshape(d, d, d, d)
     leaks = units * np.where(np.eye(d) > 0, mismatch.gain, mismatch.cross_axis)[..., None, None]
     turn = np.radians(mismatch.misalignment)
     turns = [turn * (units[i, j] - units[j, i]) for i in range(d) for j in range(i)]
-    return np.asarray(np.array([*leaks.reshape(-1, d, d), *turns]) @ b)
+    return np.asarray(np.array([*leaks.reshape(-1, d, d), *turns]) @ b[:, None])
 
 
-def joint_zero_errors(linear: LinearArm, pose: Array, mismatch: Mismatch) -> Array:
-    """Change of the tool's Jacobian by an error of each joint's zero, tool frame [m] (n, d, n).
+def joint_zero_errors(linear: LinearArm, poses: Array, mismatch: Mismatch) -> Array:
+    """Change of the tool's Jacobian by an error of each joint's zero, tool frame [m] (B, n, d, n).
 
     The zero of a sliding joint is off by as many metres as that of a turning one by radians.
     """
-    tiny = 1e-4
-    kinematic = linear.at(pose).kinematic
-    slopes = []
-    for k in range(linear.arm.n):
-        moved = np.array(pose, dtype=float)
-        moved[k] += tiny
-        slopes.append((linear.at(moved).kinematic - kinematic) / tiny)
-    return np.asarray(np.radians(mismatch.joint_zero) * np.array(slopes))
+    tiny, n = 1e-4, linear.arm.n
+    different, back = np.unique(poses, axis=0, return_inverse=True)
+    moved = different[:, None] + tiny * np.concatenate([np.zeros((1, n)), np.eye(n)])
+    kinematic = linear.kinematics(moved.reshape(-1, n)).reshape(len(different), 1 + n, -1, n)
+    slopes = (kinematic[:, 1:] - kinematic[:, :1]) / tiny
+    return np.asarray(np.radians(mismatch.joint_zero) * slopes[back.ravel()])
 
 
-def stiffness_errors(
-    linear: LinearArm, pose: Array, excited: NDArray[np.bool_], mismatch: Mismatch
-) -> Array:
+def stiffness_errors(poses: LinearPoses, excited: NDArray[np.bool_], mismatch: Mismatch) -> Array:
     """Change of the healthy transmission by an error of each compliant spring.
 
     Differences over two standard deviations, because answers near a mode are far from linear.
 
     Parameters
     ----------
-    linear : LinearArm
-        The nominal arm, in the band that was played.
-    pose : ndarray (n,)
-        Pose [rad or m].
-    excited : ndarray of bool (n,)
-        Joints that were excited together.
+    poses : LinearPoses
+        The nominal arm at B poses, in the band that was played.
+    excited : ndarray of bool (B, n)
+        Joints that were excited together, equally many in each.
     mismatch : Mismatch
         Standard deviations of the errors. Errors of mass shift modes as those of stiffness do.
 
     Returns
     -------
-    ndarray (K, d, m)
+    ndarray (B, K, d, m)
         Changes by one standard deviation each [m]: bending modes and gears, then what holds each
-        joint.
+        joint; zero for joints that are excited.
 
     Examples
     --------
     >>> from loose_env.arms import planar
     >>> from loose_env.arms import vera
-    >>> one = np.array([True, False])
+    >>> one = np.array([[True, False]])
     >>> def most(arm):
-    ...     errors = stiffness_errors(LinearArm(arm), np.array([0.0, 1.2]), one, Mismatch())
-    ...     return float(np.abs(errors).max())
+    ...     at = LinearArm(arm).at_all(np.array([[0.0, 1.2]]))
+    ...     return float(np.abs(stiffness_errors(at, one, Mismatch())).max())
     >>> most(planar(2)) < 0.002, most(vera()) > 0.01
     (True, True)
     """
+    linear, excited = poses.linear, np.asarray(excited, dtype=bool)
     relative = float(np.hypot(mismatch.stiffness, mismatch.mass))
-
-    at = linear.at(pose)
-
-    def transmission(sprung: LinearArm) -> Array:
-        # Springs change no inertia: the arm stands as it did.
-        return healthy_transmission(replace(at, linear=sprung).response(excited), excited)
-
-    arm, held = linear.arm, ~np.asarray(excited, dtype=bool)
-    dofs = len(linear.flexible_dofs)
-    soft, stiff = [], []
-    for k in range(dofs + arm.n):
-        if k < dofs or held[k - dofs]:
-            stiff.append(transmission(_sprung(linear, k, 1 + relative)))
-            soft.append(transmission(_sprung(linear, k, 1 / (1 + relative))))
-    shape = (-1, len(arm.axes), int(np.sum(excited)))  # there may be no spring at all
-    return (np.reshape(stiff, shape) - np.reshape(soft, shape)) / 2
+    dofs, m = len(linear.flexible_dofs), int(np.sum(excited[0]))
+    found = np.zeros((len(poses), dofs + linear.arm.n, len(linear.arm.axes), m))
+    for k in range(found.shape[1]):
+        held = np.flatnonzero(~excited[:, k - dofs]) if k >= dofs else np.arange(len(poses))
+        if not len(held):
+            continue
+        at, driven = poses.some(held), excited[held]
+        stiff, soft = (
+            # Springs change no inertia: the arm stands as it did.
+            healthy_transmission(replace(at, linear=_sprung(linear, k, factor)), driven)
+            for factor in (1 + relative, 1 / (1 + relative))
+        )
+        found[held, k] = (stiff - soft) / 2
+    return found
 
 
-def healthy_transmission(answer: Response, excited: NDArray[np.bool_]) -> Array:
-    """Healthy transmission with the command as instrument, all commands alike (d, m)."""
-    joint = answer.joint[:, np.flatnonzero(excited)].real.mean(axis=0)
-    return np.asarray(np.linalg.solve(joint.T, answer.tool.real.mean(axis=0).T).T)
+def healthy_transmission(poses: LinearPoses, excited: NDArray[np.bool_]) -> Array:
+    """Healthy transmission with the command as instrument, all commands alike (B, d, m)."""
+    acceleration, tool = poses.responses(excited)
+    on = joints_on(excited)[:, None, :, None]
+    joint = np.take_along_axis(acceleration, on, axis=2).real.mean(axis=1)
+    return np.asarray(np.linalg.solve(joint.mT, tool.real.mean(axis=1).mT).mT)
 
 
 @lru_cache(maxsize=64)
@@ -549,13 +561,18 @@ class RecordStatistics:
         """True for each excited joint (n,)."""
         return np.asarray(self.torque > 0)
 
-    def __getitem__(self, k: int) -> RecordStatistics:
-        """Statistics of one record of several."""
+    def __getitem__(self, k: Any) -> RecordStatistics:
+        """Statistics of one record of several, or of some of them."""
         own: dict[str, Any] = {}
         for each in fields(self):
             value = getattr(self, each.name)[k]
             own[each.name] = float(value) if np.ndim(value) == 0 else value
         return RecordStatistics(**own)
+
+    @property
+    def several(self) -> RecordStatistics:
+        """One record as a batch of one."""
+        return RecordStatistics(**{k: np.asarray(v)[None] for k, v in vars(self).items()})  # type: ignore[arg-type]
 
 
 def statistics_of(measurement: Measurement) -> RecordStatistics:
@@ -631,7 +648,7 @@ def _covariances(
     That puts the values of the excited joints (B, ..., m) among those of all (B, ..., n).
     """
     rate, band, torque = records.rate, records.band, records.torque_rms
-    joints = np.nonzero(torque)[1].reshape(len(torque), -1)
+    joints = joints_on(torque)
     rows = np.arange(len(torque))[:, None]
 
     def spread(values: Array) -> Array:
@@ -740,27 +757,28 @@ class NominalLinks:
 
     >>> from loose_env.arms import planar
     >>> links = NominalLinks(planar(2), LinkAccelerometers(place="proximal"))
-    >>> links.transmission([0.0, 0.5], [True, False]).round(2)[:, :, 0].tolist()
+    >>> links.transmission([[0.0, 0.5]], [[True, False]]).round(2)[0, :, :, 0].tolist()
     [[0.0, 0.0], [0.14, 0.26]]
     """
 
     def __init__(self, arm: Arm, choice: LinkAccelerometers) -> None:
-        self._linear = [LinearArm(one, remember=32) for one in sensed_arms(arm, choice)]
+        self._linear = [LinearArm(one) for one in sensed_arms(arm, choice)]
+        self._axes = len(link_axes(arm, choice))
 
-    def transmission(
-        self, pose: Sequence[float] | Array, excited: Sequence[bool] | NDArray[np.bool_]
-    ) -> Array:
-        """Acceleration per joint acceleration at a pose [rad] (n,), command as instrument.
+    def transmission(self, poses: Array, excited: NDArray[np.bool_]) -> Array:
+        """Acceleration per joint acceleration at poses [rad] (B, n), command as instrument.
+
+        Equally many joints are excited in each (B, n).
 
         Returns
         -------
-        ndarray (L, a, n)
+        ndarray (B, L, a, n)
             As `LinkReadings.transmission_by_instrument`, for flat torque.
         """
-        mask, q = np.asarray(excited, dtype=bool), np.asarray(pose, dtype=float)
-        rows = []
-        for linear in self._linear:
-            wide = np.zeros((len(linear.arm.axes), len(q)))
-            wide[:, mask] = healthy_transmission(linear.at(q).response(mask), mask)
-            rows.append(wide)
-        return np.array(rows)
+        mask, q = np.asarray(excited, dtype=bool), np.asarray(poses, dtype=float)
+        on, wide = joints_on(mask), np.zeros((len(q), len(self._linear), self._axes, q.shape[1]))
+        rows = np.arange(len(q))[:, None]
+        for k, linear in enumerate(self._linear):
+            found = healthy_transmission(linear.at_all(q), mask)
+            wide[rows, k, :, on] = found.mT
+        return wide

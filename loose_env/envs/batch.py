@@ -716,12 +716,7 @@ class EpisodeBatch:
         links = expected = None
         if self._nominal_links is not None:
             links = link_readings_of_all(records)
-            expected = np.array(
-                [
-                    self._nominal_links.transmission(pose, torque > 0)
-                    for pose, torque in zip(records.pose, records.torque_rms, strict=True)
-                ]
-            )
+            expected = self._nominal_links.transmission(records.pose, records.torque_rms > 0)
         return self.observations.slots_for(
             levels,
             share,

@@ -110,10 +110,6 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     rest of the action is done), no "unsure" before the third one (ignored too; `unsure_after`), no
     going on after the last record (it ends the episode as a wrong verdict).
 
-    Why "unsure" waits: a policy that learns from scratch cannot tell faults apart yet. Said after
-    one cheap record, "unsure" would pay -0.31 and the best blind name, "healthy", -0.39: giving up
-    would be a local optimum, and exploration ends there. After three records it pays -0.42.
-
     ## Observation Space
     A flat float32 `Box` with finite bounds: the pose and what has been spent, then a slot for
     each record: pose, excitation, the record's statistics, and the same statistics as the

@@ -1,4 +1,4 @@
-"""Adapter from the native vector environment to the `VecEnv` of stable-baselines3."""
+"""Environments as stable-baselines3 wants them: the native batch, and keyed seeds."""
 
 from __future__ import annotations
 
@@ -9,12 +9,25 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from loose_env.envs.env import new_seed
 from loose_env.envs.vector_env import DiagnosisVectorEnv, batch_seeds
 from loose_env.errors import InvalidSetting, UnknownName
+
+
+class KeyedDummyVecEnv(DummyVecEnv):
+    """Single environments whose seeds are those of `loose_env.envs.batch_seeds`.
+
+    For the ``vec_env_cls`` of stable-baselines3's ``make_vec_env``, whose own seeds count up: of 16
+    environments each, those of seeds 0 and 1 would play 15 runs of episodes in common.
+    """
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Seed the next reset."""
+        self._seeds = [*batch_seeds(new_seed() if seed is None else int(seed), self.num_envs)]
+        return list(self._seeds)
 
 
 class Sb3VecEnv(VecEnv):
@@ -54,13 +67,7 @@ class Sb3VecEnv(VecEnv):
         self._lengths = np.zeros(env.num_envs, dtype=int)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seed the next reset; the environments' seeds are those of `loose_env.envs.batch_seeds`.
-
-        Returns
-        -------
-        list of int
-            Root seed of each environment.
-        """
+        """Seed the next reset by `loose_env.envs.batch_seeds`; return each environment's seed."""
         self._seeds = [*batch_seeds(new_seed() if seed is None else int(seed), self.num_envs)]
         return list(self._seeds)
 

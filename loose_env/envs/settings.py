@@ -251,6 +251,11 @@ class DiagnosisSettings(Checked):
         difficulty_named(self.difficulty).probabilities(self.kinds)
         if self.engine not in get_args(Engine):
             raise UnknownName(f"engine is one of {list(get_args(Engine))}, got {self.engine!r}")
+        if self.engine == "reduced" and "compound_looseness" in self.kinds:
+            raise InvalidSetting(
+                "kinds has 'compound_looseness', of several degrees of freedom, and the engine "
+                "'reduced' knows faults of one: take the engine 'mujoco'"
+            )
         super().__post_init__()
 
     @property

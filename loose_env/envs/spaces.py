@@ -757,12 +757,12 @@ class ObservationLayout(RecordLayout):
         return self._joint_pose.pose(*parts)
 
     def groups_of(self, slot: NDArray[np.float32]) -> dict[str, Array]:
-        """All groups of one measured slot (slot size,) in their own units, and its ``pose``.
+        """All groups of measured slots (..., slot size) in their own units, and their ``pose``.
 
         The names are those that `physical` takes.
         """
         values = self._slot_scaling.backward(slot, slice(None))
-        groups = {name: values[span] for name, span in self._slot_index.items()}
+        groups = {name: values[..., span] for name, span in self._slot_index.items()}
         groups["pose"] = self._joint_pose.pose(groups["sin_pose"], groups["cos_pose"])
         return groups
 

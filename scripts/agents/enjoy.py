@@ -107,7 +107,11 @@ def play_episode(
     observation = env.batch.observe(0)
     belief = agent.estimator.begin()
     problem, state, total, step = agent.problem, None, 0.0, 0
-    print(f"\nepisode {number}: {believed(problem, agent.estimator.follow(observation, belief))}")
+
+    def known() -> Any:
+        return agent.estimator.follow(observation[None], [belief])[0]
+
+    print(f"\nepisode {number}: {believed(problem, known())}")
     while True:
         action, state = agent.predict(observation, state)
         observation, reward, terminated, truncated, info = env.step(action)
@@ -123,7 +127,7 @@ def play_episode(
         print(
             f"  {step:2d}  pose {posed(env, pose)}  |  m/s² {shaken(env, decoded)}  "
             f"{decoded.duration:g} s  |  "
-            f"{believed(problem, agent.estimator.follow(observation, belief))}"
+            f"{believed(problem, known())}"
         )
         if pictures is not None:
             from matplotlib import image

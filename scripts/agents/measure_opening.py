@@ -29,7 +29,7 @@ from loose_env.diagnosis import (
     RATIOS,
     SHUT,
     SensorFloor,
-    fit_record,
+    fit_records,
     statistics_of,
     variants,
 )
@@ -92,12 +92,17 @@ def fits_of(name: str, records: int, seed: int) -> list[Found]:
                 axes = linear.slide_dofs.shape[1]
                 direction = np.eye(axes)[:1] if play else np.array([fault.direction[:axes]])  # type: ignore[union-attr]
                 place = arm.n + fault.joint - 1 if isinstance(fault, Backlash) else fault.link - 1
-                record = statistics_of(measurement)
-                each = [fit_record(a, record, direction, floor, difficulty.mismatch) for a in arms]
-                log = np.array([f.log[place] for f in each]) + weights[:, None, None]
+                record = statistics_of(measurement).several
+                each = [
+                    fit_records(
+                        a.at_all(record.pose), record, direction, floor, difficulty.mismatch
+                    )
+                    for a in arms
+                ]
+                log = np.array([f.log[0, place] for f in each]) + weights[:, None, None]
                 total = np.logaddexp.reduce(log, axis=0)
                 middle = each[len(each) // 2]
-                force, load = float(middle.force[place]), float(middle.load[place])
+                force, load = float(middle.force[0, place]), float(middle.load[0, place])
                 if force <= 0:  # driven by nothing, such as a slide across the arm's only motion
                     continue
                 found.append(

@@ -153,6 +153,16 @@ class Healthy(EpisodeAgent):
         return self.problem.verdict("healthy")
 
 
+class Shaker:
+    """Excites joint 1, a policy as a user would write it."""
+
+    def __init__(self, problem: Problem, *, seed: int = 0) -> None:
+        self.problem = problem
+
+    def choose(self, situation: Any) -> Any:
+        return self.problem.actions.encode(levels=np.eye(self.problem.arm.n, dtype=int)[0])
+
+
 class Silent:
     """Predicts nothing."""
 
@@ -234,6 +244,9 @@ def test_a_class_is_made_by_its_name(small: Problem) -> None:
     action, _ = agent.predict(np.zeros(small.layout.size, dtype=np.float32))
     np.testing.assert_array_equal(action, small.verdict("healthy"))
     assert is_outside(name) and name in describe(name)
+    policy = make_agent(f"{__name__}:Shaker", small)
+    action, _ = policy.predict(np.zeros(small.layout.size, dtype=np.float32))
+    assert small.actions.decode(action).levels.tolist() == [1, 0]
     for wrong in (f"{__name__}:Nobody", "no_such_module:Agent", f"{__name__}:"):
         with pytest.raises(UnknownName, match="module:Class"):
             make_agent(wrong, small)

@@ -74,14 +74,14 @@ def test_a_record_says_little_that_drives_no_seat_or_that_is_known_already(probl
     faults = information.imagine(now.memory.belief, now.rng)
     assert faults.weight.sum() == pytest.approx(1.0)
     torque = np.array(problem.arm.torque_limits) / 5
-    strong = information.of(faults, now.pose, torque, 1.2)
-    weak = information.of(faults, now.pose, torque / 1e4, 1.2)
-    assert strong.information > 0.5
-    assert weak.information < 0.2 * strong.information
+    at, long = np.tile(now.pose, (2, 1)), np.full(2, 1.2)
+    strong, weak = information.of(faults, at, np.stack([torque, torque / 1e4]), long).information
+    assert strong > 0.5
+    assert weak < 0.2 * strong
     belief = now.memory.belief
     sure = information.imagine(replace(belief, healthy=belief.healthy + 6.0), now.rng)
-    known = information.of(sure, now.pose, torque, 1.2)
-    assert known.information < 0.3 * strong.information
+    known = information.of(sure, at[:1], torque[None], long[:1]).information
+    assert known[0] < 0.3 * strong
 
 
 def test_wrong_settings_are_refused(problem, estimator):
@@ -98,7 +98,10 @@ RULES = DiagnosisSettings(engine="reduced", durations=(0.2,), max_excited=1)
 
 def situation_in(problem: Problem, observation: Any, estimator: Any, records: int) -> Situation:
     memory = estimator.begin()
-    known = {"observation": observation, "probabilities": estimator.follow(observation, memory)}
+    known = {
+        "observation": observation,
+        "probabilities": estimator.follow(observation[None], [memory])[0],
+    }
     return at_pose(problem, problem.layout.pose_of(observation), records, memory, **known)
 
 

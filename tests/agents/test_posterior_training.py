@@ -39,7 +39,6 @@ from loose_env.diagnosis import (
     RECORD_FEATURES,
     AmortisedPosterior,
     NoveltyReference,
-    RecordStatistics,
     SeatFeatures,
     SeatNetwork,
     Seen,
@@ -187,8 +186,8 @@ class _Estimator:
     def begin(self) -> Any:
         return SimpleNamespace(belief=SimpleNamespace(surprise=self.surprise))
 
-    def follow(self, observation: np.ndarray, memory: Any) -> np.ndarray:
-        return self.probabilities
+    def follow(self, observations: np.ndarray, memories: Any) -> np.ndarray:
+        return np.tile(self.probabilities, (len(observations), 1))
 
 
 @pytest.fixture(scope="module")
@@ -277,13 +276,11 @@ def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
 
     def surprises(played: list[list[Seen]], one: AmortisedPosterior) -> np.ndarray:
         found = []
-        rows = iter([(s.location, s.record, s.change) for seen in played for s in seen])
-        one.features.with_change = lambda record: next(rows)  # type: ignore[method-assign]
         for seen in played:
             belief = one.start()
             assert belief.surprise == 1.0
-            for _ in seen:
-                belief = one.update(belief, RecordStatistics.__new__(RecordStatistics))
+            for each in seen:
+                belief = one.with_seen(belief, each)
             found.append(belief.surprise)
         return np.array(found)
 

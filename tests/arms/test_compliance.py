@@ -246,7 +246,7 @@ def test_no_fault_makes_an_arm_with_elastic_gears_diverge(name: str, bare_file: 
 
 def test_the_posterior_tries_softer_and_stiffer_gears() -> None:
     arms, weights = variants(LinearArm(planar(3, hold="compliant")), 0.1)
-    stiffness = [float(a.arm.model.joint("gear1").stiffness[0]) for a in arms]
+    stiffness = [float(a.model.joint("gear1").stiffness[0]) for a in arms]
     assert len(arms) > 1
     assert np.all(np.diff(stiffness) > 0)
     assert np.exp(weights).sum() == pytest.approx(1.0)

@@ -110,13 +110,14 @@ def test_a_seat_that_floats_moves_as_predicted(joint: int, place: int, kind: str
     rig = SimulatedRig(arm, sensors=SensorSuite.ideal())
     rig.mount(0, fault)
     measured = statistics_of(rig.measure(pose, excitation))  # type: ignore[arg-type]
-    seats = predict_seats(LinearArm(arm).at(pose), measured.torque, direction[None, :], np.zeros(3))
+    at, torque = LinearArm(arm).at_all(pose[None]), measured.torque[None]
+    seats = predict_seats(at, torque, direction[None, :], np.zeros((1, 3)))
     index = place - 1 if kind == "slide" else arm.n + place - 1
-    moved = seats.in_step + seats.in_step_open[index]
+    moved = seats.in_step[0] + seats.in_step_open[0, index]
     expected = moved[1:, 0] / moved[0, 0]
     found = measured.transmission[:, joint - 1]
     # The tool of a healthy arm would move otherwise, unless the seat is not driven at all.
-    scale = np.linalg.norm(seats.in_step[1:, 0] / seats.in_step[0, 0])
+    scale = np.linalg.norm(seats.in_step[0, 1:, 0] / seats.in_step[0, 0, 0])
     assert np.linalg.norm(found - expected) < 0.04 * max(scale, np.linalg.norm(expected))
     inertia = measured.torque[joint - 1] / moved[0, 0]
     assert measured.inertia[joint - 1] == pytest.approx(inertia, rel=0.04)
@@ -133,8 +134,11 @@ def test_prediction_of_several_joints_holds_each_one_alone() -> None:
 def test_errors_of_springs_are_those_of_an_arm_with_other_springs() -> None:
     arm, one = vera(), np.array([True, False])
     pose, mismatch = np.array([0.3, 1.0]), Mismatch(stiffness=0.1, mass=0.0)
-    errors = stiffness_errors(LinearArm(arm), pose, one, mismatch)
-    assert errors.shape == (2, 2, 1)  # the bending mode, and the brake of joint 2
+    (errors,) = stiffness_errors(LinearArm(arm).at_all(pose[None]), one[None], mismatch)
+    # The bending mode, nothing of the excited joint, and the brake of joint 2.
+    assert errors.shape == (3, 2, 1)
+    assert not errors[1].any()
+    assert errors[2].any()
     found = []
     for factor in (1.1, 1 / 1.1):
         spec = arm.spec.copy()

@@ -200,6 +200,22 @@ def test_seeds_options_and_masks_reach_each_environment() -> None:
     assert vec.has_attr("action_masks") and not vec.has_attr("lid")
 
 
+def test_neighbouring_seeds_of_make_vec_env_share_no_episode() -> None:
+    from stable_baselines3.common.env_util import make_vec_env
+
+    from loose_env.envs.sb3 import KeyedDummyVecEnv
+
+    own = {**SHORT, "n_links": 2}
+    found = [
+        make_vec_env(
+            "loose_env/Planar-v0", 3, seed, env_kwargs=own, vec_env_cls=KeyedDummyVecEnv
+        ).reset()
+        for seed in (0, 1)
+    ]
+    assert len(np.unique(np.concatenate(found), axis=0)) == 6
+    np.testing.assert_array_equal(found[1], adapted(3)[0].reset(seed=1)[0])
+
+
 def test_what_cannot_be_adapted_is_refused() -> None:
     from gymnasium.wrappers.vector import RecordEpisodeStatistics
 

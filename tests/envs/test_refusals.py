@@ -53,6 +53,12 @@ MADE: list[tuple[str, dict[str, Any], type[LooseEnvError], tuple[str, ...]]] = [
     *((env_id[10:-3], {"hold": "glue"}, UnknownName, ("'glue'", "'compliant'")) for env_id in IDS),
     ("Planar", {"hold": None}, UnknownName, ("None", "'compliant'")),
     ("Planar", {"durations": (0.2, 0.01)}, InvalidSetting, ("0.01 s", "(30.0, 150.0) Hz")),
+    (
+        "Planar",
+        {"kinds": ("healthy", "compound_looseness"), "engine": "reduced"},
+        InvalidSetting,
+        ("compound_looseness", "'mujoco'"),
+    ),
     ("Planar", {"max_moved": 5}, InvalidSetting, ("max_moved is 1 to 4", "got 5")),
     ("Vera", {"max_excited": 9}, InvalidSetting, ("max_excited is 1 to 2", "got 9")),
     *(

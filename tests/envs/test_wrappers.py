@@ -125,7 +125,7 @@ def test_the_posterior_is_that_of_the_estimator() -> None:
     env.reset(seed=5, options={"fault": "structural_looseness@link2"})
     for _ in range(3):
         info = env.step(shake(env, 3))[-1]
-        wanted = tracker.follow(inner.batch.observe(0), memory)
+        (wanted,) = tracker.follow(inner.batch.observe(0)[None], [memory])
         np.testing.assert_allclose(info["probabilities"], wanted, rtol=1e-9)
     assert info["probabilities"].max() > 0.6
     assert env.reset(seed=6)[1]["probabilities"].max() < 0.4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +31,9 @@ from loose_env.diagnosis import (
 )
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.excitation import at_levels
+from loose_env.excitation import torques_at_levels
 from loose_env.typing import Array
-from loose_env.wrappers import record_from
+from loose_env.wrappers import records_from
 
 
 class RandomPolicy:
@@ -150,19 +151,36 @@ def make_policy(name: str, problem: Problem, estimator: Estimator) -> Policy:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Candidate:
-    """A record that could be taken next."""
+class Candidates:
+    """C records that could be taken next."""
 
-    action: NDArray[np.int64]
-    """The action that takes it."""
-    pose: NDArray[np.float64]
-    """Joint positions of the record (n,) [rad or m]."""
-    torque: NDArray[np.float64]
-    """Rms torque of every joint, within the drives' limits (n,) [N·m or N]."""
-    duration: float
-    """Its length [s]."""
-    price: float
-    """Cost of the record."""
+    moves: NDArray[np.intp]
+    """Moves of the joints (C, n)."""
+    levels: NDArray[np.intp]
+    """Levels of the joints (C, n)."""
+    duration: NDArray[np.intp]
+    """Indices of their lengths (C,)."""
+    poses: Array
+    """Joint positions of the records [rad or m] (C, n)."""
+    torque: Array
+    """Rms torque of every joint, within the drives' limits [N·m or N] (C, n)."""
+    seconds: Array
+    """Their lengths [s] (C,)."""
+    price: Array
+    """Costs of the records (C,)."""
+
+    def __len__(self) -> int:
+        return len(self.price)
+
+    def __getitem__(self, rows: Any) -> Candidates:
+        """Some of the records."""
+        return Candidates(**{name: values[rows] for name, values in vars(self).items()})
+
+    def action(self, problem: Problem, k: int) -> NDArray[np.int64]:
+        """Action that takes one of them."""
+        return problem.actions.encode(
+            moves=self.moves[k], levels=self.levels[k], duration=int(self.duration[k])
+        )
 
 
 def poses(
@@ -179,7 +197,7 @@ def poses(
         moves = np.unique(problem.actions.few_moves(np.stack(drawn, 1), situation.rng), axis=0)
         moves = situation.rng.permutation(moves)[:count]
     steps = problem.actions.steps[np.arange(problem.arm.n), moves]
-    where = np.array([problem.arm.wrap(situation.pose + step) for step in steps])
+    where = problem.arm.wrap(situation.pose + steps)
     return moves.astype(np.intp), np.round(where, 9)
 
 
@@ -207,25 +225,34 @@ def excitations(problem: Problem) -> tuple[Excitations, Excitations]:
     return found[: len(first)], found[len(first) :]
 
 
-def candidate_at(
-    problem: Problem,
-    moves: NDArray[np.intp],
-    pose: NDArray[np.float64],
-    levels: NDArray[np.intp],
-    duration: int,
-) -> Candidate:
-    """Build a candidate: the torque of the levels in a pose, and its cost."""
-    seconds = problem.settings.durations[duration]
-    wanted = np.array([0.0, *problem.arm.levels])[levels]
-    excitation, _ = at_levels(problem.linear.at(pose), wanted, duration=seconds)
-    prices = problem.settings.prices
-    moved = int(np.count_nonzero(moves != problem.settings.stay))
-    price = prices.record + prices.second * seconds + prices.level * int(levels.sum())
-    return Candidate(
-        action=problem.actions.encode(moves=moves, levels=levels, duration=duration),
-        pose=pose,
-        torque=np.array(excitation.torque_rms),
-        duration=seconds,
+def candidates_at(
+    problem: Problem, moves: NDArray[np.intp], where: Array, every: Excitations
+) -> Candidates:
+    """Each of K moves, to poses (K, n), with every one of some excitations.
+
+    The torques are those of the levels in the pose.
+    """
+    arm, prices = problem.arm, problem.settings.prices
+    pose = np.repeat(np.arange(len(moves)), len(every))
+    levels = np.tile(np.array([own for own, _ in every]), (len(moves), 1))
+    duration = np.tile(np.array([length for _, length in every]), len(moves))
+    wanted, at = np.array([0.0, *arm.levels])[levels], problem.linear.at_all(where)
+    torque, excited = np.zeros(wanted.shape), np.count_nonzero(levels, axis=1)
+    for count in np.unique(excited):
+        rows = np.flatnonzero(excited == count)
+        here = at.some(pose[rows])
+        answer = here.responses(wanted[rows] > 0)
+        torque[rows], _ = torques_at_levels(arm, wanted[rows], here.gravity_torque, *answer)
+    seconds = np.array(problem.settings.durations)[duration]
+    moved = np.count_nonzero(moves != problem.settings.stay, axis=1)[pose]
+    price = prices.record + prices.second * seconds + prices.level * levels.sum(axis=1)
+    return Candidates(
+        moves=moves[pose],
+        levels=levels,
+        duration=duration,
+        poses=where[pose],
+        torque=torque,
+        seconds=seconds,
         price=price + prices.move * moved,
     )
 
@@ -247,7 +274,8 @@ class GreedyPolicy:
     def choose(self, situation: Situation) -> NDArray[np.int64]:
         """Choose the best of the scored records."""
         faults = self.information.imagine(belief_of(situation), situation.rng)
-        return ranked(self.problem, self.information, situation, faults)[0].action
+        best = ranked(self.problem, self.information, situation, faults)
+        return best.action(self.problem, 0)
 
 
 def ranked(
@@ -256,33 +284,36 @@ def ranked(
     situation: Situation,
     faults: ImaginedFaults,
     planned: Array | None = None,
-) -> list[Candidate]:
+) -> Candidates:
     """Score candidate records and sort them, best first.
 
     After records with the likelihood ``planned`` where it is given, as
     `loose_env.diagnosis.RecordInformation.of` takes it.
     """
 
-    def value(candidate: Candidate) -> float:
-        if not candidate.torque.any():  # gravity leaves the drives nothing
-            return -np.inf
-        found = information.of(
-            faults, candidate.pose, candidate.torque, candidate.duration, planned
-        )
-        return WORTH * found.information - candidate.price
+    def value(candidates: Candidates) -> Array:
+        worth = np.full(len(candidates), -np.inf)
+        some = candidates.torque.any(axis=1)  # gravity leaves the drives nothing in the others
+        own = candidates[some]
+        found = information.of(faults, own.poses, own.torque, own.seconds, planned)
+        worth[some] = WORTH * found.information - own.price
+        return worth
 
     first, further = excitations(problem)
     moves, where = poses(problem, situation, TOGETHER_POSES if len(first) == 1 else SINGLE_POSES)
-    begun = [(k, how) for k in range(len(moves)) for how in first]
-    candidates = [candidate_at(problem, moves[k], where[k], *how) for k, how in begun]
-    found = [(value(candidate), candidate) for candidate in candidates]
-    order = np.argsort([-v for v, _ in found], kind="stable")
-    for k in (begun[i][0] for i in order[:SHORTLIST]):
-        for levels, duration in further:
-            candidate = candidate_at(problem, moves[k], where[k], levels, duration)
-            found.append((value(candidate), candidate))
-    found.sort(key=lambda pair: -pair[0])
-    return [candidate for _, candidate in found]
+    found = candidates_at(problem, moves, where, first)
+    worth = value(found)
+    best = np.argsort(-worth, kind="stable")[:SHORTLIST] // len(first)
+    if further:
+        more = candidates_at(problem, moves[best], where[best], further)
+        found, worth = _joined(found, more), np.concatenate([worth, value(more)])
+    return found[np.argsort(-worth, kind="stable")]
+
+
+def _joined(*parts: Candidates) -> Candidates:
+    """Candidates of several parts, one after the other."""
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return Candidates(**dict(zip(vars(parts[0]), map(np.concatenate, columns), strict=True)))
 
 
 FIRST_RECORDS, SECOND_RECORDS = 4, 4
@@ -303,48 +334,45 @@ class LookAheadPolicy:
     def choose(self, situation: Situation) -> NDArray[np.int64]:
         """Choose the record of the highest value."""
         faults = self.information.imagine(belief_of(situation), situation.rng)
-        firsts = ranked(self.problem, self.information, situation, faults)[:FIRST_RECORDS]
-        values = [self._value(candidate, faults, situation) for candidate in firsts]
-        return firsts[int(np.argmax(values))].action
+        every = ranked(self.problem, self.information, situation, faults)
+        firsts, first = every[:FIRST_RECORDS], excitations(self.problem)[0]
+        seconds = []
+        for torque, pose in zip(firsts.torque, firsts.poses, strict=True):
+            if torque.any():
+                after = replace(situation, pose=pose)
+                moves, where = poses(self.problem, after, SECOND_RECORDS)
+                own = candidates_at(self.problem, moves, where, first)
+                seconds.append(own[own.torque.any(axis=1)])
+        together = _joined(firsts[: len(seconds)], *seconds)
+        likely = self.information.likelihoods(
+            faults, together.poses, together.torque, together.seconds
+        )
+        ends = np.cumsum([len(seconds), *map(len, seconds)])
+        values = [
+            self._value(likely[k], float(firsts.price[k]), likely[i:j], own.price, faults)
+            for k, (i, j, own) in enumerate(zip(ends, ends[1:], seconds, strict=False))
+        ]
+        return firsts.action(self.problem, int(np.argmax(values)) if values else 0)
 
-    def _value(self, candidate: Candidate, faults: ImaginedFaults, situation: Situation) -> float:
-        """Expected reward after taking this record."""
-        if not candidate.torque.any():
-            return -np.inf
-        prices, every = self.problem.settings.prices, excitations(self.problem)[0]
-        stake = prices.correct - prices.wrong
-        after = replace(situation, pose=candidate.pose)
-        moves, where = poses(self.problem, after, SECOND_RECORDS)
-        seconds = [
-            candidate_at(self.problem, move, pose, *how)
-            for move, pose in zip(moves, where, strict=True)
-            for how in every
-        ]
-        seconds = [second for second in seconds if second.torque.any()]
-        likely, *more = [
-            self.information.likelihood(faults, c.pose, c.torque, c.duration)
-            for c in (candidate, *seconds)
-        ]
+    def _value(
+        self, first: Array, price: float, seconds: Array, prices: Array, faults: ImaginedFaults
+    ) -> float:
+        """Expected reward after the first record (M, M), or after one of those that follow it."""
+        worth = self.problem.settings.prices
+        stake = worth.correct - worth.wrong
         ticks = (np.arange(OUTCOMES) + 0.5) / OUTCOMES
         drawn = np.searchsorted(np.cumsum(faults.weight), ticks * faults.weight.sum())
-        total = 0.0
-        for k in np.minimum(drawn, len(faults.weight) - 1):
-            weight = faults.weight * likely[k]
-            weight = weight / weight.sum()
-            worth = float(_sureness(weight[None], faults)[0])  # of a verdict now
-            for second, of_second in zip(seconds, more, strict=True):
-                both = weight[None] * of_second
-                both /= both.sum(1, keepdims=True)
-                then = float(weight @ _sureness(both, faults))
-                worth = max(worth, then - second.price / stake)
-            total += worth / len(drawn)
-        return prices.wrong + stake * total - candidate.price
-
-
-def _sureness(weights: Array, faults: ImaginedFaults) -> Array:
-    """Maximum posterior probability (K,) for weights (K, M)."""
-    labels = np.eye(int(faults.hypothesis.max()) + 1)[faults.hypothesis]
-    return np.asarray((weights @ labels).max(1))
+        weight = faults.weight * first[np.minimum(drawn, len(faults.weight) - 1)]
+        weight /= weight.sum(1, keepdims=True)
+        labels = np.eye(int(faults.hypothesis.max()) + 1)[faults.hypothesis]
+        best = (weight @ labels).max(1)  # of a verdict now
+        # Share of each hypothesis after the second record, too (M, outcomes, hypotheses).
+        split = (weight[:, :, None] * labels).transpose(1, 0, 2)
+        for likely, second in zip(seconds, prices, strict=True):
+            after = (likely @ split.reshape(len(likely), -1)).reshape(split.shape)
+            sure = after.max(2) / after.sum(2)
+            best = np.maximum(best, (weight.T * sure).sum(0) - second / stake)
+        return float(worth.wrong + stake * best.mean() - price)
 
 
 FIXED_RECORDS = 4
@@ -452,14 +480,13 @@ class OpenLoopPolicy:
     def choose(self, situation: Situation) -> NDArray[np.int64]:
         """Choose the best of the scored records, given which ones were taken."""
         faults = self.information.imagine(self._prior, situation.rng)
-        planned = np.ones((len(faults.weight), len(faults.weight)))
-        for slot in range(situation.records):
-            record = record_from(self.problem.layout, situation.observation, slot)
-            if record is not None:
-                planned *= self.information.likelihood(
-                    faults, record.pose, record.torque, record.duration
-                )
-        return ranked(self.problem, self.information, situation, faults, planned)[0].action
+        slots = self.problem.layout.slots_of(situation.observation)[: situation.records]
+        records = records_from(self.problem.layout, slots[slots[:, 0] > 0.5])
+        planned = self.information.likelihoods(
+            faults, records.pose, records.torque, records.duration
+        ).prod(axis=0)
+        best = ranked(self.problem, self.information, situation, faults, planned)
+        return best.action(self.problem, 0)
 
 
 def designed_sequences(

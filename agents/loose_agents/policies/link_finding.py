@@ -388,7 +388,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
 
     def _sighting(self, record: RecordStatistics) -> ChangeSighting:
         """Direction that one record shows."""
-        problem = self.problem
+        problem, at = self.problem, self.problem.linear.at(record.pose)
         excitation = Excitation(
             torque_rms=tuple(float(t) for t in record.torque),
             duration=record.duration,
@@ -396,9 +396,9 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         )
         return sight_change(
             record,
-            predict(problem.linear.at(record.pose), excitation, self.floor),
+            predict(at, excitation, self.floor),
             band=problem.arm.band,
             floor=self.floor,
             model=self.model,
-            springs=stiffness_errors(problem.linear, record.pose, record.excited, self.mismatch),
+            springs=stiffness_errors(at.alone, record.excited[None], self.mismatch)[0],
         )

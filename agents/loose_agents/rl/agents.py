@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from loose_agents.base import EpisodeAgent, Problem
 from loose_agents.belief import (
     BeliefAgent,
+    Situation,
     StoppingRule,
     Tracker,
     best_verdict,
@@ -177,11 +178,11 @@ class LearnedAgent(BeliefAgent):
         form = PolicyForm(problem, estimator.feature_size)
         return cls(problem, load_network(where, form), estimator)
 
-    def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
+    def decide(self, situation: Situation) -> NDArray[np.int64]:
         """Evaluate the policy."""
-        problem, form = self.problem, self.form
-        now = self.situation(observation, memory)
-        further = self.estimator.features(observation, memory.estimate)
+        problem, form, now = self.problem, self.form, situation
+        observation = now.observation
+        further = self.estimator.features(observation, now.memory)
         choice = self.network.choose(
             form.features(observation, now.probabilities, further),
             form.mask(now.pose, now.records, records_measured(problem, observation)),

@@ -15,6 +15,7 @@ from loose_agents.rl.agents import PolicyForm
 from loose_env.envs import DiagnosisVectorEnv
 from loose_env.envs.sb3 import Sb3VecEnv
 from loose_env.errors import InvalidSetting
+from loose_env.typing import IndexArray
 
 LOG_FLOOR = -5.0
 """Lowest log-posterior of the truth in the shaping: e^-5 is 0.7 %."""
@@ -91,15 +92,14 @@ class TrackedVecEnv(VecEnvWrapper):
         super().__init__(Sb3VecEnv(env), self.form.observation_space, self.form.action_space)
         self._memories = [self.estimator.begin() for _ in range(self.num_envs)]
         self._probabilities = np.zeros((self.num_envs, len(problem.hypotheses)))
-        self._rows: list[Any] = [None] * self.num_envs
-        self._records = [0] * self.num_envs
+        self._rows = np.zeros((self.num_envs, problem.layout.size), dtype=np.float32)
+        self._records = np.zeros(self.num_envs, dtype=np.intp)
         self._truths = [""] * self.num_envs
         self._potentials = np.zeros(self.num_envs)
 
     def reset(self) -> Any:
         """Reset every environment."""
-        observations = self.venv.reset()
-        return np.stack([self._begin(i, row) for i, row in enumerate(observations)])
+        return self._begin(np.arange(self.num_envs), np.asarray(self.venv.reset()))
 
     def step_async(self, actions: NDArray[np.int64]) -> None:
         """Convert the policy's choices to actions and step."""
@@ -121,16 +121,16 @@ class TrackedVecEnv(VecEnvWrapper):
     def step_wait(self) -> Any:
         """Update the posteriors; finished episodes restart from the prior."""
         observations, rewards, dones, infos = self.venv.step_wait()
-        features = []
-        for i, row in enumerate(observations):
-            if dones[i]:
-                infos[i]["terminal_observation"] = self._follow(i, infos[i]["terminal_observation"])
-                rewards[i] += self._gain(i)
-                features.append(self._begin(i, row))
-            else:
-                features.append(self._follow(i, row))
-                rewards[i] += self._gain(i)
-        return np.stack(features), rewards, dones, infos
+        shown, ended = np.array(observations), np.flatnonzero(dones)
+        for i in ended:
+            shown[i] = infos[i]["terminal_observation"]
+        features = self._follow(np.arange(self.num_envs), shown)
+        rewards += [self._gain(i) for i in range(self.num_envs)]
+        for i in ended:
+            infos[i]["terminal_observation"] = features[i].copy()
+        if len(ended):
+            features[ended] = self._begin(ended, np.asarray(observations)[ended])
+        return features, rewards, dones, infos
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Action masks for MaskablePPO (num_envs, options)."""
@@ -156,23 +156,29 @@ class TrackedVecEnv(VecEnvWrapper):
         masks = self.action_masks()
         return [masks[i] for i in self._get_indices(indices)]
 
-    def _begin(self, i: int, row: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Reset to the prior; return the policy's observation."""
-        self._memories[i] = self.estimator.begin()
-        episode = self.diagnosis.batch.episode(i)
-        self._truths[i] = episode.fault.hypothesis
-        features = self._follow(i, row)
-        self._potentials[i] = self._potential(i)
+    def _begin(self, at: IndexArray, rows: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Reset some arms to the prior; return the policy's observations."""
+        for i in at:
+            self._memories[i] = self.estimator.begin()
+            self._truths[i] = self.diagnosis.batch.episode(i).fault.hypothesis
+        features = self._follow(at, rows)
+        for i in at:
+            self._potentials[i] = self._potential(i)
         return features
 
-    def _follow(self, i: int, row: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Process an observation; return the policy's observation."""
-        memory = self._memories[i]
-        self._probabilities[i] = self.estimator.follow(row, memory)
-        self._records[i] = records_taken(self.problem, row)
-        self._rows[i] = row
-        further = self.estimator.features(row, memory)
-        return self.form.features(row, self._probabilities[i], further)
+    def _follow(self, at: IndexArray, rows: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Process the observations of some arms; return the policy's observations."""
+        memories = [self._memories[i] for i in at]
+        self._probabilities[at] = self.estimator.follow(rows, memories)
+        self._records[at], self._rows[at] = records_taken(self.problem, rows), rows
+        return np.stack(
+            [
+                self.form.features(
+                    row, self._probabilities[i], self.estimator.features(row, memory)
+                )
+                for i, row, memory in zip(at, rows, memories, strict=True)
+            ]
+        )
 
     def _potential(self, i: int) -> float:
         known = self.problem.hypotheses
