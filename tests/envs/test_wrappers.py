@@ -280,6 +280,21 @@ def test_a_batch_shows_what_each_environment_shows_alone(names: list[str], mode:
     assert ended > 3 or mode == "NextStep"
 
 
+def test_stable_baselines3_takes_a_wrapped_batch() -> None:
+    sb3 = pytest.importorskip("loose_env.envs.sb3")
+    env = sb3.Sb3VecEnv(make_batch(STACKS[0]))
+    env.seed(0)
+    assert env.reset().shape == (3, *env.observation_space.shape)
+    masks = np.array(env.env_method("action_masks"))
+    assert masks.shape == (3, env.action_space.n)
+    right = env.get_attr("verdicts")[0].index("healthy")
+    env.step(np.zeros(3, dtype=int))
+    *_, dones, infos = env.step(np.full(3, env.action_space.n - 6 + right))
+    assert dones.all()
+    assert infos[0]["probabilities"].shape == (5,)
+    assert infos[0]["terminal_observation"].shape == env.observation_space.shape
+
+
 def test_batches_are_copied_and_the_wrong_kind_is_refused() -> None:
     envs = make_batch(STACKS[0])
     envs.reset(seed=3)
