@@ -1,175 +1,380 @@
-"""Columns of a run as channels (quantity, joint, axis), and the model's names and servos."""
+"""Checks of one run by itself: its time steps, and every channel without a model's motion."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Literal
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
 
-from loose_env.recording import Run
+from loose_env.doctor.findings import Defect, Finding
+from loose_env.doctor.machine import PAUSE_STEPS, Channel, Machine, channels_of, filled
+from loose_env.importing import median_step
+from loose_env.recording import Run, without_corrupt
 from loose_env.typing import Array
 
-Kind = Literal["position", "velocity", "acceleration", "turning", "torque", "command", "other"]
-"""Quantity of a channel."""
+# Sampling
+UNEVEN_STEP = 0.1
+"""Rms deviation of the time steps from their median, above which the sampling is called uneven
+[median steps]: below, spectra change by less than 1 %."""
+VERY_UNEVEN_STEP = 0.5
+"""The same, above which it is a warning [median steps]: samples that are taken as even are then off
+by a step."""
+PAUSE_S = 0.02
+"""Shortest pause [s]: a slower recorder may skip a row without harm."""
+LEAST_RATE_HZ = 20.0
+"""Sampling rate below which the motion of an arm is not resolved [Hz]: its servos reach 5 to 10
+Hz."""
+SLOWEST_RATE_HZ = 4.5
+"""Sampling rate below which times are not in seconds [Hz]: the slowest recorders of arms have 5
+Hz, and the 1 to 4 kHz of usual drives read so where their times are in milliseconds."""
+HIGHEST_RATE_HZ = 1e6
+"""Sampling rate above which times are not in seconds [Hz]: recorders of arms reach 100 kHz."""
+BAND_SHARE = 0.4
+"""Highest frequency of an excitation over the sampling rate: anti-aliasing filters need the
+rest."""
+BAND_POWER = 0.95
+"""Share of the command's power that its band holds: filters of noise roll off beyond their band."""
 
-_KINDS: dict[int, Kind] = {
-    int(mujoco.mjtSensor.mjSENS_JOINTPOS): "position",
-    int(mujoco.mjtSensor.mjSENS_JOINTVEL): "velocity",
-    int(mujoco.mjtSensor.mjSENS_ACCELEROMETER): "acceleration",
-    int(mujoco.mjtSensor.mjSENS_GYRO): "turning",
-}
-_SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+# Channels
+LARGE_NAN = 0.05
+"""Share of missing samples, above which it is a warning: interpolation bridges fewer; 20 % is
+refused when a run is read."""
+FROZEN_S = 0.02
+"""Shortest time for which a noisy channel stands still to count as frozen [s]: a period at the
+middle of a usual band."""
+FROZEN_SAMPLES = 20
+"""Fewest samples of it: noise on several levels does not repeat one so often by chance."""
+FROZEN_RATIO = 10.0
+"""Length of such a piece over the channel's usual repetition (90 % of them): coarse channels repeat
+by themselves."""
+REPEATING_SHARE = 0.2
+"""Share of pieces of two or more equal values, above which no piece of a channel is called frozen:
+it is coarse or slow, and repeats by itself."""
+FEWEST_PIECES = 10
+"""Changes of a channel, from which its own rate, or a limit that it keeps reaching, is told: fewer
+are a channel that rests."""
+HELD_SHARE = 0.8
+"""Share of a channel's changes that come after the same number of rows, from which it counts as
+sampled more slowly than the rows: two clocks slip by a row now and then."""
+CLIPPED_SHARE = 0.002
+"""Share of samples at the channel's extreme value, from which it counts as clipped: two of a
+thousand, a normal signal beyond three standard deviations."""
+CLIPPED_LEAST = 8
+"""Fewest samples there: short runs have that share by chance."""
+FEWEST_LEVELS = 16
+"""Values that a channel takes, below which it is too coarse to tell clipping: each level is hit
+often."""
+CLIPPED_PILE = 4.0
+"""Samples at the extreme over those in each of the next levels: an honest tail thins out."""
+LIMITED_SHARE = 0.01
+"""Share of the commands at a limit of the actuator, above which they count as clipped: noise cut at
+2.6 standard deviations loses 1 % of its samples."""
+COARSE_STEP = 1.0
+"""Resolution of a position sensor over the rms motion of its excited joint, above which the
+motion is not resolved: rounding noise is then 30 % of it."""
+LOST_VALUE = 3
+"""Fewest samples of exactly zero in a row that count as a lost reading: a signal that crosses zero
+stays there for one."""
+LOST_RATIO = 8.0
+"""Distance of zero from the channel's median [robust standard deviations] for that: no reading of
+the channel is so far away."""
+
+_NOISY = ("acceleration", "turning", "torque", "velocity")
+"""Kinds whose readings never repeat for long on a machine that runs."""
+_SITE = ("acceleration", "turning")
+_ROUNDING = 1e-6
+"""Motion of an axis over that of its sensor, below which it is rounding [1]."""
+
+_NOT_SECONDS = Defect(
+    "rate", "error", "the times are not in seconds, and every frequency is wrong",
+    "import the times with their unit",
+)  # fmt: skip
+_SLOW = Defect(
+    "rate", "warning", "faster motion is not resolved, and servos reach 5 to 10 Hz",
+    f"record at {LEAST_RATE_HZ:g} Hz or more; where the times are not in seconds, import them with "
+    "their unit",
+)  # fmt: skip
+_PAUSES = Defect(
+    "pauses", "warning", "a diagnosis uses the longest piece without a pause alone",
+    "record the run again without pauses, or cut it to a piece without one",
+)  # fmt: skip
+_UNEVEN = Defect(
+    "uneven", "note", "spectra above about a quarter of the rate are less exact",
+    "where it is the stamps that jitter and not the samples, import with even = true; else record "
+    "with a hardware clock",
+)  # fmt: skip
+_BAND = Defect(
+    "rate", "warning",
+    f"above {BAND_SHARE:g} of the rate anti-aliasing filters attenuate, and without one readings "
+    "are aliased",
+    "record faster, or narrow the noise",
+)  # fmt: skip
+_CORRUPT = Defect(
+    "range", "warning", "they are set aside as missing",
+    "check unit and scale at the import, and look for lost samples",
+)  # fmt: skip
+_ABSURD = replace(
+    _CORRUPT, severity="error",
+    consequence="no reading in SI units is so large, and results overflow",
+)  # fmt: skip
+_MISSING = Defect(
+    "missing", "note", "missing samples are interpolated or cut out, and weaken the result",
+    "find out why the recorder loses samples; raise gap_s of the column at the import where pauses "
+    "belong to it",
+)  # fmt: skip
+_STUCK = Defect(
+    "stuck", "warning",
+    "the channel carries no signal, and its silence is taken for a measurement",
+    "check cable and recorder; leave the column out where the sensor is dead",
+)  # fmt: skip
+_DEAD_AXIS = replace(
+    _STUCK,
+    remedy="repair the axis and record the run again: a sensor is read with all its axes or none; "
+    "for 'loose gap' its three columns may be left out of the run",
+)  # fmt: skip
+_AT_REST = Defect(
+    "stuck", "note", "a joint at rest, or a sensor whose silence is taken for a measurement",
+    "look whether the joint moved; leave the column out where its sensor is dead",
+)  # fmt: skip
+_HELD = Defect(
+    "held", "note",
+    "it carries nothing above half its own rate, and holding its values delays them by half its "
+    "step on average",
+    "import the slower file as a source of its own: it is interpolated band-limited",
+)  # fmt: skip
+_DROPOUT = Defect(
+    "dropout", "warning", "a repeated or lost reading is taken for a measured one",
+    "write missing samples as NaN, or cut the run",
+)  # fmt: skip
+_CLIPPED = Defect(
+    "saturation", "warning", "a clipped signal has frequencies that the motion has not",
+    "lower the excitation, or choose a larger range of the sensor",
+)  # fmt: skip
+_COARSE = Defect(
+    "quantisation", "warning",
+    "rounding hides the motion of the joint, and the transmission to the tool is then known from "
+    "the command alone",
+    "excite the joint more, at lower frequencies too, or record a finer encoder",
+)  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Channel:
-    """One column of a run."""
-
-    name: str
-    """Name of the column."""
-    kind: Kind
-    of: str
-    """Joint, site sensor or actuator that it belongs to."""
-    values: Array
-    """Samples, NaN where one is missing, shape (T,)."""
-
-    @cached_property
-    def there(self) -> Array:
-        """Samples that are not missing."""
-        return np.asarray(self.values[np.isfinite(self.values)])
-
-    @property
-    def reach(self) -> float:
-        """Largest size of a sample; 0 where none is there."""
-        return float(np.abs(self.there).max(initial=0.0))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Servo:
-    """Actuator of the model that drives one joint by a gain on its command."""
-
-    name: str
-    joint: str
-    gear: float
-    """Joint torque over actuator force [1]."""
-    gain: float
-    """Actuator force over command."""
-    follows: bool
-    """True for a position servo: its command is a position."""
-    motor: bool
-    """True if its force is the gain times the command, whatever the motion."""
-    lag: float
-    """Delay of slow motion behind the command of a position servo in the model [s]."""
-    limits: tuple[float, float] | None
-    """Limits of the command; None where it has none."""
+def check_sampling(machine: Machine, run: Run) -> Iterator[Finding]:
+    """Check the time of one run: rate, pauses, even steps, band of the excitation."""
+    step = median_step(run.time)
+    rate, told = 1 / step, f"sampled at {1 / step:.4g} Hz over {run.time[-1] - run.time[0]:.4g} s"
+    if not SLOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ:
+        yield _NOT_SECONDS.at("time", told, rate, unit="Hz", run=run.name)
+        return
+    if rate < LEAST_RATE_HZ:  # no joint is shaken so slowly
+        severity = "error" if run.excited else "warning"
+        yield _SLOW.at("time", told, rate, unit="Hz", run=run.name, severity=severity)
+    steps = np.diff(run.time) / step
+    pauses = np.flatnonzero((steps > PAUSE_STEPS) & (steps * step > PAUSE_S))
+    if pauses.size:
+        longest = int(pauses[np.argmax(steps[pauses])])
+        seconds = float(steps[longest] * step)
+        found = f"{pauses.size} pause{'s' * (pauses.size > 1)} of the recorder, the longest "
+        found += f"{seconds:.3g} s from {run.time[longest]:.4g} s on"
+        yield _PAUSES.at("time", found, seconds, unit="s", run=run.name)
+    even = np.delete(steps, pauses)
+    off = even - np.maximum(np.round(even), 1.0)  # whole missing rows are no jitter
+    jitter = float(np.sqrt(np.mean(off**2))) if even.size else 0.0
+    if jitter > UNEVEN_STEP:
+        severity = "warning" if jitter > VERY_UNEVEN_STEP else "note"
+        found = f"time steps scatter by {1e3 * jitter * step:.3g} ms rms about their median of "
+        found += f"{1e3 * step:.3g} ms"
+        yield _UNEVEN.at("time", found, jitter * step, unit="s", run=run.name, severity=severity)
+    for channel in channels_of(machine, run) if run.excited else ():
+        drive = machine.drives.get(channel.of) if channel.kind == "command" else None
+        joint = channel.of if channel.kind == "torque" else drive.joint if drive else ""
+        top = _band_top(run.time, channel) if joint in run.excited else 0.0
+        if top > BAND_SHARE * rate:
+            found = f"its noise reaches {top:.3g} Hz, and the sampling rate is {rate:.4g} Hz"
+            yield _BAND.at(channel.name, found, top, unit="Hz", run=run.name)
 
 
-class Machine:
-    """Names, limits and drives of a model, as the checks need them."""
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
-        self.joints = [
-            model.joint(j).name
-            for j in range(model.njnt)
-            if int(model.jnt_type[j]) in _SINGLE and model.joint(j).name
-        ]
-        """Hinges and slides with a name."""
-        self.drives = {
-            model.actuator(a).name: self._drive(a)
-            for a in range(model.nu)
-            if int(model.actuator_trntype[a]) in _ON_JOINT and int(model.actuator_ctrlnum[a]) == 1
-        }
-        """Actuators on joints, by name."""
-
-    def hinge(self, joint: str) -> bool:
-        """Return True for a hinge, False for a slide."""
-        return int(self.model.jnt_type[self.model.joint(joint).id]) == _SINGLE[0]
-
-    def unit(self, joint: str) -> str:
-        """Unit of the joint's position."""
-        return "rad" if self.hinge(joint) else "m"
-
-    def limits(self, joint: str) -> tuple[float, float] | None:
-        """Limits of the joint [rad or m]; None where it has none."""
-        j = self.model.joint(joint).id
-        if not self.model.jnt_limited[j]:
-            return None
-        return float(self.model.jnt_range[j][0]), float(self.model.jnt_range[j][1])
-
-    def _drive(self, a: int) -> Servo:
-        m = self.model
-        gain, bias = float(m.actuator_gainprm[a][0]), m.actuator_biasprm[a]
-        fixed = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
-        affine = int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
-        limited = bool(m.actuator_ctrllimited[a])
-        follows = bool(affine and fixed and gain > 0 and np.isclose(bias[1], -gain))
-        gear, joint = float(m.actuator_gear[a][0]), int(m.actuator_trnid[a][0])
-        damping = float(m.dof_damping[int(m.jnt_dofadr[joint])]) - float(bias[2]) * gear**2
-        return Servo(
-            name=m.actuator(a).name,
-            joint=m.joint(joint).name,
-            gear=gear,
-            gain=gain if fixed and int(m.actuator_dyntype[a]) == 0 else 0.0,
-            follows=follows,
-            motor=fixed and not bias[:3].any(),
-            lag=damping / (gain * gear**2) if follows and gear else 0.0,
-            limits=tuple(map(float, m.actuator_ctrlrange[a])) if limited else None,  # type: ignore[arg-type]
-        )
+def _band_top(time: Array, channel: Channel) -> float:
+    """Frequency below which the power of a command lies [Hz]; 0 for a command at rest."""
+    column = signal.detrend(filled(time, channel.values))
+    if column.std() <= 1e-12 * (1 + channel.reach):
+        return 0.0
+    frequency, power = signal.welch(column, 1 / median_step(time), nperseg=min(len(column), 1024))
+    share = np.cumsum(power) / power.sum()
+    return float(frequency[int(np.searchsorted(share, BAND_POWER))])
 
 
-Runs = Sequence[tuple[Run, Sequence[Channel]]]
-"""Runs with their channels."""
+def without_absurd(machine: Machine, run: Run) -> tuple[Run, list[Finding]]:
+    """Set corrupt samples aside, and columns that are mostly such, with a finding for each."""
+    clean, corrupt = without_corrupt(run, machine.model)
+    found = []
+    for each in corrupt:
+        more = f": {each.missing:.0%} would be missing without them" if each.too_many else ""
+        defect = _ABSURD if each.too_many else _CORRUPT
+        found.append(defect.at(each.column, each.found + more, each.largest, run=run.name))
+    lost = {each.column for each in corrupt if each.too_many}
 
-Factors = Mapping[tuple[str, str], float]
-"""Run and joint -> factor that brings its positions to rad or m and to the model's sign; 1 where
-there is none."""
+    def kept(prefix: str, columns: Mapping[str, Array]) -> dict[str, Array]:
+        axes = ("", ".x", ".y", ".z")
+        named = {name: {f"{prefix}.{name}{axis}" for axis in axes} for name in columns}
+        return {name: v for name, v in columns.items() if not named[name] & lost}
 
-
-def channels_of(machine: Machine, run: Run) -> list[Channel]:
-    """All columns of a run but the time, in the order controls, sensors, torques."""
-    model = machine.model
-    found = [
-        Channel(name=f"ctrl.{name}", kind="command", of=name, values=values)
-        for name, values in run.controls.items()
-    ]
-    for name, values in run.sensors.items():
-        sensor = model.sensor(name).id
-        kind = _KINDS.get(int(model.sensor_type[sensor]), "other")
-        on_joint = kind in ("position", "velocity")
-        of = model.joint(int(model.sensor_objid[sensor])).name if on_joint else name
-        if values.ndim == 1:
-            found.append(Channel(name=f"sensor.{name}", kind=kind, of=of, values=values))
-            continue
-        for axis, letter in enumerate("xyz"):
-            column = values[:, axis]
-            found.append(Channel(name=f"sensor.{name}.{letter}", kind=kind, of=of, values=column))
-    found += [
-        Channel(name=f"torque.{joint}", kind="torque", of=joint, values=values)
-        for joint, values in run.torques.items()
-    ]
-    return found
+    if lost:
+        controls, sensors = kept("ctrl", clean.controls), kept("sensor", clean.sensors)
+        torques = kept("torque", clean.torques)
+        clean = replace(clean, controls=controls, sensors=sensors, torques=torques)
+    return clean, found
 
 
-def positions(channels: Sequence[Channel]) -> dict[str, Channel]:
-    """Position of each joint that has one, the first of several."""
-    found: dict[str, Channel] = {}
+def check_channels(machine: Machine, run: Run) -> Iterator[Finding]:
+    """Check every channel of one run by itself."""
+    channels = channels_of(machine, run)
+    moves = {c.name for c in channels if c.there.size and np.ptp(c.there) > 0}
     for channel in channels:
-        if channel.kind == "position":
-            found.setdefault(channel.of, channel)
+        share = float(np.mean(np.isnan(channel.values)))
+        if share > 0:
+            severity, found = "warning" if share > LARGE_NAN else "note", f"{share:.2%} of the "
+            found += "samples are missing (NaN)"
+            yield _MISSING.at(channel.name, found, share, unit="1", run=run.name, severity=severity)
+        if channel.there.size and channel.name not in moves:
+            yield from _stuck(machine, run, channel, channels, moves)
+        elif channel.there.size:
+            yield from _pieces(run, channel)
+            yield from _clipped(machine, run, channel)
+            if channel.kind == "position" and channel.of in run.excited:
+                yield from _coarse(machine, run, channel)
+
+
+def _stuck(
+    machine: Machine, run: Run, channel: Channel, channels: Sequence[Channel], moves: set[str]
+) -> Iterator[Finding]:
+    """Judge a channel that holds one value through the run."""
+    if channel.kind in ("command", "other"):
+        return  # a command that holds a joint is constant
+    value, excited = float(channel.there[0]), channel.of in run.excited
+    found = f"every sample is {value:.6g}"
+    if channel.kind in _SITE:
+        alive = any(c.name in moves for c in channels if c.of == channel.of)
+        if not run.excited and not alive:
+            return  # nothing is known to move
+        dead = not alive or channel.name in _reached(machine, run, channels)
+        severity = "error" if excited or dead else "warning"
+        found += ", and the other axes of the sensor move" if alive else ""
+        defect = _DEAD_AXIS if alive else _STUCK
+        yield defect.at(channel.name, found, value, run=run.name, severity=severity)
+    elif excited:
+        found += f", and joint {channel.of} is excited in this run"
+        yield _STUCK.at(channel.name, found, value, run=run.name, severity="error")
+    elif not run.excited:  # else a joint at rest behind a coarse encoder, or a brake
+        drives = (machine.drives.get(c.of) for c in channels if c.name in moves)
+        commanded = any(d is not None and d.follows and d.joint == channel.of for d in drives)
+        others = any(c.kind == "position" and c.name in moves for c in channels)
+        if commanded or (channel.kind == "position" and others):
+            more = "the joint is commanded to move" if commanded else "other joints move"
+            severity = "warning" if commanded else "note"
+            yield _AT_REST.at(
+                channel.name, f"{found}, and {more}", value, run=run.name, severity=severity
+            )
+
+
+def _reached(machine: Machine, run: Run, channels: Sequence[Channel]) -> set[str]:
+    """Axes of accelerometers along which the excited joints move them, in the run's pose.
+
+    However little it is, a reading of it is not constant; a plane arm has axes without any.
+    """
+    model, data = machine.model, mujoco.MjData(machine.model)
+    for joint, q in (run.pose or {}).items():
+        data.qpos[int(model.jnt_qposadr[model.joint(joint).id])] = q
+    for c in channels:
+        if c.kind == "position" and c.there.size:
+            data.qpos[int(model.jnt_qposadr[model.joint(c.of).id])] = float(np.mean(c.there))
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    dofs = [int(model.jnt_dofadr[model.joint(joint).id]) for joint in run.excited]
+    found = set()
+    for sensor in {c.of for c in channels if c.kind == "acceleration"} if dofs else ():
+        site, turned = int(model.sensor_objid[model.sensor(sensor).id]), np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, turned, None, site)
+        moved = np.linalg.norm(data.site_xmat[site].reshape(3, 3).T @ turned[:, dofs], axis=1)
+        seen = moved > _ROUNDING * np.linalg.norm(moved)
+        found |= {f"sensor.{sensor}.{letter}" for letter, s in zip("xyz", seen, strict=True) if s}
     return found
 
 
-def filled(time: Array, values: Array) -> Array:
-    """Column with missing samples interpolated; zeros where none is there."""
-    there = np.isfinite(values)
-    if there.all():
-        return values
-    if not there.any():
-        return np.zeros_like(values)
-    return np.interp(time, time[there], values[there])
+def _repeats(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First samples and lengths of the pieces of equal values."""
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
+    return starts, np.diff(np.concatenate([starts, [len(values)]]))
+
+
+def _pieces(run: Run, channel: Channel) -> Iterator[Finding]:
+    """Judge pieces of equal values: a slower rate, frozen readings, lost ones."""
+    values, time = channel.there, run.time[np.isfinite(channel.values)]
+    starts, lengths = _repeats(values)
+    step, usual = median_step(run.time), int(np.median(lengths))
+    held = len(lengths) >= FEWEST_PIECES and np.mean(lengths == usual) >= HELD_SHARE
+    if held and usual > 1 and channel.kind != "command":
+        rate = 1 / (usual * step)
+        found = f"changes every {usual} rows: its own rate is {rate:.4g} Hz"
+        yield _HELD.at(channel.name, found, rate, unit="Hz", run=run.name)
+    if channel.kind not in _NOISY:
+        return
+    least = max(FROZEN_SAMPLES, FROZEN_S / step, FROZEN_RATIO * np.percentile(lengths, 90))
+    long = np.flatnonzero(lengths >= least)
+    if long.size and np.mean(lengths > 1) <= REPEATING_SHARE:
+        worst = int(long[np.argmax(lengths[long])])
+        seconds = float(lengths[worst] * step)
+        found = f"stands still {long.size} time{'s' * (long.size > 1)}, longest {seconds:.3g} s "
+        found += f"from {time[starts[worst]]:.4g} s on"
+        yield _DROPOUT.at(channel.name, found, seconds, unit="s", run=run.name)
+    middle = float(np.median(values))
+    scatter = 1.4826 * float(np.median(np.abs(values - middle)))
+    if middle != 0.0 and abs(middle) >= LOST_RATIO * scatter:
+        lost = (lengths >= LOST_VALUE) & (values[starts] == 0.0)
+        if lost.any():
+            count, first = int(lengths[lost].sum()), time[starts[lost][0]]
+            found = f"{count} samples are exactly 0 while the channel reads {middle:.4g}, first at "
+            found += f"{first:.4g} s"
+            yield _DROPOUT.at(channel.name, found, float(count), unit="samples", run=run.name)
+
+
+def _clipped(machine: Machine, run: Run, channel: Channel) -> Iterator[Finding]:
+    """Judge samples at an extreme value: a sensor's range, or an actuator's limit."""
+    values = channel.there
+    drive = machine.drives.get(channel.of) if channel.kind == "command" else None
+    if drive is not None and drive.limits is not None and not drive.follows:
+        low, high = drive.limits
+        slack = 1e-6 * (high - low)
+        at_end = (values <= low + slack) | (values >= high - slack)
+        share = float(np.mean(at_end))
+        # A command that rests at the end of its range is there for long.
+        if share > LIMITED_SHARE and len(_repeats(at_end.astype(float))[0]) > FEWEST_PIECES:
+            found = f"{share:.1%} of the commands are at a limit of the actuator ({low:g} to "
+            yield _CLIPPED.at(channel.name, f"{found}{high:g})", share, unit="1", run=run.name)
+    levels, counts = np.unique(values, return_counts=True)
+    if channel.kind not in _NOISY or len(levels) < FEWEST_LEVELS:
+        return  # too coarse to tell
+    for extreme, beside in ((0, slice(1, 6)), (-1, slice(-6, -1))):
+        count, level = int(counts[extreme]), levels[extreme]
+        most = max(CLIPPED_LEAST, CLIPPED_SHARE * len(values), CLIPPED_PILE * counts[beside].max())
+        at_zero = channel.kind in ("torque", "velocity") and level == 0.0
+        if count < most or at_zero or level in (values[0], values[-1]):
+            continue  # few, or rest before or after the motion
+        share = count / len(values)
+        found = f"{count} samples ({share:.2%}) are at the limit of {level:.6g}"
+        yield _CLIPPED.at(channel.name, found, share, unit="1", run=run.name)
+
+
+def _coarse(machine: Machine, run: Run, channel: Channel) -> Iterator[Finding]:
+    """Judge the resolution of an excited joint's encoder."""
+    step = float(np.min(np.diff(np.unique(channel.there))))
+    motion = float(np.std(channel.there))
+    if step > COARSE_STEP * motion:
+        unit = machine.unit(channel.of)
+        found = (
+            f"resolves {step:.3g} {unit}, and the excited joint moves by {motion:.3g} {unit} rms"
+        )
+        yield _COARSE.at(channel.name, found, step, unit=unit, run=run.name)

@@ -110,7 +110,7 @@ def write_corrected(
         raise InvalidSetting(
             f"no finding on {recording.folder.name} offers a correction; nothing is written"
         )
-    runs = [_corrected(run, chosen) for run in recording.runs]
+    runs = [corrected(run, chosen) for run in recording.runs]
     planned = _planned(recording)
     gravity = [each.vector for each in chosen if each.vector is not None]
     with TemporaryDirectory() as place:
@@ -138,7 +138,8 @@ def _planned(recording: Recording) -> list[RunEntry]:
     return [each for each in entries if each.planned and normpath(each.file) not in measured]
 
 
-def _corrected(run: Run, corrections: Sequence[Correction]) -> Run:
+def corrected(run: Run, corrections: Sequence[Correction]) -> Run:
+    """Run with the columns changed as corrections of all runs, or of it, say."""
     groups = {"ctrl": dict(run.controls), "sensor": dict(run.sensors), "torque": dict(run.torques)}
     own = (replace(c, runs=()) for c in corrections if not c.runs or run.name in c.runs)
     for each in dict.fromkeys(own):

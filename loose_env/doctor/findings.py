@@ -50,6 +50,23 @@ class Finding:
     """Change of the recording that removes it; None where only a person can tell."""
 
 
+@dataclass(frozen=True)
+class Defect:
+    """Kind of findings that share check, severity, consequence and remedy."""
+
+    check: str
+    severity: Severity
+    consequence: str
+    remedy: str
+
+    def at(self, channel: str, found: str, value: float | None = None, **more: Any) -> Finding:
+        """Finding of this kind on a channel; ``more`` sets or overrides any other field."""
+        kind = {
+            name: getattr(self, name) for name in ("check", "severity", "consequence", "remedy")
+        }
+        return Finding(**{**kind, "channel": channel, "found": found, "value": value, **more})
+
+
 @dataclass(frozen=True, kw_only=True)
 class Report:
     """All findings of a recording, errors first."""

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 
-import mujoco
 import numpy as np
 
 from loose_env.arms import quiet
-from loose_env.doctor.channels import Channel, Factors, Machine, channels_of
-from loose_env.doctor.corrections import Correction
-from loose_env.doctor.entries import check_entries
+from loose_env.doctor.channels import (
+    HIGHEST_RATE_HZ,
+    check_channels,
+    check_sampling,
+    without_absurd,
+)
+from loose_env.doctor.clocks import check_clocks
+from loose_env.doctor.corrections import corrected
 from loose_env.doctor.findings import Finding, Report
-from loose_env.doctor.model_checks.alternatives import check_alternatives
-from loose_env.doctor.model_checks.clocks import check_clocks
-from loose_env.doctor.model_checks.encoders import check_encoders
-from loose_env.doctor.model_checks.forces import check_forces
-from loose_env.doctor.model_checks.gravity import check_gravity
-from loose_env.doctor.model_checks.motion import block_motion
-from loose_env.doctor.model_checks.positions import check_positions
-from loose_env.doctor.quality import check_quality, without_absurd
-from loose_env.doctor.sampling import check_rates, check_sampling
+from loose_env.doctor.machine import BLOCK_S, Machine, Motion, motion_of
+from loose_env.doctor.positions import check_entries, check_positions, check_turns
 from loose_env.doctor.settings import DoctorSettings
-from loose_env.doctor.thresholds import HIGHEST_RATE_HZ
+from loose_env.doctor.signals import (
+    check_commands,
+    check_forces,
+    check_gravity,
+    check_kinematics,
+)
+from loose_env.doctor.torques import check_servos, check_torques, confirmed
 from loose_env.importing import median_step
 from loose_env.recording import Recording, Run
+
+MOST_SPECTRA = 8
+"""Runs whose spectra are compared, evenly chosen: the preflight takes seconds."""
 
 
 def examine(
@@ -73,20 +78,16 @@ def examine(
     >>> [(one.check, one.severity) for one in report.findings]
     [('units', 'error')]
     """
-    settings = DoctorSettings() if settings is None else settings
-    machine = Machine(recording.model())
+    settings, machine = settings or DoctorSettings(), Machine(recording.model())
     found: list[Finding] = []
-    runs: list[tuple[Run, list[Channel]]] = []
+    runs: list[Run] = []
     with quiet(), np.errstate(all="ignore"):  # what overflows is not finite, and no finding
         say(f"checking {len(recording.runs)} runs by themselves")
         for whole in recording.runs:
             run, wrong = without_absurd(machine, whole)
-            found += wrong
-            channels = channels_of(machine, run)
-            found += check_sampling(machine, run, channels)
-            found += check_quality(machine, run, channels)
+            found += [*wrong, *check_sampling(machine, run), *check_channels(machine, run)]
             if 1 / median_step(run.time) <= HIGHEST_RATE_HZ:
-                runs.append((run, channels))
+                runs.append(run)
         if runs:
             found += _together(machine, runs, settings, say)
     seconds = sum(float(run.time[-1] - run.time[0]) for run in recording.runs)
@@ -95,60 +96,37 @@ def examine(
 
 def _together(
     machine: Machine,
-    runs: list[tuple[Run, list[Channel]]],
+    runs: Sequence[Run],
     settings: DoctorSettings,
     say: Callable[[str], None],
 ) -> Iterator[Finding]:
-    """Check all runs against the model and against each other."""
-    yield from check_rates([run for run, _ in runs])
+    """Check all runs against the model and each other, once their positions are put right."""
     say("checking positions, entries and commands")
-    wrong, factors = check_positions(machine, runs, settings)
-    encoders = list(check_encoders(machine, runs))
-    yield from encoders
-    counted = [each for each in encoders if each.check == "units"]
-    for each in counted:
-        sensor = machine.model.sensor(each.channel.removeprefix("sensor."))
-        joint = machine.model.joint(int(sensor.objid[0])).name
-        for run, _ in runs:
-            if each.run in ("", run.name):
-                factors[run.name, joint] = each.fix.factor if each.fix else 1.0
-    for each in wrong:
-        if not any(c.channel == each.channel and c.run in ("", each.run) for c in counted):
-            yield _with_fix(machine, each, factors)
-    yield from check_entries(machine, runs, factors, settings)
-    if _needs_motion(machine, [run for run, _ in runs]):
-        say("checking gravity and torques")
-        blocks = []
-        for run, channels in runs:
-            made = block_motion(machine, run, channels, factors)
-            if made is not None:
-                blocks.append((run, channels, *made))
-        yield from check_gravity(machine, blocks, factors, settings)
-        changed = list(check_alternatives(machine, runs, factors))
-        yield from changed or check_forces(machine, blocks)
+    turns = list(check_turns(machine, runs))
+    yield from turns
+    whole = _corrected(runs, turns)
+    places = list(confirmed(machine, whole, [*check_positions(machine, whole, settings)]))
+    yield from places
+    right = _corrected(whole, places)
+    yield from check_entries(machine, right, settings)
+    yield from check_commands(machine, right, settings)
+    yield from check_servos(machine, right)
+    say("checking gravity and torques")
+    blocks = _motions(machine, right, BLOCK_S)
+    yield from check_gravity(machine, blocks, settings)
+    changed = list(check_torques(machine, right))
+    yield from changed or check_forces(machine, blocks)
     say("checking signs and clocks")
-    yield from check_clocks(machine, runs, factors, settings)
+    chosen = np.unique(np.linspace(0, len(right) - 1, MOST_SPECTRA).astype(int))
+    motions = _motions(machine, [right[int(k)] for k in chosen])
+    yield from check_kinematics(machine, motions)
+    yield from check_clocks(machine, motions, settings)
 
 
-def _with_fix(machine: Machine, finding: Finding, factors: Factors) -> Finding:
-    """Finding on a position column with the factor that was found for its joint."""
-    model, name = machine.model, finding.channel.removeprefix("sensor.")
-    sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
-    if name == finding.channel or sensor < 0 or finding.check not in ("units", "sign"):
-        return finding
-    joint = model.joint(int(model.sensor_objid[sensor])).name
-    own = (f for (run, of), f in factors.items() if of == joint and finding.run in ("", run))
-    factor = next(own, 1.0)
-    if factor == 1.0:
-        return finding
-    fix = Correction(kind="scale", columns=(finding.channel,), factor=factor)
-    return replace(finding, fix=fix.of(finding.run))
+def _corrected(runs: Sequence[Run], found: Sequence[Finding]) -> list[Run]:
+    fixes = [each.fix for each in found if each.fix is not None]
+    return [corrected(run, fixes) for run in runs]
 
 
-def _needs_motion(machine: Machine, runs: Sequence[Run]) -> bool:
-    """Return whether any reading depends on the motion through the model."""
-    drives = {d.name for d in machine.drives.values() if d.gain}
-    return any(
-        run.torques or drives & set(run.controls) or any(v.ndim > 1 for v in run.sensors.values())
-        for run in runs
-    )
+def _motions(machine: Machine, runs: Sequence[Run], window_s: float = 0.0) -> list[Motion]:
+    return [made for run in runs if (made := motion_of(machine, run, window_s)) is not None]

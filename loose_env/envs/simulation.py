@@ -12,7 +12,7 @@ from loose_env.envs.batch import EpisodeBatch
 from loose_env.envs.faults import log_uniform, uniform
 from loose_env.envs.spaces import checked_indices
 from loose_env.errors import InvalidSetting
-from loose_env.faults import DEFAULT_KINDS, Fault, Healthy, places_of_kind
+from loose_env.faults import DEFAULT_KINDS, Fault, Healthy
 from loose_env.io import is_whole
 from loose_env.typing import Array
 
@@ -137,10 +137,7 @@ def simulator(
     others = sorted(set(kinds) - set(DEFAULT_KINDS))
     if others:
         raise InvalidSetting(f"faults of the kinds {others} have other parameters; leave them out")
-    shares = [
-        batch.sampler.probabilities[kind] / max(1, len(places_of_kind(batch.arm, kind)))
-        for kind in kinds
-    ]
+    shares = [batch.sampler.probabilities[kind] / kinds.count(kind) for kind in kinds]
     ranges = [difficulty.gap, difficulty.friction]
     ranges += [difficulty.contact_mode] * 2 + [difficulty.contact_damping] * 2 + [(0.0, 1.0)] * 2
     low, high = np.array(ranges).T

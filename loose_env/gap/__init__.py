@@ -34,7 +34,6 @@ from loose_env.gap.next_motion import (
     NextMotionSettings,
     choose_next,
     next_motion_lines,
-    read_next_motion,
     write_next_motion,
 )
 from loose_env.gap.output.corrected_model import write_model
@@ -127,7 +126,6 @@ __all__ = [
     "outlook",
     "pulled_words",
     "read_effects",
-    "read_next_motion",
     "read_result",
     "read_servo_arm",
     "read_source",

@@ -62,7 +62,6 @@ _CONTACTS = ("sliding 0.2%", "sliding 1%", "sliding 4%", "presliding 0.2%")
 """Ways in which dry friction turns at a reversal."""
 _BAND_HZ = 20.0
 """End of the band in which a motion and its forces are compared [Hz]: that of the fastest chirp."""
-_FINER = 8  # points on which commands act between two steps of a simulation
 _STEP = 1e-3  # relative step of derivatives by nominal parameters
 VISIBLE = (12.0, 160.0)
 """Visibility that a candidate must reach, and the largest that is considered [noise sd]."""
@@ -71,7 +70,7 @@ _INDISTINGUISHABLE_Z = 2.0
 Form = Literal["commands", "torques", "sampled"]
 """What a balance compares the needed forces with: those of the nominal drives for the commands,
 measured torques, or those of the nominal drives for commands as they act at the samples."""
-_FORMAT = "gap evidence 1"  # version of what is stored; a change of the computation changes it
+_FORMAT = "gap evidence 2"  # version of what is stored; a change of the computation changes it
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
 
@@ -315,9 +314,9 @@ def _played(arm: ServoArm, commands: Array, readings: Array) -> dict[Form, Measu
     torques[:, own] = low_passed(readings[:, joints:], _BAND_HZ, step)
     states = [filtered, rates(filtered, step), rates(filtered, step, 2)]
     position, speed, acceleration = (np.ascontiguousarray(x[::thin]) for x in states)
-    fine, every = arm.held(commands, _FINER), arm.parts * _FINER
-    given = low_passed(fine, _BAND_HZ, step / every)[:: thin * every]
-    seen = low_passed(fine[::every], _BAND_HZ, step)[::thin]
+    held, every = arm.held(commands), arm.parts
+    given = low_passed(held, _BAND_HZ, step / every)[:: thin * every]
+    seen = low_passed(held[::every], _BAND_HZ, step)[::thin]
     run = RunMotion(
         name="motion", form="forward", step=step * thin, position=position, speed=speed,
         acceleration=acceleration, derived=speed, readings=np.zeros((len(position), 0)),
@@ -443,11 +442,11 @@ class Along:
 
     def _stepped(self, effect: Effect, values: Array) -> Forces:
         """Change at the samples by an effect on the commands, which act in steps."""
-        every, sampled = self.arm.parts * _FINER, self.balances["sampled"]
+        every, sampled = self.arm.parts, self.balances["sampled"]
         thin = round(sampled.motion.step * self.arm.sensing.rate)
-        fine = self.arm.held(self.commands, _FINER)
-        time = np.arange(len(fine)) / (every * self.arm.sensing.rate)
-        acting = effect.command(time, fine, values)[::every]
+        held = self.arm.held(self.commands)
+        time = np.arange(len(held)) / (every * self.arm.sensing.rate)
+        acting = effect.command(time, held, values)[::every]
         acting = low_passed(acting, _BAND_HZ, 1.0 / self.arm.sensing.rate)[::thin]
         smooth = sampled.given - sampled.given_by(acting)
         nothing = np.zeros_like(smooth)

@@ -29,7 +29,7 @@ from loose_env.gap.core.residual import (
     responses,
     simulated,
 )
-from loose_env.gap.core.selection import Selection, SetFit
+from loose_env.gap.core.selection import Selection
 from loose_env.gap.core.tolerances import GapSettings
 from loose_env.gap.model.effects.inertia import payload_notes
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -173,11 +173,12 @@ def solve_gap(
         errors, played = simulated(answer, corrected)
         evidence = selection.evidence
         channels = [evidence.balance.channels[c.joint] for c in evidence.channels]
-        sides = [held_out_rms(selection, each).tolist() for each in (nominal, fit)]
+        sides = [held_out_rms(selection, each) for each in (nominal, fit)]
+        pairs = np.stack(sides, axis=1).tolist()
         gap = Gap(
-            before=pooled_rms(selection, nominal),
-            after=pooled_rms(selection, fit),
-            by_channel=dict(zip(channels, zip(*sides, strict=True), strict=True)),
+            before=pooled_rms(selection, sides[0]),
+            after=pooled_rms(selection, sides[1]),
+            by_channel=dict(zip(channels, map(tuple, pairs), strict=True)),
             by_quantity=force_errors(answer, before, after) | errors,
         )
         result = GapResult(
@@ -296,10 +297,10 @@ def _verdict(answer: Answer) -> Verdict:
     return "unexplained" if any(joint.after > LARGE for joint in left) else "no_gap"
 
 
-def pooled_rms(selection: Selection, fit: SetFit) -> float:
-    """Held-out residual of a fitted set over the values of all channels."""
+def pooled_rms(selection: Selection, rms: Array) -> float:
+    """Residual over the values of all channels, of that of each one (C,)."""
     counts = np.array([c.count.sum() for c in selection.evidence.channels])
-    return float(np.sqrt(np.sum(counts * held_out_rms(selection, fit) ** 2) / counts.sum()))
+    return float(np.sqrt(np.sum(counts * rms**2) / counts.sum()))
 
 
 def named_effect(found: Finding) -> NamedEffect:
@@ -363,7 +364,7 @@ def _advice(
         return ""
     channel = answer.selection.evidence.channels[number]
     runs = answer.selection.evidence.balance.motion.runs
-    excess = answer.decision.fit.left[number] - channel.count
+    excess = answer.decision.fit.powers[number] - channel.count
     by_run = np.bincount(channel.run, excess)
     turns, at = np.unique(channel.turn, return_inverse=True)
     loudest = turns[int(np.argmax(np.bincount(at, excess)))] / (2 * np.pi)

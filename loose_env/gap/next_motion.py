@@ -39,8 +39,6 @@ from loose_env.io import (
     NonNegative,
     Positive,
     json_text,
-    restored,
-    whole_of,
     write_text,
 )
 from loose_env.recording import Recording, Run, table_of, write_csv, write_parquet
@@ -737,18 +735,6 @@ def write_next_motion(folder: Path, motion: NextMotion, run: Run) -> list[Path]:
     write_parquet(files[1], table)
     write_text(files[2], json_text(asdict(motion)))
     return files
-
-
-def read_next_motion(file: Path) -> NextMotion:
-    """Read ``next_motion.json``.
-
-    Raises
-    ------
-    InvalidData
-        If it is none of the format.
-    """
-    whole = whole_of(file.read_text(encoding="utf-8"), format=FORMAT, noun="next motion")
-    return restored(NextMotion, whole, "next motion")
 
 
 def next_motion_lines(motion: NextMotion) -> list[str]:

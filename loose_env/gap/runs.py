@@ -144,14 +144,6 @@ class Trial:
         """Mean sample rate [1/s]."""
         return (len(self.time) - 1) / float(self.time[-1])
 
-    def finer(self, parts: int) -> Trial:
-        """Copy with every step divided into a number of substeps."""
-        if parts == 1:
-            return self
-        steps = (self.steps - 1) * parts + 1
-        controls = np.repeat(self.controls, parts, axis=0)[:steps]
-        return replace(self, step=self.step / parts, steps=steps, controls=controls)
-
     def between(self, first: int, last: int) -> Trial:
         """Window of the run, from one sample to before another; its initial state is not known.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +19,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.model.hypothesis import Hypothesis, NominalParameters
 from loose_env.gap.model.nominal_model import NominalModel, mass_matrix
 from loose_env.gap.runs import Channel, Trial
-from loose_env.gap.simulator import Simulator, changes_within
+from loose_env.gap.simulator import Simulator
 from loose_env.io import Checked, Count, Positive, Rule
 from loose_env.typing import Array, IndexArray
 
@@ -376,32 +376,20 @@ class ServoArm(Checked):
             Positions and torques; NaN where the simulation diverged.
         """
         simulator = Simulator(self.machine, [self._trial(commands)], self.channels, threads=1)
-
-        def predicted(hypothesis: Hypothesis) -> Array:
-            return simulator.predict([hypothesis])[0][0]
-
-        found = predicted(hypothesis)
-        if changes_within(self.machine, hypothesis, self.channels):
-            # what shifts commands is read at other moments of a step: only its difference from the
-            # same machine without effects, read alike, is the effect
-            plain = hypothesis.with_effects([])
-            alike = replace(plain, stepped_as=hypothesis.effects)
-            found = found - predicted(alike) + predicted(plain)
-        return found
+        return simulator.predict([hypothesis])[0][0]
 
     @property
     def parts(self) -> int:
         """Steps of a simulation from sample to sample."""
         return round(1.0 / (self.sensing.rate * float(self.machine.model.opt.timestep)))
 
-    def held(self, commands: Array, finer: int = 1) -> Array:
-        """Commands that act, held, at the steps of a simulation or finer (n · parts · finer, nu).
+    def held(self, commands: Array) -> Array:
+        """Commands that act, held, at the steps of a simulation (n · parts, nu).
 
         Each acts from half-way between two samples on, so that sensors are read in the middle of it
         and no small delay decides whether they see the old or the new one.
         """
-        given = np.repeat(self.controls(commands), self.parts * finer, axis=0)
-        late = self.parts // 2 * finer
+        given, late = np.repeat(self.controls(commands), self.parts, axis=0), self.parts // 2
         return np.concatenate([np.repeat(given[:1], late, axis=0), given])[: len(given)]
 
     def _trial(self, commands: Array) -> Trial:

@@ -11,7 +11,7 @@ import numpy as np
 
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.core.catalogue import Term, shapes, shows, terms_of
-from loose_env.gap.core.decision import Finding, decide
+from loose_env.gap.core.decision import Finding, decide, held_out_rms
 from loose_env.gap.core.evidence import append
 from loose_env.gap.core.find import evidence_of, silent
 from loose_env.gap.core.selection import SetFit
@@ -113,7 +113,7 @@ class GapSession:
     @property
     def held_out(self) -> float:
         """Residual on held-out data with what was added [noise standard deviations]."""
-        return pooled_rms(self.selection, self.fit)
+        return self._left(self.fit)
 
     @property
     def added(self) -> tuple[Effect, ...]:
@@ -149,7 +149,7 @@ class GapSession:
             best = min(fits, key=lambda f: (not f.allowed, f.total))
             found = decide(self.selection, best).findings
             finding = next(f for f in found if f.term not in self.fit.terms)
-            after = pooled_rms(self.selection, best)
+            after = self._left(best)
             return TriedEffect(finding=finding, before=self.held_out, after=after, fit=best)
 
     def add(self, tried: TriedEffect) -> None:
@@ -204,6 +204,9 @@ class GapSession:
         """
         source = self.recording.model_path
         return write_model(Path(path), self.balance.machine, self.hypothesis, source=source)
+
+    def _left(self, fit: SetFit) -> float:
+        return pooled_rms(self.selection, held_out_rms(self.selection, fit))
 
     def _number(self, joint: str) -> int:
         names = self.balance.machine.joints

@@ -3,8 +3,7 @@
 A hypothesis is a list of effects with their values. Its predictions are sensor values at the
 samples of the run, channel by channel.
 
-A step is simulated with the mean of a command over it. An accelerometer reads the instantaneous
-value: a servo's acceleration jumps with every command.
+A step is simulated with the mean of a command over it.
 
 MJCF cannot express torque terms and driven effects, so that Python applies them step by step. Under
 a Runge-Kutta method the term in the middle of the step is held over it, predicted from the
@@ -15,7 +14,7 @@ friction that depends on the drives' torques is set before each step from those 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from operator import attrgetter
@@ -28,7 +27,6 @@ from numpy.typing import NDArray
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import DrivenEffect, Readings
-from loose_env.gap.model.effects.sensors import is_position_or_speed
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import SETTLE, Channel, Trial, steady_activations
@@ -37,29 +35,13 @@ from loose_env.typing import Array, IndexArray
 State = tuple[Array, Array]
 """Positions and speeds of the machine's joints, (sims, joints) or (states, sims, joints) each."""
 _RUNGE_KUTTA = int(mujoco.mjtIntegrator.mjINT_RK4)
-_STATES = ("qpos", "qvel", "act")  # state of a simulation: positions, speeds and activations
 _WRITTEN = ("qpos", "qvel", "ctrl", "qfrc_applied")
 """What effects and the middle of a step are read from or written to."""
 _LOADS = ("qfrc_actuator", "qfrc_bias")
 """Forces of the drives, and of gravity and inertial coupling."""
-_PARTS = 2
-"""Parts of a step where commands change within it: a mean moves the speed rightly, and the place
-only as far as the change lies in the middle."""
 _AT_ONCE = 4_000_000
-"""Numbers of commands, readings and states that are held at a time, 32 MB; more where a thread
+"""Numbers of commands and readings that are held at a time, 32 MB; more where a thread
 would have no simulation."""
-
-
-def changes_within(
-    machine: NominalModel, hypothesis: Hypothesis, channels: Sequence[Channel]
-) -> bool:
-    """Return whether commands may change within a step, visible in a channel.
-
-    Positions and speeds follow the mean of a command.
-    """
-    if all(is_position_or_speed(machine, channel.column) for channel in channels):
-        return False
-    return any(effect.overrides("command_at") for effect in hypothesis.stepping)
 
 
 def _has_torque(hypothesis: Hypothesis) -> bool:
@@ -98,13 +80,6 @@ def _has_terms(hypothesis: Hypothesis) -> bool:
     return _has_torque(hypothesis) or bool(_driven(hypothesis))
 
 
-def _fed(driven: _Driven, command: Array, position: Array, speed: Array) -> Array:
-    """Commands (..., actuators) that reach the actuators in some states (..., joints)."""
-    for effect, values in driven:
-        command = effect.feedback(command, position, speed, values)
-    return command
-
-
 def _addresses(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[IndexArray, IndexArray]:
     """Addresses of joints in positions and in speeds (joints,)."""
     numbers = [model.joint(name).id for name in joints]
@@ -141,7 +116,7 @@ class _Stepped:
         fields = {name: batch.bind(name) for name in (*record, "qacc", *loads)}
         qpos, qvel, commands, applied = (batch.bind(name) for name in _WRITTEN)
         found = {name: np.empty((count, *batch.bind(name).shape)) for name in record}
-        read = [name for name in record if name not in _STATES]
+        read = [name for name in record if name != "qpos"]
         warned = np.array(batch.warning)
         step = float(self._option.timestep)
         looks_ahead = int(self._option.integrator) == _RUNGE_KUTTA
@@ -190,7 +165,10 @@ class _Stepped:
         found, (position, speed) = command.copy(), state
         for driven, own in self._groups:
             count = len(driven[0][0].machine.actuators)
-            found[own, :count] = _fed(driven, command[own, :count], position[own], speed[own])
+            given = found[own, :count]
+            for effect, values in driven:
+                given = effect.feedback(given, position[own], speed[own], values)
+            found[own, :count] = given
         return found
 
     def _set_friction(self, forces: Sequence[Array], speed: Array) -> None:
@@ -271,7 +249,6 @@ class _Slot:
     hypothesis: Hypothesis  # What is simulated
     trial: Trial  # The run
     model: mujoco.MjModel  # Model of the hypothesis
-    parts: int  # Number of substeps of each step of the run
 
 
 class Simulator:
@@ -312,20 +289,18 @@ class Simulator:
 
     def _slots(self, hypothesis: Hypothesis) -> list[_Slot]:
         """Simulations of every run under a hypothesis."""
-        parts = _PARTS if changes_within(self.machine, hypothesis, self.channels) else 1
 
         @cache
         def model(step: float, released: bool) -> mujoco.MjModel:
-            return hypothesis.model(self.machine, step / parts, released=released)
+            return hypothesis.model(self.machine, step, released=released)
 
-        return [_Slot(hypothesis, t, model(t.step, t.form == "free"), parts) for t in self.trials]
+        return [_Slot(hypothesis, t, model(t.step, t.form == "free")) for t in self.trials]
 
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:
         """Key of the motion: hypotheses that differ in readings alone share it."""
         return (
             hypothesis.factors.tobytes(),
-            tuple(map(id, hypothesis.stepped_as)),
             *(
                 (id(effect), values.tobytes())
                 for effect, values in hypothesis.pairs
@@ -338,14 +313,13 @@ class Simulator:
         terms, trial = _has_terms(slot.hypothesis), slot.trial
         joints = slot.model.jnt_bodyid.tobytes(), slot.model.body_parentid.tobytes()
         sizes = tuple(getattr(slot.model, name, 0) for name in _SIZES)
-        steps = trial.step, terms or trial.steps, slot.parts
+        steps = trial.step, terms or trial.steps
         return sizes, joints, steps, trial.form, trial.resting
 
     def _at_once(self, slots: Sequence[_Slot]) -> int:
         """Number of simulations that fit into the memory of `_AT_ONCE`, one a thread at least."""
-        model, parts = slots[0].model, slots[0].parts
-        width = model.nsensordata + parts * (model.nu + model.nq + model.nv + model.na)
-        each = max(slot.trial.steps for slot in slots) * max(width, 1)
+        model = slots[0].model
+        each = max(slot.trial.steps for slot in slots) * max(model.nsensordata + model.nu, 1)
         return int(max(self.threads or os.cpu_count() or 1, _AT_ONCE // each))
 
     def _simulate(self, slots: list[_Slot]) -> list[Array]:
@@ -354,8 +328,7 @@ class Simulator:
         batch.set_models([slot.model for slot in slots])
         terms = any(_has_terms(slot.hypothesis) for slot in slots)
         moved = _Stepped(batch, self.machine.joints, slots) if terms else batch
-        parts = slots[0].parts
-        first = max((slot.trial for slot in slots), key=lambda trial: trial.steps).finer(parts)
+        first = max((slot.trial for slot in slots), key=lambda trial: trial.steps)
         steps, settle = first.steps, round(SETTLE / first.step)
         controls = np.zeros((len(slots), steps, slots[0].model.nu))
         clock: Array = np.arange(steps, dtype=float) * first.step
@@ -365,7 +338,7 @@ class Simulator:
             places, dofs = _addresses(slot.model, self.machine.joints)
             qpos[k] = slot.model.qpos0
             qpos[k, places], qvel[k, dofs] = slot.trial.position, slot.trial.speed
-            values = slot.trial.finer(parts).controls
+            values = slot.trial.controls
             count = len(values)
             for effect, own in slot.hypothesis.pairs:
                 values = effect.command(clock[:count], values, own)
@@ -376,46 +349,9 @@ class Simulator:
         if slots[0].trial.resting and settle:
             # the clock runs on, since delayed commands are stored by time
             _advance(moved, np.repeat(controls[:, :1], settle, axis=1), diverged, ("qpos",))
-        # where a command changes within a step, sensors are recomputed
-        names = _STATES if parts > 1 else ()
-        before = {name: np.array(getattr(batch, name))[:, None] for name in names}
-        records = _advance(moved, controls, diverged, ("sensordata", *names))
-        kept = records["sensordata"][:, ::parts]
-        begun = {n: np.concatenate([before[n], records[n][:, :-1]], axis=1) for n in names}
-        for k in np.flatnonzero(~diverged).tolist() if names else ():
-            count = slots[k].trial.steps
-            passed = {name: found[k, : count * parts] for name, found in begun.items()}
-            kept[k, :count] = self._reread(slots[k], passed)
+        kept = _advance(moved, controls, diverged, ("sensordata",))["sensordata"]
         kept[diverged] = np.nan
         return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
-
-    def _reread(self, slot: _Slot, states: Mapping[str, Array]) -> Array:
-        """Sensor values (T, sensors) with the commands at the moments of the samples.
-
-        The states are those before each substep.
-        """
-        commands = slot.trial.controls
-        clock: Array = np.arange(len(commands), dtype=float) * slot.trial.step
-        for effect, own in slot.hypothesis.pairs:
-            commands = effect.command_at(clock, commands, own)
-        at_steps = {name: found[:: slot.parts] for name, found in states.items()}
-        return self._readings(slot, at_steps, commands)
-
-    def _readings(self, slot: _Slot, states: Mapping[str, Array], controls: Array) -> Array:
-        """Sensor values in some states with instantaneous commands (T, sensors)."""
-        batch = Batch(slot.model, len(controls), self.threads)
-        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
-        sensed = batch.bind("sensordata")
-        for name, values in states.items():
-            getattr(batch, name)[:] = values
-        if _has_terms(slot.hypothesis):
-            places, dofs = _addresses(slot.model, self.machine.joints)
-            at = states["qpos"][:, places], states["qvel"][:, dofs]
-            controls = _fed(_driven(slot.hypothesis), controls, *at)
-            batch.qfrc_applied[:, dofs] = _torque_terms(slot.hypothesis, *at)
-        batch.ctrl[:, : controls.shape[1]] = controls
-        batch.forward()
-        return np.array(sensed)
 
     def _columns(
         self, hypothesis: Hypothesis, model: mujoco.MjModel, whole: Array, trial: Trial

@@ -522,9 +522,12 @@ class Roles:
         self._try_exchange([(a, b) for a in poor for b in labelled if a != b])
         found = [[self._explained(j, s) for s in candidates] for j in joints]
         named = [self._role(s) in ("torque", "current") for s in candidates]
+        # A torque is of the joint that its name or its place in a vector tells, or of none.
+        own = [self.labels.joint(s) or self.places.get(s.sort, "") for s in candidates]
         table = np.array(
-            [[abs(t.whole if named[k] else t.alone) for k, t in enumerate(row)] for row in found]
-        ).reshape(len(joints), len(candidates))
+            [[abs(t.whole if named[k] else t.alone) * (own[k] in ("", joint))
+              for k, t in enumerate(row)] for joint, row in zip(joints, found, strict=True)]
+        ).reshape(len(joints), len(candidates))  # fmt: skip
         chosen: list[tuple[JointTarget, Signal, Torque, bool]] = []
         for i, k in self._assigned(table, joints, candidates, "torque"):
             joint, s, told = joints[i], candidates[k], found[i][k]
@@ -538,15 +541,15 @@ class Roles:
                 chosen.append((self.joints[joint], s, told, True))
             elif table[i, k] > max(0.6, motion):
                 chosen.append((self.joints[joint], s, told, False))
-        bare = sum(not own for *_, own in chosen)
+        bare = sum(not told for *_, told in chosen)
         self.sure = {
             ("loads",) if s.sort in self.loads else (s.source, s.meaning.vector)
             for _, s, told, _ in chosen
             if abs(told.alone) >= _TRUSTED and 1 / _SAME_UNIT < told.per < _SAME_UNIT
         }
-        for target, s, told, own in chosen:
-            if own or 2 * bare >= len(joints):  # one of many without a name is chance
-                self._add_torque(target, s, told, named=own)
+        for target, s, told, by_name in chosen:
+            if by_name or 2 * bare >= len(joints):  # one of many without a name is chance
+                self._add_torque(target, s, told, named=by_name)
 
     def _torques_by_name(self, candidates: Sequence[Signal]) -> None:
         for s in candidates:

@@ -17,7 +17,7 @@ from loose_env.cli.command import command, one_of
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = {
     "gap": ROOT / "loose_env/gap/core",
-    "doctor": ROOT / "loose_env/doctor/thresholds.py",
+    "doctor": ROOT / "loose_env/doctor",
     "instrument": ROOT / "loose_env/instrument/decide.py",
 }
 """Part -> the module of its thresholds, or the folder of such."""

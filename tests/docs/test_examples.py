@@ -171,12 +171,7 @@ def test_the_page_s_files_become_a_recording(
 
 def test_the_page_s_pieces_of_mappings_are_read(tmp_path: Path) -> None:
     texts = [b.text for b in blocks(ROOT / "docs" / "recordings.md") if b.language == "toml"]
-    first, more_runs, session, align = texts
-    (tmp_path / "session.toml").write_text(session)
-    assert [run.file for run in read_mapping(tmp_path / "session.toml").runs] == [
-        "run-01",
-        "run-02",
-    ]
+    first, more_runs, align = texts
     whole = tomllib.loads(first + more_runs)
     whole["sources"] |= tomllib.loads(align)["sources"] | {"robot": {}}
     for column in whole["columns"].values():

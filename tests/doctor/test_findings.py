@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from loose_env.doctor import DoctorSettings, Finding, Report, examine
 from loose_env.errors import InvalidSetting
@@ -165,6 +166,38 @@ def test_late_commands_are_told_from_late_readings(machines: dict[str, Recording
     wrong = with_controls(machines["motor"], lambda v: late(v - v.mean(), 0.004) + v.mean())
     (found,) = examine(wrong).findings
     assert "torques and commands are 4.0 ms late" in found.found
+
+
+def test_joints_that_move_before_their_commands_are_told(servo: Recording) -> None:
+    rng, time = np.random.default_rng(2), np.arange(4000) / 200
+    slow = signal.butter(2, (0.3, 5.0), "bandpass", fs=200, output="sos")
+    path = 0.2 * signal.sosfiltfilt(slow, rng.normal(size=4100))
+    path /= 5 * path.std()
+
+    def moved(by: int) -> Run:  # the motion, and commands logged some rows later
+        given = {f"m_{j}": path[50 - by : 4050 - by] for j in JOINTS}
+        read = {f"q_{j}": path[50:4050] + 1e-4 * rng.normal(size=4000) for j in JOINTS}
+        return Run(name="a.csv", time=time, controls=given, sensors=read)
+
+    (found,) = [f for f in examine(replace(servo, runs=(moved(4),))).findings if f.check == "clock"]
+    assert "move before their commands: 20.0 ms early" in found.found
+    assert found.severity == "warning" and found.value == pytest.approx(-0.02, abs=1e-4)
+    assert not [
+        f for f in examine(replace(servo, runs=(moved(-4),))).findings if f.check == "clock"
+    ]
+
+
+def resonant(values: Array) -> Array:
+    """Reading behind a resonance of 25 Hz, as of a compliant link."""
+    w = 2 * np.pi * 25.0
+    ringing = signal.bilinear([w**2], [1.0, 0.1 * w, w**2], 1000.0)
+    mean = values.mean(axis=0)
+    return mean + signal.lfilter(*ringing, values - mean, axis=0)
+
+
+def test_a_resonance_is_no_offset_of_clocks(servo: Recording) -> None:
+    report = examine(with_sensors(servo, "acc", resonant))
+    assert not [one.found for one in report.findings if one.check == "clock"]
 
 
 def test_torques_in_another_unit_than_the_commands_are_told(machines: dict[str, Recording]) -> None:

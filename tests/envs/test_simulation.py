@@ -32,6 +32,7 @@ def test_records_are_those_of_the_environment_whatever_the_batch() -> None:
 
 def test_a_loose_link_shows_and_the_prior_knows_its_bounds() -> None:
     prior, simulate = loose_env.simulator("loose_env/Planar-v0", **SHORT)
+    np.testing.assert_allclose(prior.probabilities, np.array([2, 1, 1, 1, 1]) / 6)  # of each kind
     theta = prior.sample(np.random.default_rng(0), 200)
     assert np.isfinite(prior.log_prob(theta)).all()
     outside = theta.copy()

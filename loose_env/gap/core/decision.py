@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log
 from typing import Literal
 
@@ -84,9 +84,9 @@ class Decision:
     """Probability, kind and location of effects outside the set."""
 
 
-def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) -> Decision:
+def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> Decision:
     """Say what of a pruned set is named, with the values of an exact fit if there is one."""
-    gains = _gains(selection, fit.terms, fit.powers)
+    gains = _gains(selection, fit)
     near, weights = _near(selection, fit)
     chances: dict[tuple[str, str], float] = {}
     for names, weight in zip(near, weights, strict=True):
@@ -104,11 +104,11 @@ def decide(selection: Selection, fit: SetFit, exact: Sequence[ExactFit] = ()) ->
         values = term.values(x)
         ends = _ends(term, x, covariance[np.ix_(own, own)])
         ends = _with_shapes(selection, fit, term, ends)
-        if exact:
+        if exact is not None:
             # the values of the simulation, as uncertain as there or as the cells disagree
             wide = (ends.max(axis=0) - ends.min(axis=0)) / 2
-            values = exact[0].values[number]
-            ends = np.stack([*_simulated_ends(exact[0], number), values - wide, values + wide])
+            values = exact.values[number]
+            ends = np.stack([*_simulated_ends(exact, number), values - wide, values + wide])
         z = float(np.max(np.abs(x) / sd))
         by_run, by_stretch = (float(g[number]) for g in gains)
         alike = _confusable(selection, term, chances)
@@ -238,7 +238,7 @@ def _simulated_gains(selection: Selection, exact: Exact, fit: ExactFit) -> tuple
 def pruned(selection: Selection, fit: SetFit) -> SetFit:
     """Drop members that do not help on data they were not fitted to, the worst first."""
     while fit.terms:
-        by_run, by_stretch = _gains(selection, fit.terms, fit.powers)
+        by_run, by_stretch = _gains(selection, fit)
         low, high = np.minimum(by_run, by_stretch), np.maximum(by_run, by_stretch)
         gain = np.where(low < CONTRADICTED, low, high)
         worst = int(np.argmin(gain))
@@ -275,39 +275,33 @@ def folds_of(selection: Selection, terms: Set) -> list[list[list[NDArray[np.bool
 
 
 def _held_out(
-    selection: Selection,
-    terms: Set,
-    powers: Sequence[Array],
-    folds: Iterable[Sequence[NDArray[np.bool_]]],
+    selection: Selection, fit: SetFit, folds: Sequence[Sequence[NDArray[np.bool_]]]
 ) -> float:
     """Minus twice the log likelihood of held-out cells, fitted to the others."""
-    total, folds = 0.0, list(folds)
-    tolerances = slice(0, selection.evidence.tolerances)
+    total, tolerances = 0.0, slice(0, selection.evidence.tolerances)
     for held in folds:
-        fit = selection.on([~h for h in held]).fit(terms, powers, 3)
-        total += selection.on(held).score(fit)
-        total += float(fit.values[tolerances] @ fit.values[tolerances]) / len(folds)
+        own = selection.without(held, fit)
+        total += selection.on(held).score(own)
+        total += float(own.values[tolerances] @ own.values[tolerances]) / len(folds)
     return total
 
 
 def held_out_gain(selection: Selection, before: SetFit, after: SetFit) -> float:
     """Rise of twice the log likelihood of held-out stretches from one set to another."""
     halves = folds_of(selection, after.terms)[-1]
-    costs = (_held_out(selection, fit.terms, fit.powers, halves) for fit in (before, after))
+    costs = (_held_out(selection, fit, halves) for fit in (before, after))
     return next(costs) - next(costs)
 
 
-def _gains(selection: Selection, terms: Set, powers: Sequence[Array]) -> tuple[Array, Array]:
+def _gains(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
     """Rise of twice the held-out log likelihood with each member, by runs and by stretches."""
-    found = []
-    for folds in folds_of(selection, terms):
-        whole = _held_out(selection, terms, powers, folds)
-        without = [
-            _held_out(selection, tuple(t for t in terms if t is not term), powers, folds)
-            for term in terms
-        ]
-        found.append(np.array(without) - whole)
-    return found[0], found[1]
+    rests = (tuple(t for t in fit.terms if t is not term) for term in fit.terms)
+    sets = [fit, *(replace(fit, terms=rest) for rest in rests)]
+    one, other = (
+        np.array([_held_out(selection, own, folds) for own in sets])
+        for folds in folds_of(selection, fit.terms)
+    )
+    return one[1:] - one[0], other[1:] - other[0]
 
 
 def _near(selection: Selection, fit: SetFit) -> tuple[list[set[tuple[str, str]]], Array]:
@@ -478,8 +472,8 @@ def held_out_rms(selection: Selection, fit: SetFit) -> Array:
     channels = selection.evidence.channels
     total, count = np.zeros(len(channels)), np.zeros(len(channels))
     for held in folds_of(selection, fit.terms)[0]:
-        own = selection.on([~h for h in held]).fit(fit.terms, fit.powers, 3)
-        for k, (channel, power) in enumerate(zip(channels, own.left, strict=True)):
+        own = selection.without(held, fit)
+        for k, (channel, power) in enumerate(zip(channels, own.powers, strict=True)):
             total[k] += power[held[k]].sum()
             count[k] += channel.count[held[k]].sum()
     return np.asarray(np.sqrt(total / count))

@@ -60,6 +60,7 @@ class Channel:
     slope: Array = field(init=False)  # Products with the residual (C, K)
     square: Array = field(init=False)  # Products of each column with itself (C, K)
     power: Array = field(init=False)  # Residual sums of squares (C,)
+    tolerances: Array = field(init=False)  # Products of the first columns, tolerances (C, K, K)
 
     def __post_init__(self) -> None:
         """Sum products over each cell."""
@@ -67,10 +68,16 @@ class Channel:
         self.slope = self.by_cell(self.rows * self.residual[:, None])
         self.square = self.by_cell(self.rows**2)
         self.power = self.by_cell(self.residual**2)
+        self.tolerances = self.by_products(self.rows, self.rows)
 
     def by_cell(self, values: Array) -> Array:
         """Sums of rows over each cell."""
         return np.asarray(np.add.reduceat(values, self.first, axis=0))
+
+    def by_products(self, left: Array, right: Array) -> Array:
+        """Products of rows of some columns with others, summed over each cell (C, left, right)."""
+        ends = zip(self.first, [*self.first[1:], len(left)], strict=True)
+        return np.stack([left[a:b].T @ right[a:b] for a, b in ends])
 
     def products(self, weight: Array, left: NDArray[np.intp], right: NDArray[np.intp]) -> Array:
         """Weighted products of some columns of its own with others, summed over cells."""
@@ -114,7 +121,7 @@ class Evidence:
                 at = [np.flatnonzero(channel.columns == k) for k in columns]
                 place = np.array([i for i, own in enumerate(at) if len(own)], dtype=int)
                 rows = channel.rows[:, [int(own[0]) for own in at if len(own)]]
-                found.append((place, channel.by_cell(rows[:, :, None] * rows[:, None, :])))
+                found.append((place, channel.by_products(rows, rows)))
             self._products[columns] = found
         return self._products[columns]
 

@@ -361,23 +361,6 @@ def _windows(trial: Trial, balance: Balance, trials: int, *, between: bool) -> l
     return found
 
 
-def stepped(effects: Iterable[Effect]) -> bool:
-    """Whether simulations step all effects: none has a memory of its way."""
-    return not any(effect.has_memory for effect in effects)
-
-
-def leading(selection: Selection, fit: SetFit, most: int = 4) -> list[SetFit]:
-    """The answer and the best sets of other effects that were visited, if simulations step them."""
-    names: set[frozenset[tuple[str, str]]] = set()
-    found = []
-    for other in (fit, *sorted(selection.fits.values(), key=lambda f: f.total)):
-        own = frozenset(term.name for term in other.terms)
-        if other.allowed and stepped(t.effect for t in other.terms) and own not in names:
-            names.add(own)
-            found.append(other)
-    return found[:most]
-
-
 def open_joints(exact: Exact, nominal: ExactFit, best: ExactFit, cells: Iterable[int]) -> set[str]:
     """Joints of some that cells leave open, of whose motion a set leaves much open, too."""
     found, by_joint = set(), exact.by_joint()

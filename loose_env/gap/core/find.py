@@ -13,7 +13,6 @@ from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import Balance, scaled
 from loose_env.gap.core.catalogue import catalogue
 from loose_env.gap.core.decision import (
-    HELD_OUT,
     Decision,
     by_runs,
     decide,
@@ -22,7 +21,7 @@ from loose_env.gap.core.decision import (
     pruned,
 )
 from loose_env.gap.core.evidence import whiten
-from loose_env.gap.core.exact import Exact, ExactFit, leading, open_joints, pool_of
+from loose_env.gap.core.exact import Exact, ExactFit, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, smooth
 from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.core.tolerances import GapSettings, nuisances
@@ -55,7 +54,7 @@ class Answer:
     decision: Decision
     """Effects and verdicts."""
     exact: tuple[ExactFit, ...]
-    """Leading sets in full simulation, the answer first; empty for torque logs."""
+    """Sets in full simulation, the best first; empty where cells leave nothing open."""
 
 
 def find_gap(
@@ -85,9 +84,9 @@ def find_gap(
         best = pruned(selection, selection.best())
         best = by_runs(selection, best)
         left = left_open(selection, best)
-        # simulations have one model for all runs
-        differ = any(term.effect.mountings for term in best.terms)
-        stepped = settings.simulate and not differ and not selection.evidence.balance.released.any()
+        # simulations have one model for all runs, and step no memory of a way
+        stepped = not any(t.effect.mountings or t.effect.has_memory for t in best.terms)
+        stepped &= settings.simulate and not selection.evidence.balance.released.any()
         if left and stepped:
             decision, fits = _simulated(used, selection, best, left, settings, say)
         else:
@@ -108,15 +107,9 @@ def _simulated(
     say: Say,
 ) -> tuple[Decision, tuple[ExactFit, ...]]:
     """Decide in simulation where the cells leave channels open; the sets, the best first."""
+    say("exact fit in full simulation")
     exact = Exact(recording, selection.evidence.balance, threads=settings.threads)
-    sets = [pruned(selection, own) for own in leading(selection, best)] or [selection.solve(())]
-    cells = {frozenset(own.terms): own for own in reversed(sets)}
-    say(f"exact fits: {len(cells)} sets of effects in full simulation")
-    fits = [exact.fit(selection, own) for own in cells.values()]
-    # where simulations are as good, the cells decide, which know all tolerances
-    least = min(f.total for f in fits) + HELD_OUT
-    fits.sort(key=lambda f: (f.total > least, cells[frozenset(f.terms)].total))
-    best = cells[frozenset(fits[0].terms)]
+    fits = [exact.fit(selection, best)]
     nominal = exact.fit(selection, selection.solve(()))
     joints = open_joints(exact, nominal, fits[0], left)
     exact = exact.beside(selection, best)
@@ -134,7 +127,7 @@ def _simulated(
         fits.sort(key=lambda f: f.total)
     else:
         say("decision on held-out data")
-        decision = decide(selection, best, fits[:1])
+        decision = decide(selection, best, fits[0])
         if all(each.verdict != "unexplained" for each in decision.joints):
             return decision, tuple(fits)
     say("decision on held-out runs in simulation")

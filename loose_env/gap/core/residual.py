@@ -14,7 +14,7 @@ from loose_env.arms import quiet
 from loose_env.gap.core.balance import Balance
 from loose_env.gap.core.decision import folds_of
 from loose_env.gap.core.evidence import stretches_of, weight_of
-from loose_env.gap.core.exact import Exact, stepped
+from loose_env.gap.core.exact import Exact
 from loose_env.gap.core.find import Answer
 from loose_env.gap.core.motion import Motion, smooth
 from loose_env.gap.core.selection import Selection, SetFit
@@ -47,7 +47,7 @@ def left_by(selection: Selection, fit: SetFit) -> Array:
     found, stretches = balance.residual.copy(), stretches_of(balance)
     parts = balance.motion.split(found)  # views
     for held in folds_of(selection, fit.terms)[0]:
-        own = selection.on([~h for h in held]).fit(fit.terms, fit.powers, 3)
+        own = selection.without(held, fit)
         whole = balance.motion.split(_remainder(selection, own))
         for k in {int(s) for c, h in zip(channels, held, strict=True) for s in c.stretch[h]}:
             run, rows = stretches[k]
@@ -241,7 +241,7 @@ def simulated(
     effect has a memory.
     """
     balance = answer.selection.evidence.balance
-    if balance.released.any() or not stepped(corrected.effects):
+    if balance.released.any() or any(effect.has_memory for effect in corrected.effects):
         return {}, None
     recording = answer.recording
     with quiet():

@@ -43,8 +43,6 @@ _LEVELS, _KEPT, _STARTS = 3, 4, 3
 _SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
-_MISSED = (0.0, *(2.0**-k for k in range(7, -1, -1)))
-"""Squared shares of the tolerance of laws that are tried."""
 _SIZES = 10.0  # widths of the prior of a size that values are given
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)  # relative steps in which shapes are refined
 
@@ -59,8 +57,7 @@ class SetFit:
     numbers: NDArray[np.intp]  # Columns in the fit: tolerances first
     values: Array  # Their coefficients
     powers: tuple[Array, ...]
-    """Noise, discrepancy and what laws miss in each cell, channel by channel, as weights see it."""
-    left: tuple[Array, ...]  # Residual sum of squares of each cell, in units of its noise
+    """Residual sum of squares of each cell, channel by channel, in units of its noise."""
     costs: tuple[Array, ...]  # Minus twice the log likelihood of each cell
     normal: Array  # Precision of the coefficients
     cost: float  # Minus twice the log evidence
@@ -149,6 +146,10 @@ class Selection:
         found.used, found.fits = list(used), {}
         return found
 
+    def without(self, held: Sequence[NDArray[np.bool_]], fit: SetFit) -> SetFit:
+        """A set, fitted to all cells but those that are held out."""
+        return self.on([~cells for cells in held]).fit(fit.terms, fit.powers, 3)
+
     def sized(self, fit: SetFit) -> tuple[Selection, SetFit]:
         """A set with hardly any prior of sizes: how large an effect is, once it is there.
 
@@ -181,7 +182,7 @@ class Selection:
         """Fit a set by reweighted least squares."""
         evidence, numbers = self.evidence, self.columns(terms)
         precision, centre = evidence.precision[numbers], evidence.centre[numbers]
-        parts = [_part(channel, numbers, evidence.inexact) for channel in evidence.channels]
+        parts = [_part(channel, numbers) for channel in evidence.channels]
         powers = [c.power for c in evidence.channels] if start is None else list(start)
         best, stale, found = np.inf, 0, np.zeros(len(numbers))
         shrunk = [np.zeros(len(c.count), bool) for c in evidence.channels]
@@ -210,7 +211,7 @@ class Selection:
             scale = 1 / np.sqrt(np.diag(normal))
             found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
             now = self._levels(parts, numbers, found)
-            costs = sum(c[used].sum() for c, used in zip(now[2], self.used, strict=True))
+            costs = sum(c[used].sum() for c, used in zip(now[1], self.used, strict=True))
             value = float(costs + precision @ (found - centre) ** 2)
             powers, stale = list(now[0]), stale + 1
             if value < best - 0.05 or round_ == 0:
@@ -233,24 +234,18 @@ class Selection:
 
     def _levels(
         self, parts: Sequence[_Part], numbers: NDArray[np.intp], values: Array
-    ) -> tuple[tuple[Array, ...], tuple[Array, ...], tuple[Array, ...]]:
-        """Powers, residuals and costs of all cells, in units of the noise of the fitted operator.
+    ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Powers and costs of all cells, in units of the noise of the fitted operator.
 
         A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
-        drive that holds less, whose discrepancy stays the same motion. What the laws of effects
-        miss is no discrepancy, down to what chance leaves.
+        drive that holds less, whose discrepancy stays the same motion.
         """
         evidence = self.evidence
         operator = evidence.balance.operator + np.tensordot(values, evidence.operators[numbers], 1)
         found = []
         for k, (channel, part) in enumerate(zip(evidence.channels, parts, strict=True)):
             own, count = values[part.at], channel.count
-            missed = part.missed * own
-            left = channel.residual[:, None] * [1.0, 0.0] - part.rows @ np.stack([own, missed], 1)
-            power, lawless = channel.by_cell(left**2).T
-            # the turn of a friction differs in any band
-            among = np.bincount(channel.stretch, lawless) / np.bincount(channel.stretch, count)
-            lawless = np.maximum(lawless, count * among[channel.stretch])
+            power = channel.by_cell((channel.residual - part.rows @ own) ** 2)
             bands, at = self._bands[k]
             now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
@@ -258,27 +253,10 @@ class Selection:
             held = max(1.0 + float(part.held @ own), 0.0) ** 2
             scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
             excess = np.maximum((power - count * ratio) / scale, -count)
-            beyond, wide, costs = self._explained(k, excess, lawless)
-            seen = count + np.where(excess < 0, excess, beyond + wide * self.values[k])
-            found.append((seen, count + excess, costs))
-        return tuple(f[0] for f in found), tuple(f[1] for f in found), tuple(f[2] for f in found)
-
-    def _explained(self, channel: int, excess: Array, lawless: Array) -> tuple[Array, Array, Array]:
-        """Discrepancy of each cell beyond what laws miss, what they miss over noise, and costs.
-
-        How far laws are missed is one number of a channel, from nothing to the tolerance.
-        """
-        count, values, used = (
-            self.evidence.channels[channel].count, self.values[channel], self.used[channel],
-        )  # fmt: skip
-        chance = np.minimum(np.maximum(excess, 0.0), np.sqrt(2 * count))
-        tried = []
-        for share in _MISSED if np.any(lawless) else _MISSED[:1]:
-            wide = share * lawless
-            beyond = np.maximum(excess - wide, chance)
-            costs = values * np.log1p(beyond / values) + few(count) * np.log1p(wide / count)
-            tried.append((beyond, wide / count, costs))
-        return min(tried, key=lambda one: float(one[2][used].sum()))
+            level = self.values[k]
+            costs = level * np.log1p(np.maximum(excess, 0.0) / level)
+            found.append((count + excess, costs))
+        return tuple(power for power, _ in found), tuple(cost for _, cost in found)
 
     # ---- many sets at fixed weights
 
@@ -351,7 +329,7 @@ class Selection:
             if not term.law and not term.effect.drives and term.contact in ("", USUAL):
                 pool.setdefault(term.name, term)
         start = [channel.count for channel in self.evidence.channels]
-        return self.fit(tuple(pool.values()), start).left
+        return self.fit(tuple(pool.values()), start).powers
 
     def best(self) -> SetFit:
         """Best set of searches from several starts, with the shapes of its laws refined."""
@@ -682,6 +660,7 @@ class _Form:
             noises.append(weight * np.minimum(channel.count, power))
         self.growth, self.noise = np.concatenate(growths), np.concatenate(noises)
         self._beside: dict[int, Array] = {}
+        self._around: dict[tuple[int, ...], Array] = {}
         self._covered: tuple[NDArray[np.intp], Array] | None = None
         self._fit_noise = None if fit is None else _Noise(self, fit.numbers, fit.values)
         if self._fit_noise is not None:
@@ -704,14 +683,16 @@ class _Form:
 
     def around(self, columns: NDArray[np.intp]) -> Array:
         """Normal matrix of the columns of a term around the fitted set."""
-        found = np.diag(self._evidence.precision[columns])
-        own = self._evidence.products_of(tuple(columns.tolist()))
-        parts = zip(own, self._weights, strict=True)
-        for (place, products), weight in parts:
-            found[np.ix_(place, place)] += np.tensordot(weight, products, 1)
-        return (
-            found if self._fit_noise is None else found + self._fit_noise.between(columns, columns)
-        )
+        key = tuple(columns.tolist())
+        if key not in self._around:
+            found = np.diag(self._evidence.precision[columns])
+            parts = zip(self._evidence.products_of(key), self._weights, strict=True)
+            for (place, products), weight in parts:
+                found[np.ix_(place, place)] += np.tensordot(weight, products, 1)
+            if self._fit_noise is not None:
+                found = found + self._fit_noise.between(columns, columns)
+            self._around[key] = found
+        return self._around[key]
 
     def cover(self, columns: Iterable[int]) -> None:
         """Make the matrix of columns that are asked for soon."""
@@ -759,10 +740,9 @@ class _Part:
     growth: Array
     held: Array
     beside: Array
-    missed: Array
 
 
-def _part(channel: Channel, numbers: NDArray[np.intp], inexact: Array) -> _Part:
+def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
     """Products of some columns in a channel, the matrix of each cell in one row."""
     lookup = np.full(max(int(numbers.max(initial=0)), int(channel.columns.max(initial=0))) + 1, -1)
     lookup[channel.columns] = np.arange(len(channel.columns))
@@ -770,19 +750,20 @@ def _part(channel: Channel, numbers: NDArray[np.intp], inexact: Array) -> _Part:
     at = np.flatnonzero(own >= 0)
     local = own[at]
     rows = np.ascontiguousarray(channel.rows[:, local])
-    ends = [*channel.first[1:], len(rows)]
-    cells = (rows[a:b] for a, b in zip(channel.first, ends, strict=True))
-    gram = np.stack([own.T @ own for own in cells]).reshape(len(ends), -1)
+    kept = channel.tolerances.shape[1]
+    gram = np.empty((len(channel.first), len(at), len(at)))
+    gram[:, :kept, :kept] = channel.tolerances
+    gram[:, kept:] = channel.by_products(rows[:, kept:], rows)
+    gram[:, :kept, kept:] = gram[:, kept:, :kept].transpose(0, 2, 1)
     return _Part(
         at,
         np.ix_(at, at),
         rows,
-        gram,
+        gram.reshape(len(gram), -1),
         channel.slope[:, local],
         channel.growth[:, local],
         channel.held[local],
         channel.beside[:, local],
-        inexact[numbers[at]],
     )
 
 

@@ -97,8 +97,8 @@ class GapSettings:
     """Runs kept out of everything and predicted at the end: their files, or the beginning of their
     names. By default every run is held out once, in turn."""
     simulate: bool = True
-    """Whether full simulation decides among the leading sets of effects, where there are
-    commands; without it the force balance alone decides, in a fraction of the time."""
+    """Whether full simulation decides where the force balance leaves most of a joint open and there
+    are commands; without it the balance alone decides, in a fraction of the time."""
     threads: Annotated[int, Rule("a whole number, 0 to 10000", (Ge(0), Le(10_000)))] = 0
     """Threads of the simulation; 0 for all processors."""
     tolerances: Tolerances = field(default_factory=Tolerances)

@@ -296,14 +296,6 @@ class Effect:
         """
         return controls
 
-    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
-        """Compute the instantaneous commands at each step, for sensor values there.
-
-        A step is simulated with the mean over it, as of `command`; where a held command changes
-        within the step, an acceleration at its beginning is that of the command before.
-        """
-        return self.command(time, controls, values)
-
     def torque(self, position: Array, speed: Array, values: Array) -> Array:
         """Compute joint torques beyond those of the model, in the joints' direction.
 

@@ -96,14 +96,6 @@ class Hypothesis:
     """Uncertain parameters of the nominal model, applied before the effects; None: as they are."""
     factors: Array = field(default_factory=lambda: np.empty(0))
     """Values of the nominal parameters."""
-    stepped_as: tuple[Effect, ...] = ()
-    """Effects that it does not have, but is simulated with the time steps of: what an effect
-    changes is a difference within one configuration of the integrator."""
-
-    @property
-    def stepping(self) -> tuple[Effect, ...]:
-        """Effects that decide the time steps."""
-        return (*self.effects, *self.stepped_as)
 
     @property
     def pairs(self) -> tuple[tuple[Effect, Array], ...]:

@@ -30,21 +30,14 @@ class ShiftedCommand(Effect):
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
         """Shift the commands: means over each step."""
-        return self._shifted(time, controls, values, 0)
-
-    def command_at(self, time: Array, controls: Array, values: Array) -> Array:
-        """Shift the commands: instantaneous values at each step."""
-        return self._shifted(time, controls, values, 1)
-
-    def _shifted(self, time: Array, controls: Array, values: Array, which: int) -> Array:
         found = controls.copy()
         if values[0] >= _SHORTEST and len(time) > 1:
             for k in self._numbers:
-                found[:, k] = self.passed(k, time, controls[:, k], float(values[0]))[which]
+                found[:, k] = self.passed(k, time, controls[:, k], float(values[0]))
         return found
 
-    def passed(self, number: int, time: Array, held: Array, shift: float) -> tuple[Array, Array]:
-        """Mean over each step and value at each step (T,) of a drive's commands, each held."""
+    def passed(self, number: int, time: Array, held: Array, shift: float) -> Array:
+        """Mean over each step (T,) of a drive's commands, each held."""
         raise NotImplementedError
 
 
@@ -114,10 +107,10 @@ is 1 / 2.785."""
 class ActuatorLag(ShiftedCommand):
     """First-order lag: commands pass a low-pass with a time constant.
 
-    Commands are held from step to step, and the filter's response is exact: its mean moves the arm,
-    its value at a step is visible in sensors there. MuJoCo's filters, used in the exported file,
-    start at zero, not at the first command. A Runge-Kutta method integrates ``filter`` within its
-    step; other methods use the value of ``filterexact`` at the beginning of a step for all of it.
+    Commands are held from step to step, and the mean of the filter's response over each is exact.
+    MuJoCo's filters, used in the exported file, start at zero, not at the first command. A
+    Runge-Kutta method integrates ``filter`` within its step; other methods use the value of
+    ``filterexact`` at the beginning of a step for all of it.
     """
 
     kind = "actuator_lag"
@@ -134,7 +127,7 @@ class ActuatorLag(ShiftedCommand):
         plain = machine.model.actuator_dyntype == mujoco.mjtDyn.mjDYN_NONE
         return named(machine.actuators, plain)
 
-    def passed(self, number: int, time: Array, held: Array, shift: float) -> tuple[Array, Array]:
+    def passed(self, number: int, time: Array, held: Array, shift: float) -> Array:
         """Filter the actuator's commands."""
         model, step = self.machine.model, time[1] - time[0]
         if model.actuator_ctrllimited[number]:  # as MuJoCo clamps before filtering
@@ -142,7 +135,7 @@ class ActuatorLag(ShiftedCommand):
         share = 1.0 - np.exp(-step / shift)
         after, _ = lfilter([share], [1.0, share - 1.0], held, zi=[(1.0 - share) * held[0]])
         state = np.concatenate([held[:1], after[:-1]])
-        return held + (state - held) * (shift / step) * share, state
+        return np.asarray(held + (state - held) * (shift / step) * share)
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Export as MuJoCo's filter that suits the integrator."""
@@ -183,10 +176,9 @@ class CommandDelay(ShiftedCommand):
         """Return every actuator, and "all" if there are several."""
         return (*machine.actuators, "all") if len(machine.actuators) > 1 else machine.actuators
 
-    def passed(self, number: int, time: Array, held: Array, shift: float) -> tuple[Array, Array]:
+    def passed(self, number: int, time: Array, held: Array, shift: float) -> Array:
         """Shift the commands; before the first sample the first one holds."""
-        back = np.floor(np.arange(len(time)) - shift / (time[1] - time[0]) + 1e-9)
-        return np.interp(time - shift, time, held), held[np.maximum(back, 0).astype(int)]
+        return np.asarray(np.interp(time - shift, time, held))
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Export as a history and a delay of the actuators, on top of existing ones."""

@@ -28,11 +28,6 @@ from loose_env.recording import joint_sensors
 from loose_env.typing import Array
 
 _S = mujoco.mjtSensor
-_SMOOTH = (
-    _S.mjSENS_JOINTPOS, _S.mjSENS_JOINTVEL, _S.mjSENS_FRAMEPOS, _S.mjSENS_FRAMELINVEL,
-    _S.mjSENS_FRAMEANGVEL, _S.mjSENS_VELOCIMETER, _S.mjSENS_GYRO,
-)  # fmt: skip
-"""Positions and speeds."""
 _TURNING = (
     _S.mjSENS_ACCELEROMETER, _S.mjSENS_GYRO, _S.mjSENS_VELOCIMETER, _S.mjSENS_FORCE,
     _S.mjSENS_TORQUE, _S.mjSENS_MAGNETOMETER,
@@ -43,12 +38,6 @@ _TURNING = (
 def column_of(sensor: str) -> str:
     """Column of a sensor, without axis."""
     return f"sensor.{sensor}"
-
-
-def is_position_or_speed(machine: NominalModel, column: str) -> bool:
-    """Return whether a column is a position or a speed, not an acceleration or force."""
-    kind, _, name = column.partition(".")
-    return kind == "sensor" and int(machine.model.sensor(name).type[0]) in _SMOOTH
 
 
 def _reading_scale(machine: NominalModel, sensor: str) -> tuple[float, str]:

@@ -1,0 +1,310 @@
+"""Columns of a run as channels, a model's drives, and the motion that joint positions imply."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+
+from loose_env.importing import median_step
+from loose_env.recording import Run
+from loose_env.typing import Array
+
+Kind = Literal["position", "velocity", "acceleration", "turning", "torque", "command", "other"]
+"""Quantity of a channel."""
+
+_KINDS: dict[int, Kind] = {
+    int(mujoco.mjtSensor.mjSENS_JOINTPOS): "position",
+    int(mujoco.mjtSensor.mjSENS_JOINTVEL): "velocity",
+    int(mujoco.mjtSensor.mjSENS_ACCELEROMETER): "acceleration",
+    int(mujoco.mjtSensor.mjSENS_GYRO): "turning",
+}
+_SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+BLOCK_S = 0.1
+"""Length of the block means of slow signals [s]: a period at 10 Hz, where servos end."""
+MOST_BLOCKS = 150
+"""Blocks of a run that are compared, evenly chosen: 15 s, after which means no longer change."""
+MOST_SAMPLES = 8192
+"""Samples of a run whose spectra are compared: eight segments of a second at 1 kHz."""
+PAUSE_STEPS = 5.0
+"""Step that counts as a pause [median steps]: a few missing rows are bridged by interpolation."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Channel:
+    """One column of a run."""
+
+    name: str
+    """Name of the column."""
+    kind: Kind
+    of: str
+    """Joint, site sensor or actuator that it belongs to."""
+    values: Array
+    """Samples, NaN where one is missing, shape (T,)."""
+
+    @cached_property
+    def there(self) -> Array:
+        """Samples that are not missing."""
+        return np.asarray(self.values[np.isfinite(self.values)])
+
+    @property
+    def reach(self) -> float:
+        """Largest size of a sample; 0 where none is there."""
+        return float(np.abs(self.there).max(initial=0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Servo:
+    """Actuator of the model that drives one joint by a gain on its command."""
+
+    name: str
+    joint: str
+    gear: float
+    """Joint torque over actuator force [1]."""
+    gain: float
+    """Actuator force over command."""
+    follows: bool
+    """True for a position servo: its command is a position."""
+    motor: bool
+    """True if its force is the gain times the command, whatever the motion."""
+    lag: float
+    """Delay of slow motion behind the command of a position servo in the model [s]."""
+    limits: tuple[float, float] | None
+    """Limits of the command; None where it has none."""
+
+
+class Machine:
+    """Names, limits and drives of a model, as the checks need them."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self.joints = [
+            model.joint(j).name
+            for j in range(model.njnt)
+            if int(model.jnt_type[j]) in _SINGLE and model.joint(j).name
+        ]
+        """Hinges and slides with a name."""
+        self.drives = {
+            model.actuator(a).name: self._drive(a)
+            for a in range(model.nu)
+            if int(model.actuator_trntype[a]) in _ON_JOINT and int(model.actuator_ctrlnum[a]) == 1
+        }
+        """Actuators on joints, by name."""
+
+    def hinge(self, joint: str) -> bool:
+        """Return True for a hinge, False for a slide."""
+        return int(self.model.jnt_type[self.model.joint(joint).id]) == _SINGLE[0]
+
+    def unit(self, joint: str) -> str:
+        """Unit of the joint's position."""
+        return "rad" if self.hinge(joint) else "m"
+
+    def limits(self, joint: str) -> tuple[float, float] | None:
+        """Limits of the joint [rad or m]; None where it has none."""
+        j = self.model.joint(joint).id
+        if not self.model.jnt_limited[j]:
+            return None
+        return float(self.model.jnt_range[j][0]), float(self.model.jnt_range[j][1])
+
+    def _drive(self, a: int) -> Servo:
+        m = self.model
+        gain, bias = float(m.actuator_gainprm[a][0]), m.actuator_biasprm[a]
+        fixed = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+        affine = int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+        limited = bool(m.actuator_ctrllimited[a])
+        follows = bool(affine and fixed and gain > 0 and np.isclose(bias[1], -gain))
+        gear, joint = float(m.actuator_gear[a][0]), int(m.actuator_trnid[a][0])
+        damping = float(m.dof_damping[int(m.jnt_dofadr[joint])]) - float(bias[2]) * gear**2
+        return Servo(
+            name=m.actuator(a).name,
+            joint=m.joint(joint).name,
+            gear=gear,
+            gain=gain if fixed and int(m.actuator_dyntype[a]) == 0 else 0.0,
+            follows=follows,
+            motor=fixed and not bias[:3].any(),
+            lag=damping / (gain * gear**2) if follows and gear else 0.0,
+            limits=tuple(map(float, m.actuator_ctrlrange[a])) if limited else None,  # type: ignore[arg-type]
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Motion of a run in windows of equal length, and what the rigid model makes of it."""
+
+    run: Run
+    edges: Array
+    """Times at which the windows begin and end [s], shape (N + 1,)."""
+    chosen: NDArray[np.intp]
+    """Windows that are compared, shape (T,)."""
+    readings: Array
+    """Sensor data that the model implies, shape (T, nsensordata)."""
+    torques: Array
+    """Generalised force that the motion needs, shape (T, nv) [N·m or N]."""
+    known: frozenset[str]
+    """Joints whose position is measured or noted."""
+
+    def mean(self, values: Array) -> Array:
+        """Means of a column of the run over the windows compared, shape (T,)."""
+        return _means(self.run.time, values, self.edges)[self.chosen]
+
+
+def motion_of(machine: Machine, run: Run, window_s: float = 0.0) -> Motion | None:
+    """Motion by means over windows, of one sample at least; None for fewer than four of them."""
+    step = median_step(run.time)
+    window = max(step, window_s)
+    count = int((run.time[-1] - run.time[0]) / window + 1e-6)
+    if not window_s:
+        count = min(count, MOST_SAMPLES)
+    edges = run.time[0] + window * np.arange(count + 1)
+    pauses = np.flatnonzero(np.diff(run.time) > PAUSE_STEPS * step)
+    broken = np.zeros(max(count, 2), bool)
+    for k in pauses:
+        first, last = np.searchsorted(edges, run.time[k : k + 2])
+        broken[max(first - 2, 0) : last + 1] = True  # no derivative across a pause
+    chosen = np.flatnonzero(~broken)
+    chosen = chosen[(chosen > 0) & (chosen < count - 1)]
+    if len(chosen) < 2:
+        return None
+    if window_s:
+        chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, MOST_BLOCKS).astype(int))]
+    model = machine.model
+    qpos = np.tile(model.qpos0, (len(chosen), 1))
+    qvel, qacc = np.zeros((2, len(chosen), model.nv))
+    measured = positions_of(machine, run)
+    for joint, q in (run.pose or {}).items():
+        qpos[:, int(model.jnt_qposadr[model.joint(joint).id])] = q
+    for joint, channel in measured.items():
+        mean = _means(run.time, channel.values, edges)
+        at, dof = (int(a[model.joint(joint).id]) for a in (model.jnt_qposadr, model.jnt_dofadr))
+        qpos[:, at] = mean[chosen]
+        qvel[:, dof] = (mean[chosen + 1] - mean[chosen - 1]) / (2 * window)
+        qacc[:, dof] = (mean[chosen + 1] - 2 * mean[chosen] + mean[chosen - 1]) / window**2
+    readings = np.zeros((len(chosen), model.nsensordata))
+    torques = needed_torques(model, qpos, qvel, qacc, readings)
+    known = frozenset(measured) | frozenset(run.pose or {})
+    return Motion(
+        run=run, edges=edges, chosen=chosen, readings=readings, torques=torques, known=known
+    )
+
+
+def needed_torques(
+    model: mujoco.MjModel, qpos: Array, qvel: Array, qacc: Array, readings: Array | None = None
+) -> Array:
+    """Generalised force that a motion needs, shape (T, nv); sensor data go to ``readings``.
+
+    Contacts, stops and friction are left out: they change neither kinematics nor what gravity and
+    inertia need.
+    """
+    data, flags = mujoco.MjData(model), model.opt.disableflags
+    torques = np.zeros((len(qpos), model.nv))
+    try:
+        model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        for row in range(len(qpos)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = qpos[row], qvel[row], qacc[row]
+            mujoco.mj_inverse(model, data)
+            torques[row] = data.qfrc_inverse
+            if readings is not None:
+                readings[row] = data.sensordata
+    finally:
+        model.opt.disableflags = flags
+    return torques
+
+
+def _means(time: Array, values: Array, edges: Array) -> Array:
+    total = cumulative_trapezoid(filled(time, values), time, initial=0.0)
+    return np.asarray(np.diff(np.interp(edges, time, total)) / np.diff(edges))
+
+
+def carried(machine: Machine, sensor: str, known: frozenset[str]) -> bool:
+    """Return whether all joints that carry a site sensor are known."""
+    model = machine.model
+    body = int(model.site_bodyid[int(model.sensor_objid[model.sensor(sensor).id])])
+    while body > 0:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        if any(model.joint(j).name not in known for j in range(first, first + count)):
+            return False
+        body = int(model.body_parentid[body])
+    return True
+
+
+def channels_of(machine: Machine, run: Run) -> list[Channel]:
+    """All columns of a run but the time, in the order controls, sensors, torques."""
+    model = machine.model
+    found = [
+        Channel(name=f"ctrl.{name}", kind="command", of=name, values=values)
+        for name, values in run.controls.items()
+    ]
+    for name, values in run.sensors.items():
+        sensor = model.sensor(name).id
+        kind = _KINDS.get(int(model.sensor_type[sensor]), "other")
+        on_joint = kind in ("position", "velocity")
+        of = model.joint(int(model.sensor_objid[sensor])).name if on_joint else name
+        if values.ndim == 1:
+            found.append(Channel(name=f"sensor.{name}", kind=kind, of=of, values=values))
+            continue
+        for axis, letter in enumerate("xyz"):
+            column = values[:, axis]
+            found.append(Channel(name=f"sensor.{name}.{letter}", kind=kind, of=of, values=column))
+    found += [
+        Channel(name=f"torque.{joint}", kind="torque", of=joint, values=values)
+        for joint, values in run.torques.items()
+    ]
+    return found
+
+
+def positions_of(machine: Machine, run: Run) -> dict[str, Channel]:
+    """Position of each joint that has one, the first of several."""
+    found: dict[str, Channel] = {}
+    for channel in channels_of(machine, run):
+        if channel.kind == "position":
+            found.setdefault(channel.of, channel)
+    return found
+
+
+def servos_of(machine: Machine, run: Run) -> list[tuple[Servo, Array]]:
+    """Position servos of a run with their commands as joint positions [rad or m], shape (T,)."""
+    return [
+        (drive, filled(run.time, run.controls[name]) / (drive.gear or 1.0))
+        for name, drive in machine.drives.items()
+        if name in run.controls and drive.follows
+    ]
+
+
+def forces_of(
+    machine: Machine, run: Run, *, commands_only: bool = False
+) -> dict[str, tuple[str, Array]]:
+    """Column and torque of each joint whose torque is recorded, or follows from a motor command.
+
+    Torques [N·m or N] have the rows of the run, shape (T,); the command of a position or
+    velocity servo is none, and a joint with two drives has none.
+    """
+    driven = [drive.joint for drive in machine.drives.values()]
+    found = {
+        drive.joint: (
+            f"ctrl.{name}",
+            filled(run.time, run.controls[name]) * drive.gain * drive.gear,
+        )
+        for name, drive in machine.drives.items()
+        if name in run.controls and drive.motor and drive.gain and driven.count(drive.joint) == 1
+    }
+    if not commands_only:
+        for joint, values in run.torques.items():
+            found[joint] = f"torque.{joint}", filled(run.time, values)
+    return found
+
+
+def filled(time: Array, values: Array) -> Array:
+    """Column with missing samples interpolated; zeros where none is there."""
+    there = np.isfinite(values)
+    if there.all():
+        return values
+    if not there.any():
+        return np.zeros_like(values)
+    return np.interp(time, time[there], values[there])

@@ -1,0 +1,414 @@
+"""Checks of units, signs and axes: every channel beside what another source expects of it.
+
+Commands of servos are compared with positions; velocities and gyroscopes with the motion of the
+encoders; torques and motor commands with gravity and inertia, and with each other; accelerometers
+with gravity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import permutations, product
+
+import mujoco
+import numpy as np
+from scipy import signal
+
+from loose_env.doctor.corrections import Correction, corrected
+from loose_env.doctor.findings import Defect, Finding
+from loose_env.doctor.machine import (
+    BLOCK_S,
+    Machine,
+    Motion,
+    carried,
+    channels_of,
+    filled,
+    forces_of,
+    motion_of,
+    positions_of,
+    servos_of,
+)
+from loose_env.doctor.settings import DoctorSettings
+from loose_env.doctor.units import (
+    ACCELERATION,
+    ANGLE,
+    FORCE,
+    LEAST_BLOCKS,
+    LENGTH,
+    SCALE_NOTED,
+    SCALE_WRONG,
+    Comparison,
+    Pair,
+    contradictions,
+    grouped,
+    named_unit,
+)
+from loose_env.recording import Run
+from loose_env.typing import Array
+
+# Signals
+OVER_CONTROL_RANGE = 1.05
+"""Command over its actuator's limit, above which it is a finding: the model clips it."""
+LEAST_SPREAD_RAD = 0.02
+"""Rms of the positions, from which position and command are compared [rad or m]: servo errors are
+smaller."""
+WEAK_AXIS = 0.3
+"""Motion of a sensor's axis over that of its strongest, below which it is not judged: the strong
+axes leak into it."""
+LEAST_GRAVITY = 1.0
+"""Acceleration that the model implies at rest, below which it has no gravity [m/s²]: models
+for the moon have 1.6."""
+UNCOUPLED = 0.13
+"""Mean acceleration over gravity, below which an accelerometer does not measure gravity:
+piezoelectric, or its mean was removed. A reading in g is 0.10 with 20 % of scatter."""
+WRONG_AXES_DEG = 40.0
+"""Angle between measured and predicted gravity, above which it is an error [deg]: no mounting
+tolerance reaches half a right angle."""
+EXPLAINED_DEG = 8.0
+"""Angle left by another order or sign of the axes, or of one joint, up to which that is named
+[deg]: mounting and pose are known to a few degrees."""
+ALIKE_DEG = 1.0
+"""Angle by which a further explanation may be worse than the best to be named too [deg]: less is
+within the scatter of gravity over the poses."""
+
+_EITHER = {"degrees beside radians": 180 / np.pi, "radians beside degrees": np.pi / 180}
+_LENGTHS = {"millimetres beside metres": 1e3, "metres beside millimetres": 1e-3}
+_POINTS = 500
+"""Samples of a run that are looked at where the rows need no motion."""
+
+_COMMANDED = Defect(
+    "units", "error", "the model follows a command that the machine was not given",
+    "import the column with its unit, or with sign = -1",
+)  # fmt: skip
+_CLIPS = Defect(
+    "range", "warning", "the model clips the command, and the machine did not",
+    "check the unit of the command (the actuator's own), and ctrlrange of the model",
+)  # fmt: skip
+_FAST = Defect(
+    "range", "warning", "no arm moves so fast: unit, or lost samples",
+    'import the column with its unit ("deg/s", "rpm")',
+)  # fmt: skip
+_MOTION = Defect(
+    "units", "error", "readings and positions are taken for different motions",
+    "import the column with its unit or with sign = -1, or turn the sensor's site in the model",
+)  # fmt: skip
+_REMARK = Defect("units", "note", _MOTION.consequence, _MOTION.remedy)
+_DRIVEN = Defect(
+    "units", "error", "the arm of the model is driven by another torque than the machine was",
+    "import the column with sign = -1 or with its unit, or correct the gear of the actuator in the "
+    "model",
+)  # fmt: skip
+_DISAGREE = Defect(
+    "units", "error", "torque and command contradict each other, and one of them is used",
+    "check the unit of both (the command's is the actuator's own), and gain and gear of the "
+    "actuator in the model",
+)  # fmt: skip
+_NOT_SI = Defect(
+    "units", "error", "the transmission to the tool is wrong by that factor",
+    'import the columns with their unit (unit = "g"), or convert them',
+)  # fmt: skip
+_NO_GRAVITY = Defect(
+    "gravity", "note", "its axes cannot be checked against gravity",
+    "none is needed for vibration; check axes and signs by hand",
+)  # fmt: skip
+_SCALED = Defect(
+    "gravity", "warning", "sensitivity or offset of the sensor is not the one assumed",
+    "correct scale or offset of the column at the import",
+)  # fmt: skip
+_TURNED = Defect(
+    "axes", "warning",
+    "axes or poses are not those of the model, and directions found are wrong",
+    "exchange channels or set sign = -1 at the import, turn the sensor's site in the model, or "
+    "correct the zero of the encoders",
+)  # fmt: skip
+
+
+def check_commands(
+    machine: Machine, runs: Sequence[Run], settings: DoctorSettings
+) -> Iterator[Finding]:
+    """Compare commands of position servos with positions; ranges of commands and speeds."""
+    pairs: dict[tuple[str, str], dict[str, Pair]] = {}
+    for run in runs:
+        measured = positions_of(machine, run)
+        for drive, command in servos_of(machine, run):
+            if drive.joint in measured:
+                read = filled(run.time, measured[drive.joint].values)
+                pair = Pair(_thin(command), _thin(read))
+                pairs.setdefault((drive.name, drive.joint), {})[run.name] = pair
+    wrong = set()
+    for (name, joint), own in pairs.items():
+        for found in contradictions(
+            Comparison(
+                channel=f"ctrl.{name}",
+                noun=f"the measured position of joint {joint}",
+                pairs=own,
+                units=_EITHER if machine.hinge(joint) else _LENGTHS,
+                defect=_COMMANDED,
+                least=LEAST_SPREAD_RAD,
+            )
+        ):
+            wrong.add(name)
+            yield found
+    for run in runs:
+        for c in channels_of(machine, run):
+            servo = machine.drives.get(c.of) if c.kind == "command" else None
+            limits = servo.limits if servo is not None and c.of not in wrong else None
+            if limits and c.reach > OVER_CONTROL_RANGE * max(map(abs, limits)):
+                told = f"reaches {c.reach:.4g}, and the actuator's limits are {limits}"
+                yield _CLIPS.at(c.name, told, c.reach, run=run.name)
+            if c.kind == "velocity" and c.reach > settings.fastest:
+                unit = f"{machine.unit(c.of)}/s"
+                told = f"reaches {c.reach:.4g} {unit}"
+                yield _FAST.at(c.name, told, c.reach, unit=unit, run=run.name)
+
+
+def _thin(values: Array) -> Array:
+    return values[:: max(1, len(values) // _POINTS)]
+
+
+def check_kinematics(machine: Machine, motions: Sequence[Motion]) -> Iterator[Finding]:
+    """Compare velocities, gyroscopes and accelerometers with the motion of the encoders."""
+    pairs: dict[tuple[str, str, str], dict[str, Pair]] = {}
+    for motion in motions:
+        for name, kind, of, implied in implied_readings(machine, motion):
+            column = next(c for c in channels_of(machine, motion.run) if c.name == name)
+            read = motion.mean(column.values)
+            pair = Pair(read - read.mean(), implied - implied.mean())
+            pairs.setdefault((name, kind, of), {})[motion.run.name] = pair
+    for (name, kind, of), own in pairs.items():
+        angle = kind == "turning" or (kind == "velocity" and machine.hinge(of))
+        units = ACCELERATION if kind == "acceleration" else ANGLE if angle else LENGTH
+        yield from contradictions(
+            Comparison(
+                channel=name,
+                noun="what the motion of the joints implies",
+                pairs=own,
+                units=units,
+                # A rigid arm's dynamics are no judge of an amplitude above a resonance.
+                defect=_REMARK if kind == "acceleration" else _MOTION,
+                odd=np.inf,
+                fixed=kind == "velocity",
+            )
+        )
+
+
+def implied_readings(machine: Machine, motion: Motion) -> Iterator[tuple[str, str, str, Array]]:
+    """Name, kind and joint or sensor of each channel that the encoders imply, and its values."""
+    model, measured = machine.model, positions_of(machine, motion.run)
+    for c in channels_of(machine, motion.run):
+        if c.kind not in ("acceleration", "turning", "velocity"):
+            continue
+        sensor = c.name.removeprefix("sensor.") if c.kind == "velocity" else c.of
+        known = c.of in measured if c.kind == "velocity" else carried(machine, sensor, motion.known)
+        if not known or not measured:
+            continue
+        at, width = (int(a[model.sensor(sensor).id]) for a in (model.sensor_adr, model.sensor_dim))
+        axis = 0 if width == 1 else "xyz".index(c.name[-1])
+        implied = motion.readings[:, at : at + width]
+        spread = implied.std(axis=0)
+        if spread[axis] >= WEAK_AXIS * spread.max() and spread.max() > 0.0:
+            yield c.name, c.kind, c.of, implied[:, axis]
+
+
+def check_forces(machine: Machine, blocks: Sequence[Motion]) -> Iterator[Finding]:
+    """Compare slow torques with gravity and inertia, and torque columns with motor commands."""
+    needed: dict[tuple[str, str], dict[str, Pair]] = {}
+    given: dict[str, dict[str, Pair]] = {}
+    for motion in blocks:
+        run = motion.run
+        commanded = forces_of(machine, run, commands_only=True)
+        for joint in commanded.keys() & run.torques.keys():
+            torque = _thin(filled(run.time, run.torques[joint]))
+            given.setdefault(joint, {})[run.name] = Pair(torque, _thin(commanded[joint][1]))
+        if set(machine.joints) <= motion.known:  # a joint that is not may carry the rest
+            for joint, (column, values) in forces_of(machine, run).items():
+                dof = int(machine.model.jnt_dofadr[machine.model.joint(joint).id])
+                pair = Pair(motion.mean(values), motion.torques[:, dof])
+                needed.setdefault((joint, column), {})[run.name] = pair
+    for joint, pairs in given.items():
+        noun = "the torque that the command means by the model's gain and gear"
+        yield from contradictions(
+            Comparison(
+                channel=f"torque.{joint}",
+                noun=noun,
+                pairs=pairs,
+                units=FORCE,
+                defect=_DISAGREE,
+                odd=SCALE_NOTED,
+            )
+        )
+    yield from _between_runs(machine, [motion.run for motion in blocks])
+    for (_, column), pairs in needed.items():
+        yield from contradictions(
+            Comparison(
+                channel=column,
+                noun="the torque that gravity and inertia need",
+                pairs=pairs,
+                units=FORCE,
+                defect=_DRIVEN,
+                friction=True,
+            )
+        )
+
+
+def _between_runs(machine: Machine, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Compare the torque of an excited joint, over the motion that it makes, between the runs.
+
+    A torque that holds no weight, such as the noise added to a controller's, is not comparable
+    with gravity; its ratio to the acceleration changes little from pose to pose.
+    """
+    sizes: dict[str, dict[str, float]] = {}
+    for run in runs:
+        for joint in set(run.excited) & set(run.torques):
+            channels = channels_of(machine, run)
+            moved = [c.values for c in channels if c.kind == "acceleration"]
+            moved = moved or [c.values for c in channels if c.kind == "position" and c.of == joint]
+            answer = float(np.sqrt(sum(_wobble(run, values) ** 2 for values in moved)))
+            if answer > 0.0 and _wobble(run, run.torques[joint]) > 0.0:
+                size = _wobble(run, run.torques[joint]) / answer
+                sizes.setdefault(joint, {})[run.name] = size
+    for joint, parts in sizes.items():
+        # Of two runs that differ, the larger is named: N·mm are usual, kN·m are not.
+        usual = sorted(parts.values())[(len(parts) - 1) // 2]
+        for name, size in parts.items():
+            for words, factor in FORCE.items():
+                far = max(factor, 1 / factor) > SCALE_WRONG**3
+                if far and 1 / SCALE_WRONG < size / (usual * factor) < SCALE_WRONG:
+                    found = f"{size / usual:.3g} times as large over the motion that it makes as "
+                    found += f"in other runs: {words}"
+                    yield _DRIVEN.at(f"torque.{joint}", found, size / usual, unit="1", run=name)
+
+
+def _wobble(run: Run, values: Array) -> float:
+    return float(np.std(signal.detrend(filled(run.time, values))))
+
+
+# ------------------------------------------------------------------------- gravity
+
+
+def check_gravity(
+    machine: Machine, blocks: Sequence[Motion], settings: DoctorSettings
+) -> Iterator[Finding]:
+    """Compare the slow part of every accelerometer with gravity: unit, axes, signs of joints."""
+    model = machine.model
+    for sensor in dict.fromkeys(name for motion in blocks for name in motion.run.sensors):
+        if int(model.sensor_type[model.sensor(sensor).id]) != int(
+            mujoco.mjtSensor.mjSENS_ACCELEROMETER
+        ):
+            continue
+        pairs = _gravity_pairs(machine, sensor, blocks)
+        said: dict[str, str | None] = {}
+        for name, pair in pairs.items():
+            words = _unit_of([pair])
+            odd = not 1 / SCALE_NOTED < _size(pair.measured) / _size(pair.expected) < SCALE_NOTED
+            said[name] = words if words or odd else ""
+        for run, parts in grouped(pairs, said):
+            own = [m for m in blocks if run in ("", m.run.name)]
+            yield from _judged(machine, sensor, parts, own, run, settings)
+
+
+def _gravity_pairs(machine: Machine, sensor: str, blocks: Sequence[Motion]) -> dict[str, Pair]:
+    """Measured and implied acceleration of each run by blocks, shape (N, 3) [m/s²]."""
+    at, pairs = int(machine.model.sensor_adr[machine.model.sensor(sensor).id]), {}
+    for motion in blocks:
+        columns = motion.run.sensors.get(sensor)
+        if columns is None or not carried(machine, sensor, motion.known):
+            continue
+        if (np.nanstd(columns, axis=0) == 0).any():
+            continue  # a dead axis is a finding of its own
+        measured = np.stack([motion.mean(column) for column in columns.T], axis=1)
+        expected = motion.readings[:, at : at + 3]
+        if len(measured) >= LEAST_BLOCKS and _size(expected) >= LEAST_GRAVITY:
+            pairs[motion.run.name] = Pair(measured, expected)
+    return pairs
+
+
+def _unit_of(parts: Sequence[Pair]) -> str | None:
+    """Wrong unit of an accelerometer at rest."""
+    ratio = _ratio(parts)
+    # A small mean that does not point along gravity is no acceleration in g.
+    uncoupled = ratio < UNCOUPLED and _angle(parts) > WRONG_AXES_DEG
+    return None if uncoupled else named_unit(ratio, ACCELERATION)
+
+
+def _ratio(parts: Sequence[Pair]) -> float:
+    measured, expected = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return _size(measured) / _size(expected)
+
+
+def _size(values: Array) -> float:
+    return float(np.median(np.linalg.norm(values, axis=1)))
+
+
+def _angle(parts: Sequence[Pair]) -> float:
+    """Median angle between measured and implied gravity in the run where it is largest [deg].
+
+    Axes that are wrong show in some poses alone, and each run holds a pose or moves through many.
+    """
+    worst = 1.0
+    for measured, expected in parts:
+        lengths = np.linalg.norm(measured, axis=1) * np.linalg.norm(expected, axis=1)
+        cosine = np.einsum("ij,ij->i", measured, expected) / np.maximum(lengths, 1e-12)
+        worst = min(worst, float(np.median(cosine)))
+    return float(np.degrees(np.arccos(np.clip(worst, -1.0, 1.0))))
+
+
+def _judged(
+    machine: Machine, sensor: str, parts: Sequence[Pair], blocks: Sequence[Motion], run: str,
+    settings: DoctorSettings,
+) -> Iterator[Finding]:  # fmt: skip
+    ratio, channel, words = _ratio(parts), f"sensor.{sensor}", _unit_of(parts)
+    gravity = _size(np.concatenate([pair.expected for pair in parts]))
+    read, turned = ratio * gravity, _angle(parts)
+    found = f"reads {read:.4g} m/s² at rest, and gravity is {gravity:.4g} m/s²"
+    if words is not None:
+        yield _NOT_SI.at(channel, f"{found}: {words}", ratio, unit="1", run=run)
+    elif ratio < UNCOUPLED:
+        found += ": piezoelectric, or the mean was removed"
+        yield _NO_GRAVITY.at(channel, found, read, unit="m/s²", run=run)
+        return
+    elif not 1 / SCALE_NOTED < ratio < SCALE_NOTED:
+        yield _SCALED.at(channel, found, read, unit="m/s²", run=run)
+    if turned > settings.turned_deg:
+        reasons = [*_by_axes(parts), *_by_joints(machine, sensor, blocks)]
+        reasons = sorted(each for each in reasons if each[0] <= EXPLAINED_DEG)
+        alike = [words for angle, words in reasons if angle <= reasons[0][0] + ALIKE_DEG][:3]
+        found = f"gravity is {turned:.0f} degrees from where the model has it in the measured poses"
+        found += f"; explained by {' or by '.join(alike)}" if alike else ""
+        severity = "error" if turned > WRONG_AXES_DEG else "warning"
+        yield _TURNED.at(channel, found, turned, unit="deg", run=run, severity=severity)
+
+
+def _by_axes(parts: Sequence[Pair]) -> Iterator[tuple[float, str]]:
+    """Angles left with axes exchanged or reversed, the fewest changes first."""
+    ways: dict[int, list[tuple[float, str]]] = {}
+    for order, signs in product(permutations(range(3)), product((1, -1), repeat=3)):
+        changes = sum(o != i for i, o in enumerate(order)) + signs.count(-1)
+        left = _angle([Pair(m[:, order] * np.array(signs), e) for m, e in parts])
+        if changes and left <= EXPLAINED_DEG:
+            words = [
+                f"{'xyz'[i]} = {'-' if s < 0 else ''}{'xyz'[o]} of the recording"
+                for i, (o, s) in enumerate(zip(order, signs, strict=True))
+                if o != i or s < 0
+            ]
+            ways.setdefault(changes, []).append((left, "axes " + ", ".join(words)))
+    yield from ways[min(ways)] if ways else ()
+
+
+def _by_joints(
+    machine: Machine, sensor: str, blocks: Sequence[Motion]
+) -> Iterator[tuple[float, str]]:
+    """Angles left with the encoder of one joint reversed."""
+    usual = _gravity_pairs(machine, sensor, blocks)
+    for joint in machine.joints:
+        moved = []
+        for motion in blocks:
+            encoder = positions_of(machine, motion.run).get(joint)
+            if encoder is not None:
+                fix = Correction(kind="scale", columns=(encoder.name,), factor=-1.0)
+                moved.append(motion_of(machine, corrected(motion.run, [fix]), BLOCK_S))
+        pairs = _gravity_pairs(machine, sensor, [m for m in moved if m is not None])
+        if pairs and pairs.keys() == usual.keys():
+            change = [Pair(pairs[name].expected, usual[name].expected) for name in pairs]
+            if _angle(change) > EXPLAINED_DEG:
+                yield _angle([*pairs.values()]), f"the opposite sign of joint {joint}'s encoder"
