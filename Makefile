@@ -45,7 +45,7 @@ test: $(DEV) ## run the tests and the examples in the docstrings
 test-slow: $(DEV) ## run the slow tests: browser, killed processes, fuzzing, training, thesis, suites
 	$(ONE_THREAD) $(BIN)/python -m pytest --numprocesses auto --dist loadfile -m slow --override-ini faulthandler_timeout=3600 $(ARGS)
 
-bench: $(RUN) ## time the simulation and the diagnosis on this machine
+bench: $(RUN) ## time environments, wrappers and policies beside a C loop of mj_step
 	$(BIN)/python scripts/dev/benchmark.py $(ARGS)
 
 gap-suite: $(DEV) ## grade the gap tool on blind recordings (ARGS="--numbers 0-59 --workers 2")

@@ -262,6 +262,8 @@ def _keys(kind: Any, path: Sequence[str | int]) -> list[str]:
     for step in path:
         if isinstance(step, str) and is_dataclass(kind):
             kind = get_type_hints(kind)[step]
+            if get_origin(kind) in (Union, UnionType):
+                kind = next((one for one in get_args(kind) if is_dataclass(one)), kind)
         else:  # an entry of a tuple, a value of a mapping
             kind = [one for one in get_args(kind) if one is not Ellipsis][-1]
     return [each.name for each in fields(kind)]

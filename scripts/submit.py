@@ -1,23 +1,26 @@
 """The benchmark of agents: play the frozen episodes, check a results file, build the leaderboard.
 
 Usage: python scripts/submit.py make --agents AGENT ... [--tasks TASK ...] [--sets SET ...]
-           [--episodes N] [--entry NAME] [--about TEXT] [--code ADDRESS] [--log ADDRESS]
-           [--training-records N] [--agent-seed N] [--actions-only] [--out FOLDER]
+           [--salt SALT] [--episodes N] [--entry NAME] [--about TEXT] [--code ADDRESS]
+           [--log ADDRESS] [--training-records N] [--agent-seed N] [--actions-only] [--out FOLDER]
            [--shards FOLDER]
        python scripts/submit.py check FILE ... [--episodes 20] [--seed N] [--actions-only]
        python scripts/submit.py board [--docs]
+       python scripts/submit.py salt
 
 make plays an agent (a name, module:Class, path/model.zip or the folder of an exported policy) and
 writes OUT/TASK/ENTRY.json, OUT/TASK/SET/ENTRY.json for sets out of distribution; stopped at any
 moment, the same command goes on. check reads files and plays a sample of their episodes again:
 their actions, and the agent where the file names one. board prints the leaderboard of the files in
-docs/benchmark_results. docs/benchmark.md has protocol and format. Exit codes: 0 done, 1 a file or
-a setting cannot be used, or what was replayed differs, 2 the command line is wrong.
+docs/benchmark_results. salt draws the salt of a new round of the hidden set, with its commitment.
+docs/benchmark.md has protocol and format. Exit codes: 0 done, 1 a file or a setting cannot be
+used, or what was replayed differs, 2 the command line is wrong.
 """
 
 from __future__ import annotations
 
 import os
+import secrets
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +34,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from loose_agents.benchmark.episodes import SETS, TASKS, set_named, task_problem
+from loose_agents.benchmark.episodes import SETS, TASKS, commitment_of, set_named, task_problem
 from loose_agents.benchmark.leaderboard import (
     RESULTS,
     leaderboard,
@@ -68,6 +71,8 @@ class Make:
     """Tasks of the benchmark."""
     sets: tuple[Annotated[str, one_of(tuple(SETS))], ...] = ("test",)
     """Sets of episodes."""
+    salt: str = ""
+    """Salt of the set "hidden"."""
     episodes: Count | None = None
     """The first so many; the whole set by default."""
     entry: str = ""
@@ -118,11 +123,11 @@ class Board:
 
 def check_same_agent(path: Path, there: Results, given: Make, agent: str) -> None:
     """Refuse to take a stored file for the results of another agent."""
-    asked = None if given.actions_only else agent
-    if (there.agent, there.agent_seed) != (asked, given.agent_seed):
+    asked = (None if given.actions_only else agent, given.agent_seed, given.salt)
+    if (there.agent, there.agent_seed, there.salt) != asked:
         raise InvalidSetting(
-            f"{path} holds agent {there.agent!r} with seed {there.agent_seed}, asked for are "
-            f"{asked!r} and {given.agent_seed}; give another --entry or remove the file"
+            f"{path} holds agent {there.agent!r} with seed {there.agent_seed} and salt "
+            f"{there.salt!r}, asked for are {asked}; give another --entry or remove the file"
         )
 
 
@@ -133,7 +138,8 @@ def make(given: Make) -> None:
             for set_name in given.sets:
                 entry = given.entry or agent
                 path = results_path(given.out, task, set_name, entry)
-                whole = set_named(set_name).episodes
+                episodes = set_named(set_name, given.salt)
+                whole = episodes.episodes
                 wanted = whole if given.episodes is None else given.episodes
                 if path.is_file() and (there := read_results(path)):
                     check_same_agent(path, there, given, agent)
@@ -147,7 +153,7 @@ def make(given: Make) -> None:
                     "log": given.log,
                     "training_records": given.training_records
                     if given.training_records is not None
-                    else training_of(agent, task_problem(task, set_named(set_name))),
+                    else training_of(agent, task_problem(task, episodes)),
                 }
                 results = play_results(
                     task,
@@ -156,6 +162,7 @@ def make(given: Make) -> None:
                     told=told,
                     folder=given.shards,
                     count=wanted,
+                    salt=given.salt,
                     agent_seed=given.agent_seed,
                     named=not given.actions_only,
                     say=lambda line: print(line, file=sys.stderr),
@@ -190,9 +197,26 @@ def board(given: Board) -> None:
         write_between(PAGE, entries, name="leaderboard")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Salt:
+    """Draw the salt of a new round, and its commitment."""
+
+
+def salt(given: Salt) -> None:
+    """Print them."""
+    drawn = secrets.token_hex(16)
+    print(f"salt (keep it back until the round closes): {drawn}")
+    print(f"commitment (append it to ROUNDS of the benchmark): {commitment_of(drawn)}")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command that is named."""
-    actions: Actions = {"make": (Make, make), "check": (Check, check), "board": (Board, board)}
+    actions: Actions = {
+        "make": (Make, make),
+        "check": (Check, check),
+        "board": (Board, board),
+        "salt": (Salt, salt),
+    }
     going_on = "the same command goes on"
     commands("submit", __doc__, actions, arguments, interrupted=going_on)
 

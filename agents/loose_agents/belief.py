@@ -20,7 +20,7 @@ from loose_env.diagnosis import Belief, LinkReadings, link_axes
 from loose_env.envs import DiagnosisSettings, EpisodeBatch, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import UNSURE
-from loose_env.wrappers import Posterior, analytic_posterior, records_from
+from loose_env.wrappers import Posterior, analytic_posterior, checked_order, taken_in
 
 SURPRISING = 0.003
 """p-value of an episode among those of the trained kind, below which nothing is named."""
@@ -195,7 +195,7 @@ class BeliefAgent(EpisodeAgent):
         """Take the new records in; return what is known now of each episode."""
         probabilities = self.estimator.follow(observations, [m.estimate for m in memories])
         poses = self.problem.layout.pose_of(observations)
-        taken = records_taken(self.problem, observations)
+        taken = self.problem.layout.records_of(observations)
         for memory, own in zip(memories, probabilities, strict=True):
             memory.probabilities = own
         return [
@@ -209,12 +209,6 @@ class BeliefAgent(EpisodeAgent):
             )
             for k, memory in enumerate(memories)
         ]
-
-
-def records_taken(problem: Problem, observations: NDArray[np.float32]) -> Any:
-    """Number of records in observations (..., size)."""
-    share = problem.layout.physical(observations, "spent")[..., 0]
-    return np.rint(share * problem.settings.max_records).astype(np.intp)
 
 
 def records_measured(problem: Problem, observations: NDArray[np.float32]) -> Any:
@@ -422,13 +416,7 @@ class Tracker:
         self.posterior = (
             analytic_posterior(problem.linear, problem.settings) if posterior is None else posterior
         )
-        known = self.posterior.hypotheses
-        unknown = [name for name in problem.hypotheses if name not in known]
-        if unknown:
-            raise InvalidSetting(
-                f"the posterior knows nothing of {unknown}; it knows {list(known)}"
-            )
-        self._order = [known.index(name) for name in problem.hypotheses]
+        self._order = checked_order(self.posterior, problem.hypotheses)
 
     def begin(self) -> _Tracked:
         """Return the initial state of an episode."""
@@ -438,20 +426,11 @@ class Tracker:
         self, observations: NDArray[np.float32], memories: Sequence[_Tracked]
     ) -> NDArray[np.float64]:
         """Update with the new records of A episodes; return the probabilities (A, hypotheses)."""
-        slots = self.problem.layout.slots_of(observations)
-        taken = records_taken(self.problem, observations)
-        while new := [k for k, memory in enumerate(memories) if memory.records < taken[k]]:
-            rows = slots[new, [memories[k].records for k in new]]
-            for k in new:
-                memories[k].records += 1
-            shown = np.flatnonzero(rows[:, 0] > 0.5)
-            if len(shown):
-                own = [memories[new[k]] for k in shown]
-                records = records_from(self.problem.layout, rows[shown])
-                after = self.posterior.update_all([memory.belief for memory in own], records)
-                for memory, belief in zip(own, after, strict=True):
-                    memory.belief = belief
-        return np.array([memory.belief.probabilities[self._order] for memory in memories])
+        before, known = [m.belief for m in memories], np.array([m.records for m in memories])
+        after, taken = taken_in(self.posterior, self.problem.layout, observations, before, known)
+        for memory, belief, count in zip(memories, after, taken, strict=True):
+            memory.belief, memory.records = belief, int(count)
+        return np.array([belief.probabilities[self._order] for belief in after])
 
     @property
     def feature_size(self) -> int:

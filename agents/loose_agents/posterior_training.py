@@ -503,8 +503,7 @@ def fit_factors(found: Transitions) -> InformationFactors:
         )
 
     def misses(x: Array) -> Array:
-        by = factors(x)
-        scale = np.array([by.of(on, s) for on, s in zip(found.excited, found.seconds, strict=True)])
+        scale = factors(x).of(found.excited, found.seconds)
         # The pull towards zero decides where the records say nothing.
         return np.concatenate([scale * found.expected - found.gained, 0.5 * x])
 

@@ -295,12 +295,12 @@ class InformationFactors:
     joints: tuple[float, ...] = ()
     """Logarithm of the factor of each joint; of several that are shaken, their mean. None: 0."""
 
-    def of(self, excited: NDArray[np.bool_], seconds: float) -> float:
-        """Factor of a record that shakes some joints (n,) for some seconds."""
-        alone = 1 / len(excited)
-        share = (float(np.mean(excited)) - alone) / max(1 - alone, alone)
-        own = float(np.mean(np.array(self.joints)[excited])) if self.joints else 0.0
-        return float(seconds**self.length * np.exp(self.together * share + own))
+    def of(self, excited: NDArray[np.bool_], seconds: Array) -> Array:
+        """Factors of C records that shake some joints (C, n) for some seconds (C,)."""
+        alone = 1 / excited.shape[1]
+        share = (excited.mean(axis=1) - alone) / max(1 - alone, alone)
+        own = excited @ np.array(self.joints or np.zeros(excited.shape[1])) / excited.sum(axis=1)
+        return np.asarray(seconds**self.length * np.exp(self.together * share + own))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -414,8 +414,7 @@ class RecordInformation:
             likely *= before
             score, sure[rows] = expected_log_score(faults.weight, faults.hypothesis, likely)
             information[rows] = score - score_now
-        pairs = zip(torque, np.asarray(durations).tolist(), strict=True)
-        factors = np.array([self.factors.of(own > 0, seconds) for own, seconds in pairs])
+        factors = self.factors.of(torque > 0, durations)
         return Expectation(information=factors * information, sure=sure)
 
     def likelihoods(
@@ -497,7 +496,7 @@ class RecordInformation:
         return opening, loose
 
 
-_TOGETHER = 16
+_TOGETHER = 48
 """Records worked out at once: what the processor's cache holds."""
 
 _STEPS = 7

@@ -59,7 +59,7 @@ class Fit:
     """Log-likelihood of B records."""
 
     log: Array
-    """Over locations, openings and loose motion (B, P, S, Q)."""
+    """Over locations, openings and loose motion (B, P, S, Q), or whatever that is (B, P, S, 1)."""
     force: Array
     """Rms force that each shut seat transmits in the record (B, P)."""
     load: Array
@@ -84,7 +84,7 @@ def fit_records(
     arm, on = poses.linear.arm, joints_on(records.torque)
     d, m = records.tool_covariance.shape[-1], on.shape[1]
     noise = channel_noise(floor, arm, on)
-    seats = predict_seats(poses, records.torque, directions, noise)
+    seats = predict_seats(poses, records.torque, directions, noise, covariances=m == 1)
     samples = independent_samples(arm, records.duration)
 
     b, residual = unexplained(records, seats, least=0.0 if m > 1 else -np.inf)
@@ -95,8 +95,7 @@ def fit_records(
     away = away_from(b)
     log, x = _in_step(poses, on, b, away, residual, samples, seats, mismatch)
     if m > 1:
-        log = np.repeat(log[..., None], len(LOOSE), 3)
-        return Fit(log=log, force=seats.force, load=seats.load)
+        return Fit(log=log[..., None], force=seats.force, load=seats.load)
 
     def each(values: Array) -> Array:
         """One number a record, before locations and openings."""
@@ -210,8 +209,11 @@ def _in_step(
         motion = healthy[:, :1, 0, None] + OPENINGS * opened[..., 0, 0][..., None]
         size = np.abs(motion)
     else:
-        of_joints = opened[:, :, None, :m] * OPENINGS[:, None, None]
-        motion = np.linalg.det(healthy[:, None, None, :m] + of_joints)
+        # A polynomial of the opening, of degree m: worked out at as many nodes as it takes.
+        nodes = np.linspace(OPENINGS[0], OPENINGS[-1], m + 1)
+        of_joints = opened[:, :, None, :m] * nodes[:, None, None]
+        between = np.linalg.solve(np.vander(nodes).T, np.vander(OPENINGS, m + 1).T)
+        motion = np.linalg.det(healthy[:, None, None, :m] + of_joints) @ between
         size = np.abs(motion)
     size = size / np.prod(x, axis=1)[:, None, None]
     return fit + d * np.log(np.maximum(size, 1e-9)), motion
@@ -515,7 +517,8 @@ class FaultPosterior:
             (self.table.slide, slice(0, slides)),
             (self.table.hinge, slice(slides, None)),
         ):
-            by_node = likelihood[:, locations] @ table.reshape(-1, likelihood.shape[-1]).T
+            cells = table if fit.log.shape[3] > 1 else table.sum(axis=3)
+            by_node = likelihood[:, locations] @ cells.reshape(-1, likelihood.shape[-1]).T
             for node, weight in nodes:
                 mixed[:, locations] += weight[:, locations] * np.take_along_axis(
                     by_node, node[:, locations], 2

@@ -226,9 +226,6 @@ POWER_ERROR = 0.35
 LINEAR_ERROR = 0.003
 """Share of the tool's rms motion that no linear model explains."""
 
-_CHUNK = 400_000
-"""Complex numbers worked on at once: what the processor's cache holds, and little memory."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeatPrediction:
@@ -296,77 +293,84 @@ def predict_seats(
     """
     linear, excited = poses.linear, torque > 0
     (acceleration, tool), opened = poses.responses(excited), poses.open_responses(excited)
-    transmitted = poses.transmitted(acceleration)
     on = joints_on(torque)
-    t = np.take_along_axis(torque, on, axis=1)[:, None, None]
     n, axes = linear.slide_dofs.shape
     records, count, d, m = tool.shape
     p, slides = m + d, n * len(directions)
     asked = np.arange(slides + n) if locations is None else np.asarray(locations)
-    of_slide = asked < slides
-    link, u = asked[of_slide] // len(directions), directions[asked[of_slide] % len(directions)]
-    joint = asked[~of_slide] - slides
+    of_slide, joint = asked < slides, asked[asked >= slides] - slides
+    link, way = np.divmod(asked[of_slide], len(directions))
+    u = directions[way]
 
-    def placed(of_slides: ComplexArray, of_hinges: ComplexArray) -> ComplexArray:
-        """Put slides and hinges where they were asked for, along the third axis."""
-        both = np.empty((records, count, len(asked), *of_slides.shape[3:]), dtype=complex)
-        both[:, :, of_slide], both[:, :, ~of_slide] = of_slides, of_hinges
-        return both
+    def placed(along: Array, of_links: ComplexArray, of_hinges: ComplexArray) -> ComplexArray:
+        """Slides, as sums of a link's parts (B, K, parts, ..., n), and hinges, as asked for.
 
-    joints = np.take_along_axis(acceleration, on[:, None, :, None], axis=2)
-    healthy = np.concatenate([joints, tool], axis=2) * t
+        Frequencies come last (B, P, ..., K), so that averages over them are products of matrices.
+        """
+        by_link = np.ascontiguousarray(np.moveaxis(of_links, (1, -1), (-1, 1)))
+        found = np.empty((records, len(asked), *by_link.shape[3:]), dtype=complex)
+        parts = by_link.reshape(records, n, by_link.shape[2], -1).view(float)
+        rows = np.flatnonzero(of_slide)
+        for k in range(n):
+            own = link == k
+            each = along[own] @ parts[:, k]
+            found[:, rows[own]] = each.view(complex).reshape(records, -1, *by_link.shape[3:])
+        found[:, ~of_slide] = np.moveaxis(of_hinges, (1, -1), (-1, 1))[:, joint]
+        return found
+
+    t = np.take_along_axis(torque, on, axis=1)[:, None, None]
+    transmitted = poses.transmitted(acceleration) * t
     by_link = transmitted[:, :, : n * axes].reshape(records, count, n, axes, m)
     force = placed(
-        np.einsum("bkpsm,ps->bkpm", by_link[:, :, link], u),
-        transmitted[:, :, n * axes : n * axes + n][:, :, joint],
+        u,
+        np.moveaxis(by_link, 2, -1),
+        np.moveaxis(transmitted[:, :, n * axes : n * axes + n], 2, -1),
     )
-    force *= t
+    squares = (u[:, :, None] * u[:, None]).reshape(-1, axes * axes)
     mass = placed(
-        np.einsum("bkpsr,psr->bkp", opened.mass_slide[:, :, link], u[:, :, None] * u[:, None]),
-        opened.inertia_hinge[:, :, joint],
+        squares,
+        np.moveaxis(opened.mass_slide, 2, -1).reshape(records, count, axes * axes, n),
+        opened.inertia_hinge,
     )
     slide = np.concatenate([opened.joint_open_slide, opened.tool_open_slide], axis=2)
     hinge = np.concatenate([opened.joint_open_hinge, opened.tool_open_hinge], axis=2)
-    column = placed(np.einsum("bkcps,ps->bkpc", slide[:, :, :, link], u), hinge[:, :, :, joint].mT)
-    free = -force / mass[..., None]
+    column = placed(u, slide.transpose(0, 1, 4, 2, 3), hinge)
+    free = -force / mass[:, :, None]  # (B, P, m, K), column (B, P, p, K)
 
-    # Averages over the band, locations first so that each is one small matrix product.
-    column, free = (np.ascontiguousarray(x.transpose(0, 2, 3, 1)) for x in (column, free))
+    joints = np.take_along_axis(acceleration, on[:, None, :, None], axis=2)
+    healthy = np.concatenate([joints, tool], axis=2) * t
+    own = np.ascontiguousarray(healthy.transpose(0, 2, 3, 1))
     in_step = healthy.real.mean(1)
-    own = np.ascontiguousarray(healthy.transpose(0, 2, 3, 1)).reshape(records, p, -1)
-    shape = records, len(asked)
-    in_step_open = np.empty((*shape, p, m))
+    flat = own.reshape(records, p, -1)
+    step = _averaged(column, free.conj())
+    power = (np.abs(free) ** 2).sum(2)
     places = len(asked) if covariances else 0
-    mixed, rest_open, loose = (np.empty((records, places, p, p)) for _ in range(3))
-    if not covariances:
-        in_step_open = (column @ free.mT).real / count
-    some = max(1, _CHUNK // (p * m * count))
-    few = max(1, some // max(places, 1))
-    for first in range(0, records if covariances else 0, few):
-        for at in range(0, places, some):
-            part = slice(first, first + few), slice(at, at + some)
-            change = column[part][..., None, :] * free[part][:, :, None]  # (few, some, p, m, K)
-            step = change.real.mean(-1)
-            flat = change.reshape(*change.shape[:3], -1)
-            back = flat.conj().mT
-            steady, healthy_part = in_step[part[0], None], own[part[0], None]
-            in_step_open[part] = step
-            mixed[part] = (healthy_part @ back).real / count - steady @ step.mT
-            rest_open[part] = (flat @ back).real / count - step @ step.mT
-            loose[part] = (column[part] @ column[part].conj().mT).real / count
-    power = np.mean(np.sum(np.abs(free) ** 2, axis=2), axis=-1)[:, :places, None, None]
+    mixed, rest_open, loose = (np.zeros((records, places, p, p)) for _ in range(3))
+    if covariances:
+        steady = in_step[:, None]
+        back = free.conj()
+        follows = sum(own[:, None, :, k] * back[:, :, None, k] for k in range(m))
+        mixed = _averaged(np.asarray(follows), column) - steady @ step.mT
+        rest_open = _averaged(column * power[:, :, None], column) - step @ step.mT
+        loose = _averaged(column, column) * power.mean(-1)[..., None, None]
     seat_load = poses.load[:, linear.slide_dofs] @ directions.T
     at_rest = [seat_load.reshape(records, -1), poses.load[:, linear.hinge_dofs]]
     return SeatPrediction(
         in_step=in_step,
-        in_step_open=in_step_open,
-        rest=(own @ own.conj().mT).real / count - in_step @ in_step.mT + _diagonal(floor),
+        in_step_open=step,
+        rest=_averaged(flat, flat) * m - in_step @ in_step.mT + _diagonal(floor),
         rest_mixed=mixed + mixed.mT,
         rest_open=rest_open,
-        loose=loose * power,
-        force=np.sqrt(np.mean(np.sum(np.abs(force) ** 2, axis=-1), axis=1)),
+        loose=loose,
+        force=np.sqrt((np.abs(force) ** 2).sum(2).mean(-1)),
         load=np.abs(np.concatenate(at_rest, axis=1))[:, asked],
     )
+
+
+def _averaged(a: NDArray[Any], b: NDArray[Any]) -> Array:
+    """Real part of the products a bᴴ (..., i, j), averaged over the last axis of both."""
+    one, other = (np.ascontiguousarray(x).view(float) for x in (a, b))
+    return np.asarray(one @ other.mT / a.shape[-1])
 
 
 def joints_on(torque: NDArray[Any]) -> IndexArray:

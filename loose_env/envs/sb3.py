@@ -40,7 +40,8 @@ class Sb3VecEnv(VecEnv):
     Parameters
     ----------
     env : DiagnosisVectorEnv
-        The environments, made for example by ``gymnasium.make_vec(id, num_envs=8)``.
+        The environments, made for example by ``gymnasium.make_vec(id, num_envs=8)``, or these
+        within `loose_env.wrappers.vector`.
 
     Raises
     ------
@@ -48,17 +49,18 @@ class Sb3VecEnv(VecEnv):
         If it is another environment, or does not reset in the same step.
     """
 
-    def __init__(self, env: DiagnosisVectorEnv) -> None:
-        if not isinstance(env, DiagnosisVectorEnv):
+    def __init__(self, env: Any) -> None:
+        inner = getattr(env, "unwrapped", env)
+        if not isinstance(inner, DiagnosisVectorEnv):
             raise InvalidSetting(
                 f"Sb3VecEnv adapts a DiagnosisVectorEnv, as gymnasium.make_vec gives it; got "
                 f"{type(env).__name__}: wrap single environments and give them to "
                 "stable_baselines3's DummyVecEnv instead"
             )
-        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+        if inner.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise InvalidSetting(
                 "stable-baselines3 resets in the same step: make the environments with "
-                f"autoreset_mode='SameStep', got {env.autoreset_mode.value!r}"
+                f"autoreset_mode='SameStep', got {inner.autoreset_mode.value!r}"
             )
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
@@ -111,23 +113,23 @@ class Sb3VecEnv(VecEnv):
 
     def get_images(self) -> Sequence[Any]:
         """Picture of every environment; they need the render_mode "rgb_array"."""
-        return self.env.render()
+        return tuple(self.env.render())
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Attribute of the environments; it is the same object for all."""
-        values = self.env.get_attr(attr_name)
+        values = self.env.unwrapped.get_attr(attr_name)
         return [values[i] for i in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Refuse, as the environments of a batch do."""
-        self.env.set_attr(attr_name, value)
+        self.env.unwrapped.set_attr(attr_name, value)
 
     def has_attr(self, attr_name: str) -> bool:
         """Return whether the environments have an attribute or a method."""
         if attr_name == "action_masks":
             return True
         try:
-            self.env.get_attr(attr_name)
+            self.env.unwrapped.get_attr(attr_name)
         except UnknownName:
             return False
         return True

@@ -571,9 +571,9 @@ class RecordLayout:
     def split(
         self, observation: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Global elements (globals,) and records (slots, slot size) of an observation (size,)."""
-        count = len(self.global_elements)
-        return observation[:count], observation[count:].reshape(self.slots, -1)
+        """Global elements (..., globals) and records (..., slots, slot size) of observations."""
+        count, shape = len(self.global_elements), (*observation.shape[:-1], self.slots, -1)
+        return observation[..., :count], observation[..., count:].reshape(shape)
 
 
 class ObservationLayout(RecordLayout):
@@ -732,6 +732,11 @@ class ObservationLayout(RecordLayout):
         start = len(self.global_elements)
         tail = observation[..., start:]
         return tail.reshape(*observation.shape[:-1], self.slots, len(self.slot_elements))
+
+    def records_of(self, observation: NDArray[np.float32]) -> Any:
+        """Number of records taken in observations (..., size)."""
+        share = self.physical(observation, "spent")[..., 0]
+        return np.rint(share * self.settings.max_records).astype(np.intp)
 
     def pose_of(self, observation: NDArray[np.float32]) -> Array:
         """Pose in which an arm is now [rad, m where a joint slides].

@@ -8,7 +8,13 @@ from loose_env.evaluation.hidden_faults import (
     drive_over_friction,
     fault_parameters,
 )
-from loose_env.evaluation.rows import configuration_hash, need_format, read_rows, write_rows
+from loose_env.evaluation.rows import (
+    configuration_hash,
+    need_format,
+    read_rows,
+    seed_of,
+    write_rows,
+)
 from loose_env.evaluation.success import (
     SEPARATOR,
     Row,
@@ -44,6 +50,7 @@ __all__ = [
     "paired_difference",
     "read_rows",
     "reliability",
+    "seed_of",
     "standing_of",
     "standings",
     "wilson",

@@ -52,6 +52,17 @@ def configuration_hash(configuration: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
+def seed_of(phrase: str) -> int:
+    """Seed of 64 bits that a phrase stands for, its SHA-256: nobody can choose it.
+
+    Examples
+    --------
+    >>> seed_of("a phrase") == seed_of("a phrase") != seed_of("another")
+    True
+    """
+    return int.from_bytes(hashlib.sha256(phrase.encode()).digest()[:8], "big")
+
+
 def need_format(form: str) -> RowsFormat:
     """Check that rows can be written in a format, before hours are spent on playing them.
 

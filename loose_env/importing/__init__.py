@@ -5,8 +5,7 @@ reading -> describe, evidence -> roles -> proposal; join_runs -> pipeline.
 """
 
 from loose_env.importing.describe import FileList, describe_sources, list_sources
-from loose_env.importing.mapping import ImportMapping
-from loose_env.importing.mapping_file import read_mapping
+from loose_env.importing.mapping import ImportMapping, read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
 from loose_env.importing.proposal import Proposal, proposal_text, propose
 from loose_env.importing.resampling import median_step

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.importing.dates import date_format_of, date_ns, looks_like_a_date
-from loose_env.importing.mapping import TimeSource
+from loose_env.importing.mapping import TimeSource, quoted
 from loose_env.importing.samples import Samples, Table
 from loose_env.importing.units import quantity_of, unit_in, unit_named
 from loose_env.recording import nearest
@@ -154,8 +154,6 @@ def unit_words(table: Table, time: TimeSource) -> str:
 
 def time_line(time: TimeSource, words: str = "") -> str:
     """Line of a mapping for a time."""
-    from loose_env.importing.mapping_file import quoted
-
     parts = [f"column = {quoted(time.column)}"] if time.column else []
     numeric = time.column and not time.fine and not time.date_format
     parts += [f'unit = "{time.unit}"'] if numeric else []

@@ -13,8 +13,7 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.importing.clocks import chosen_time, named_times, samples_of, time_line
-from loose_env.importing.mapping import TimeSource
-from loose_env.importing.mapping_file import MAPPING_FORMAT, quoted
+from loose_env.importing.mapping import MAPPING_FORMAT, TimeSource, quoted
 from loose_env.importing.reading import given_files, open_log
 from loose_env.importing.samples import ChannelKey, FileKind, Log, Table
 from loose_env.importing.units import column_quantity

@@ -108,8 +108,6 @@ class Torque(NamedTuple):
     """Correlation with the torque that the model needs, and friction; negative if reversed [1]."""
     alone: float = 0.0
     """Correlation with the torque that the model needs [1]."""
-    apart: float = 0.0
-    """That correlation in what does not follow the speed [1]."""
     per: float = 0.0
     """Torque that the model needs for each of its units [N·m or N]."""
 
@@ -137,18 +135,11 @@ def torque_in(channel: Sequence[Array], needed: Sequence[Array], rates: Sequence
     alone, whole = (
         float(np.corrcoef(each, own)[0, 1]) if np.std(each) > 0 else 0.0 for each in (load, fitted)
     )
-    left = [v - beside @ np.linalg.lstsq(beside, v, rcond=None)[0] for v in (load, own)]
-    scale = float(np.linalg.norm(left[0]) * np.linalg.norm(left[1]))
     # The load, and friction, which acts with the motion, have the sign of the larger one.
     larger = np.std(load) * abs(share[0]) > np.std(friction)
     sign = float(share[0]) if larger else float(np.mean(friction * speed))
     size = abs(share[0]) if share[0] * alone > 0 else np.std(own) / np.std(load) * abs(alone)
-    return Torque(
-        math.copysign(whole, sign),
-        alone,
-        float(left[0] @ left[1]) / scale if scale > 0 else 0.0,
-        float(1 / size) if size > 0 else 0.0,
-    )
+    return Torque(math.copysign(whole, sign), alone, float(1 / size) if size > 0 else 0.0)
 
 
 def derivative(values: Array, step: float, width: int = 5) -> Array:

@@ -5,7 +5,6 @@ A folder is read by the files in it, compressed or not, whatever its metadata sa
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import re
@@ -58,23 +57,6 @@ class _Message(NamedTuple):
     data: bytes
 
 
-class _Path(NamedTuple):
-    """A way to a number, or to an array of them, with the names of its channels."""
-
-    parts: tuple[str | int, ...]
-    names: tuple[str, ...]
-
-
-class _Plan(NamedTuple):
-    """Where the numbers of messages of one structure are."""
-
-    paths: tuple[_Path, ...]
-    labels: tuple[tuple[tuple[str | int, ...], tuple[str, ...]], ...]
-    """Arrays of names, and what they held."""
-    stamps: tuple[tuple[str | int, ...], ...]
-    names: tuple[str, ...]
-
-
 def open_messages(path: Path, name: str) -> Log:
     """Open a bag or an MCAP file."""
 
@@ -120,10 +102,10 @@ class _Topic:
     def __init__(self, place: str, channel: _Channel) -> None:
         self.place, self.channel = place, channel
         self.decoders: dict[int, Decoder] = {}
-        self.blocks: dict[_Plan, tuple[list[int], list[list[float]]]] = {}
-        self.plan: _Plan | None = None
+        self.found: dict[tuple[str, tuple[str, ...] | None], tuple[list[int], list[Any]]] = {}
+        """Field, and names of the entries of an array -> messages that have it, and values."""
         self.stamps: dict[str, list[int]] = {}
-        self.count = 0
+        self.count, self.values = 0, 0
         self.note = ""
 
     def take(self, message: _Message, *, strict: bool) -> None:
@@ -140,178 +122,103 @@ class _Topic:
             self.note = f"not read: {error}"
 
     def _take(self, message: _Message) -> None:
-        own = id(message.channel)
+        own, here = id(message.channel), f"{self.place}: message {self.count}"
         if own not in self.decoders:
             self.decoders[own] = message.channel.decoder()
         try:
             data = message.data
-            data = _unpacked(data) if data[:4] == _PACKED else data
-            decoded = self.decoders[own](data)
-            if self.plan is None or not _fits(self.plan, decoded):
-                self.plan = self._replanned(decoded)
-            row = _row(self.plan, decoded)
+            decoded = self.decoders[own](_unpacked(data) if data[:4] == _PACKED else data)
+            for words, labels, value in _numbers(decoded, "", 0):
+                if labels is _STAMP:
+                    self.stamps.setdefault(words, []).append(value)
+                elif labels is not _TEXT:
+                    rows, values = self.found.setdefault((words, labels), ([], []))
+                    rows.append(self.count - 1)
+                    values.append(value)
+                    self.values += 1 if labels is None else len(labels)
+                elif (words, None) in self.found:
+                    raise InvalidData(f"{here}: {words!r} is no number")
         except InvalidData:
             raise
         except OverflowError:
-            raise InvalidData(f"{self._here()}: it holds too large a number") from None
+            raise InvalidData(f"{here}: it holds too large a number") from None
         except Exception as error:  # whatever a library raises on damaged bytes
-            raise InvalidData(f"{self._here()}: it is damaged: {type(error).__name__}") from error
-        numbers, rows = self.blocks.setdefault(self.plan, ([], []))
-        numbers.append(self.count - 1)
-        rows.append(row)
-        for parts in self.plan.stamps:
-            told = _stamp_ns(_at(decoded, parts))
-            self.stamps.setdefault(_words(parts), []).append(told or 0)
+            raise InvalidData(f"{here}: it is damaged: {type(error).__name__}") from error
         for clock, ns in (("log", message.log_ns), ("publish", message.publish_ns)):
             self.stamps.setdefault(clock, []).append(ns)
-        if self.count * max(len(self.plan.names), 1) > MOST_VALUES:
+        if self.values > MOST_VALUES:
             raise InvalidData(f"{self.place}: more than {MOST_VALUES} samples; cut the file")
 
-    def _here(self) -> str:
-        return f"{self.place}: message {self.count}"
-
-    def _replanned(self, decoded: Any) -> _Plan:
-        """Plan of a message of another structure; a text where a number was is refused."""
-        plan = _planned(decoded)
-        for other in self.blocks:
-            for path in other.paths:
-                value = None
-                with contextlib.suppress(KeyError, AttributeError, IndexError, TypeError):
-                    value = _at(decoded, path.parts)
-                if isinstance(value, (str, bytes)):
-                    raise InvalidData(f"{self._here()}: {path.names[0]!r} is no number")
-        return plan
-
     def table(self) -> Table:
-        names = list(dict.fromkeys(n for plan in self.blocks for n in plan.names))
-        place = {name: i for i, name in enumerate(names)}
-        whole = np.full((len(names), self.count if self.blocks else 0), np.nan)
-        for plan, (numbers, rows) in self.blocks.items():
-            into = np.array([place[name] for name in plan.names], dtype=np.int64)
-            whole[np.ix_(into, np.array(numbers))] = np.array(rows, dtype=np.float64).T
-        count = whole.shape[1]
+        """Columns of all fields; entries of named arrays by their number as well."""
+        columns: dict[str, NDArray[np.float64]] = {}
+        hidden: dict[str, NDArray[np.float64]] = {}
+        for (words, labels), (rows, values) in self.found.items():
+            matrix = np.array(values, dtype=np.float64).reshape(len(rows), -1)
+            for i, label in enumerate(labels or ("",)):
+                names = {words if labels is None else f"{words}[{label}]": columns}
+                names |= {f"{words}[{i}]": hidden} if labels and label != str(i) else {}
+                for name, into in names.items():
+                    column = into.setdefault(name, np.full(self.count, np.nan))
+                    column[rows] = matrix[:, i]
         stamps: dict[str, NDArray[np.int64]] = {
             k: np.array(v, dtype=np.uint64).astype(np.int64)
             for k, v in self.stamps.items()
-            if len(v) == count and max(v, default=0) < 2**64
+            if len(v) == self.count and columns and max(v, default=0) < 2**64
         }
         header = stamps.get("header.stamp")
         told = header is not None and len(header) and header[0] != 0
         note = "times by header.stamp; stamp = 'log' takes the recorder's" if told else ""
-        own = f"{self.channel.kind}, {self.channel.encoding}".strip(", ")
         return Table(
             place=self.place,
             topic=self.channel.topic,
-            columns=dict(zip(names, whole, strict=True)),
+            columns=columns,
             stamps=stamps,
-            hidden=self._numbered(count),
+            hidden=hidden,
             row_word="message",
-            kind=own,
+            kind=f"{self.channel.kind}, {self.channel.encoding}".strip(", "),
             note=self.note or note,
         )
-
-    def _numbered(self, count: int) -> dict[str, NDArray[np.float64]]:
-        """Entries of named arrays by number, whatever name stands there in each message."""
-        found: dict[str, NDArray[np.float64]] = {}
-        for plan, (numbers, rows) in self.blocks.items():
-            at = 0
-            for path in plan.paths:
-                for i, name in enumerate(path.names):
-                    numbered = f"{name.rsplit('[', 1)[0]}[{i}]"
-                    if name.endswith("]") and numbered != name:
-                        own = found.setdefault(numbered, np.full(count, np.nan))
-                        own[numbers] = [row[at + i] for row in rows]
-                at += len(path.names)
-        return found
 
 
 # ------------------------------------------------------------------------- structure
 
-
-def _planned(message: Any) -> _Plan:
-    paths: list[_Path] = []
-    labels: dict[tuple[str | int, ...], tuple[str, ...]] = {}
-    stamps: list[tuple[str | int, ...]] = []
-
-    def walk(here: Any, parts: tuple[str | int, ...], depth: int) -> None:
-        if isinstance(here, (bool, int, float, np.number)):
-            float(here)  # a whole number of hundreds of digits is none
-            paths.append(_Path(parts, (_words(parts),)))
-            return
-        if depth == _DEEPEST or here is None or isinstance(here, (str, bytes, bytearray)):
-            return
-        if _stamp_ns(here) is not None:
-            stamps.append(parts)  # a time, offered as a stamp and not as a value
-            return
-        label = _label_of(here)
-        if label is not None:
-            labels[(*parts, label[0])] = label[1]
-        for name in _fields(here):
-            value = _field(here, name)
-            if name.endswith("covariance") or set(name) & set("[].") or name.startswith("__"):
-                continue  # nine numbers that no column takes
-            if not _is_array(value):
-                walk(value, (*parts, name), depth + 1)
-            elif 0 < len(value) <= _MOST_ENTRIES:
-                own = label[1] if label and len(label[1]) == len(value) else ()
-                names = (
-                    own if len(set(own)) == len(own) == len(value) else map(str, range(len(value)))
-                )
-                entries = tuple(f"{_words((*parts, name))}[{n}]" for n in names)
-                if isinstance(value[0], (bool, int, float, np.number)):
-                    paths.append(_Path((*parts, name), entries))
-                elif not isinstance(value[0], (str, bytes)):
-                    for i in range(len(value)):
-                        walk(value[i], (*parts, name, i), depth + 1)
-
-    walk(message, (), 0)
-    names = tuple(n for path in paths for n in path.names)
-    return _Plan(tuple(paths), tuple(labels.items()), tuple(stamps), names)
+_TEXT, _STAMP = ("text",), ("stamp",)
+"""Marks of a field that holds a text, or a time."""
 
 
-def _fits(plan: _Plan, message: Any) -> bool:
-    """Whether a message has the arrays, lengths and names of a plan."""
-    try:
-        if any(tuple(_at(message, parts)) != held for parts, held in plan.labels):
-            return False
-        for path in plan.paths:
-            value = _at(message, path.parts)
-            if _is_array(value):
-                if len(value) != len(path.names) or not path.names[0].endswith("]"):
-                    return False
-            elif not isinstance(value, (bool, int, float, np.number)):
-                return False
-    except (KeyError, AttributeError, IndexError, TypeError):
-        return False
-    # JSON may have more fields than the first message had.
-    return not isinstance(message, dict) or _planned(message).names == plan.names
-
-
-def _row(plan: _Plan, message: Any) -> list[float]:
-    row: list[float] = []
-    for path in plan.paths:
-        value = _at(message, path.parts)
-        if isinstance(value, np.ndarray):
-            row.extend(value.tolist())
-        elif path.names[0].endswith("]") and _is_array(value):
-            row.extend(map(float, value))
-        else:
-            row.append(float(value))
-    return row
-
-
-def _words(parts: tuple[str | int, ...]) -> str:
-    words = ""
-    for part in parts:
-        words += f"[{part}]" if isinstance(part, int) else f".{part}" if words else part
-    return words
-
-
-def _at(here: Any, parts: tuple[str | int, ...]) -> Any:
-    for part in parts:
-        indexed = isinstance(part, int) or isinstance(here, dict)
-        here = here[part] if indexed else getattr(here, str(part))
-    return here
+def _numbers(here: Any, words: str, depth: int) -> Iterator[tuple[str, Any, Any]]:
+    """Fields of a message: name, names of the entries of an array or None or a mark, value."""
+    if isinstance(here, (bool, int, float, np.number)):
+        yield words, None, float(here)
+        return
+    if isinstance(here, (str, bytes, bytearray)):
+        yield words, _TEXT, None
+        return
+    if depth == _DEEPEST or here is None:
+        return
+    fields = _fields(here)
+    stamp = _stamp_ns(here, fields)
+    if stamp is not None:
+        yield words, _STAMP, stamp  # offered as a stamp and not as a value
+        return
+    label = next(
+        (found for name in fields if name in _LABELS and (found := _label(here, name))), ()
+    )
+    for name in fields:
+        value = _field(here, name)
+        if name.endswith("covariance") or set(name) & set("[].") or name.startswith("__"):
+            continue  # nine numbers that no column takes
+        own = f"{words}.{name}" if words else name
+        if not _is_array(value):
+            yield from _numbers(value, own, depth + 1)
+        elif 0 < len(value) <= _MOST_ENTRIES:
+            if isinstance(value[0], (bool, int, float, np.number)):
+                numbered = tuple(map(str, range(len(value))))
+                yield own, label if len(label) == len(value) else numbered, [*map(float, value)]
+            elif not isinstance(value[0], (str, bytes)):
+                for i in range(len(value)):
+                    yield from _numbers(value[i], f"{own}[{i}]", depth + 1)
 
 
 def _fields(holder: Any) -> Sequence[str]:
@@ -339,19 +246,17 @@ def _is_array(value: Any) -> bool:
     )
 
 
-def _label_of(holder: Any) -> tuple[str, tuple[str, ...]] | None:
-    for label in _LABELS:
-        if label in _fields(holder):
-            found = _field(holder, label)
-            if _is_array(found) and len(found) and all(isinstance(w, str) for w in found):
-                plain = all(w and not set(w) & set("[]") for w in found)
-                return (label, tuple(found)) if plain else None
-    return None
+def _label(holder: Any, name: str) -> tuple[str, ...]:
+    """Names that a field gives to the entries of the arrays beside it; none where it is no such."""
+    found = _field(holder, name)
+    if not _is_array(found) or not all(isinstance(word, str) for word in found):
+        return ()
+    plain = all(word and not set(word) & set("[]") for word in found)
+    return tuple(found) if plain and len(set(found)) == len(found) else ()
 
 
-def _stamp_ns(value: Any) -> int | None:
+def _stamp_ns(value: Any, names: Sequence[str]) -> int | None:
     """Time of a stamp [ns], where a value is one: an object of seconds and nanoseconds."""
-    names = _fields(value)
     seconds = next((n for n in _SECONDS if n in names), None)
     rest = next((n for n in _NANOSECONDS if n in names), None)
     if seconds is None or rest is None or len(names) > 2:

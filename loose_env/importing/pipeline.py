@@ -11,8 +11,7 @@ import mujoco
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing.join_runs import Joined, joined_run, shifts_of
-from loose_env.importing.mapping import ImportMapping, RunPlan
-from loose_env.importing.mapping_file import read_mapping
+from loose_env.importing.mapping import ImportMapping, RunPlan, read_mapping
 from loose_env.importing.reading import (
     check_units,
     files_of_runs,

@@ -17,8 +17,7 @@ from loose_env.importing.clocks import chosen_time, samples_of, time_line
 from loose_env.importing.describe import source_name
 from loose_env.importing.evidence import Signal, coding_of, on_one_base
 from loose_env.importing.join_runs import decoded
-from loose_env.importing.mapping import TimeSource
-from loose_env.importing.mapping_file import MAPPING_FORMAT, quoted
+from loose_env.importing.mapping import MAPPING_FORMAT, TimeSource, quoted
 from loose_env.importing.names import meaning_of, quantities
 from loose_env.importing.reading import given_files, natural, open_log
 from loose_env.importing.roles import Line, Roles
@@ -109,6 +108,8 @@ def propose(
     measured = [c for c in roles.lines if not c.startswith("ctrl.")]
     if not measured:
         names = ", ".join(dict.fromkeys(log.files[0][0] for log in logs.values()))
+        if roles.notes:  # the log has them, and the model no place for them
+            raise InvalidData(f"{names}: {'; '.join(roles.notes)[:600]}")
         heard = "; ".join(f"{each.key}: {each.reason}" for each in left[:3])
         found = ", ".join(f"{line.candidate.key} as {c}" for c, line in [*roles.lines.items()][:2])
         raise InvalidData(

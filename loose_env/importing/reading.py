@@ -193,7 +193,7 @@ def open_log(path: Path, entry: SourceEntry | None = None) -> Log:
     kind = kind_of(path, None if entry is None else entry.kind)
     name = path.resolve().name
     if kind == "csv":
-        return open_text_table(path, name, None if entry is None else entry.csv)
+        return open_text_table(path, name, entry)
     if kind in ("mcap", "rosbag2"):
         return open_messages(path, name)
     if kind == "lerobot":

@@ -8,6 +8,7 @@ and units are priors among these: they break ties, and never make a role of what
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -73,9 +74,6 @@ _UNIT = 0.1
 _NEAR = 0.3
 """Least closeness of a channel without a name to the motion that follows it [1]: it is less than
 1.2 standard deviations of the motion away."""
-_GAIN, _CLEAR = 0.05, 0.2
-"""Correlation by which torques have to agree better to call states exchanged, and worse to call
-commands so: the model's servos are the less sure part [1]."""
 _ROWS = 2000
 """Rows of which torques are computed where several motions are tried."""
 _WEAK = 0.2
@@ -123,8 +121,6 @@ class Roles:
         self.rates: dict[str, list[Array]] = {}
         self.needed: dict[str, list[Array]] = {}
         self.commands: dict[str, Signal] = {}
-        self.torques: dict[str, Signal] = {}
-        """Channels that their names call torques, by the joint that they name."""
         self.loads: dict[int, str] = {}
         """Joint of channels without names that are the torques of the motion."""
         self.places: dict[int, str] = {}
@@ -275,9 +271,6 @@ class Roles:
                 reason = "; ".join(filter(None, [f"{name} {vector.words}", words.get(joint, "")]))
                 self.positions[joint] = (s, Scaling(""), reason)
                 self.used.add(s.sort)
-        self.loose = not self.positions
-        if self.loose:
-            self._by_pairs(moving)
 
     def _by_dynamics(self, scored: list[tuple[float, int, Vector, dict[str, str]]]) -> None:
         """Raise vectors for whose motion the model needs the torques of another one."""
@@ -323,29 +316,6 @@ class Roles:
     def _every(self, motion: Mapping[str, Sequence[Array]]) -> int:
         """Rows of which one is enough to tell a torque."""
         return max(1, sum(len(v) for v in next(iter(motion.values()))) // _ROWS)
-
-    def _by_pairs(self, moving: Sequence[Signal]) -> None:
-        """Positions of channels without telling names, in their order, each with its relation."""
-        candidates = [s for s in moving if self._role(s) in ("", "position")]
-        related = []
-        for s in candidates:
-            score, words = self._relation(s, moving)
-            possible = any(position_scaling(t, s.values, s.unit) for t in self.targets)
-            if score > 0.5 and possible:
-                related.append((s, words))
-        if not related and len(candidates) == len(self.targets):
-            related = [(s, "the log has as many channels as the model has joints")
-                       for s in candidates]  # fmt: skip
-        free = list(self.targets)
-        for place, (s, words) in enumerate(related, 1):
-            fitting = [t for t in free if admits(s.unit, "position", slide=t.slide)]
-            own = [t for t in fitting if t.name == self.labels.joint(s)] or fitting
-            if not own:
-                continue
-            free.remove(own[0])
-            order = f"position {place} of {len(related)} in the file's order, assumed"
-            self.positions[own[0].name] = (s, Scaling(""), f"{order}; {words}")
-            self.used.add(s.sort)
 
     # --------------------------------------------------------------------- velocities, units
 
@@ -448,15 +418,11 @@ class Roles:
                     f"the model has no sensor for the position of {joint!r}: add "
                     f'<jointpos name="{joint}_position" joint="{joint}"/> to its <sensor>'
                 )
-        self._renew()
-        for joint, (s, value) in self.speeds.items():
-            self._add_velocity(joint, s, value)
-
-    def _renew(self) -> None:
-        """Compute speeds and needed torques of the positions."""
         motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
         self.rates = {j: [derivative(v, self.step) for v in own] for j, own in motion.items()}
         self.needed = needed_torques(self.model, motion, self.step)
+        for joint, (s, value) in self.speeds.items():
+            self._add_velocity(joint, s, value)
 
     def _by_speed(self) -> dict[str, str]:
         """Units of positions that a velocity of stated unit determines."""
@@ -511,20 +477,14 @@ class Roles:
         if not self.needed:
             self._torques_by_name(candidates)
             return
-        self.torques = {
-            joint: s
-            for s in candidates
-            if self._role(s) == "torque"
-            and (joint := self.labels.joint(s) or self.places.get(s.sort, "")) in joints
-        }
-        poor = [j for j, s in self.torques.items() if self._explained(j, s).whole < _TRUSTED]
-        labelled = [j for j in joints if self.labels.joint(self.positions[j][0]) == j]
-        self._try_exchange([(a, b) for a in poor for b in labelled if a != b])
         found = [[self._explained(j, s) for s in candidates] for j in joints]
         named = [self._role(s) in ("torque", "current") for s in candidates]
+        # A torque is of the joint that its name or its place in a vector tells, or of none.
+        own = [self.labels.joint(s) or self.places.get(s.sort, "") for s in candidates]
         table = np.array(
-            [[abs(t.whole if named[k] else t.alone) for k, t in enumerate(row)] for row in found]
-        ).reshape(len(joints), len(candidates))
+            [[abs(t.whole if named[k] else t.alone) * (own[k] in ("", joint))
+              for k, t in enumerate(row)] for joint, row in zip(joints, found, strict=True)]
+        ).reshape(len(joints), len(candidates))  # fmt: skip
         chosen: list[tuple[JointTarget, Signal, Torque, bool]] = []
         for i, k in self._assigned(table, joints, candidates, "torque"):
             joint, s, told = joints[i], candidates[k], found[i][k]
@@ -538,15 +498,15 @@ class Roles:
                 chosen.append((self.joints[joint], s, told, True))
             elif table[i, k] > max(0.6, motion):
                 chosen.append((self.joints[joint], s, told, False))
-        bare = sum(not own for *_, own in chosen)
+        bare = sum(not told for *_, told in chosen)
         self.sure = {
             ("loads",) if s.sort in self.loads else (s.source, s.meaning.vector)
             for _, s, told, _ in chosen
             if abs(told.alone) >= _TRUSTED and 1 / _SAME_UNIT < told.per < _SAME_UNIT
         }
-        for target, s, told, own in chosen:
-            if own or 2 * bare >= len(joints):  # one of many without a name is chance
-                self._add_torque(target, s, told, named=own)
+        for target, s, told, by_name in chosen:
+            if by_name or 2 * bare >= len(joints):  # one of many without a name is chance
+                self._add_torque(target, s, told, named=by_name)
 
     def _torques_by_name(self, candidates: Sequence[Signal]) -> None:
         for s in candidates:
@@ -667,77 +627,15 @@ class Roles:
             self.used.add(s.sort)
 
     def _exchanged(self) -> None:
-        """Try the permutation where commands and motions are crossed between two joints."""
-        label = {j: self.labels.joint(s) for j, s in self.commands.items()}
-        crossed = [(a, b) for a in label for b in label if a < b and (label[a], label[b]) == (b, a)]
-        for pair in crossed:
-            gain = self._try_exchange([pair])
-            if -_CLEAR < gain <= _GAIN and all(self.commands[j].meaning.joint for j in pair):
-                words = (
-                    f"either the commands or the states of {pair[0]!r} and {pair[1]!r} are "
-                    "exchanged, and the model's torques do not tell which: check"
+        """Note joints that follow each other's commands; the torques tell which are exchanged."""
+        label = {j: s.meaning.joint for j, s in self.commands.items()}
+        for a, b in itertools.combinations(label, 2):
+            if (label[a], label[b]) == (b, a):
+                self.notes.append(
+                    f"{a!r} and {b!r} follow each other's commands: the names of the commands are "
+                    "exchanged, as assumed here, or those of the states; loose doctor judges by "
+                    "the torques"
                 )
-                for joint in pair:
-                    s = self.commands.pop(joint)
-                    self._open(self.joints[joint].command, s, Scaling(s.unit), words)
-
-    def _try_exchange(self, pairs: Sequence[tuple[str, str]]) -> float:
-        """Exchange the states of the pair of joints with which the torques agree best.
-
-        Returns by how much they agree better so.
-        """
-        if not pairs:
-            return 0.0
-        straight = self._agreement(None)
-        gained, pair = max((self._agreement(pair), pair) for pair in pairs)
-        if gained > straight + _GAIN:
-            self._swap(
-                *pair,
-                f"the states of {pair[0]!r} and {pair[1]!r} are exchanged: the torques that the "
-                f"model needs agree with the log by {gained:.2f}, and by {straight:.2f} as named",
-            )
-        return gained - straight
-
-    def _agreement(self, exchanged: tuple[str, str] | None) -> float:
-        """Mean agreement of needed torques with those measured, or with the servos' errors."""
-        motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
-        commands = {j: self._command_si(j, s) for j, s in self.commands.items()}
-        for table in (motion, commands) if exchanged else ():
-            one, other = exchanged or ("", "")
-            if one in table and other in table:
-                table[one], table[other] = table[other], table[one]
-        before = self.needed, self.rates
-        every = self._every(motion)
-        self.needed = needed_torques(self.model, motion, self.step, every)
-        self.rates = {j: [derivative(v, self.step) for v in own] for j, own in motion.items()}
-        found = []
-        for joint in motion if self.needed else ():
-            if joint in self.torques:
-                found.append(self._explained(joint, self.torques[joint]).whole)
-            elif joint in commands and self.joints[joint].drive == "position":
-                gaps = [c - q for c, q in zip(commands[joint], motion[joint], strict=True)]
-                found.append(torque_in(gaps, self.needed[joint], self.rates[joint]).apart)
-        self.needed, self.rates = before
-        return float(np.mean(found)) if found else 0.0
-
-    def _command_si(self, joint: str, s: Signal) -> list[Array]:
-        own = self.positions.get(joint)
-        return own[1].si(s.runs) if own else list(s.runs)
-
-    def _swap(self, one: str, other: str, words: str) -> None:
-        tables: tuple[dict[str, Any], ...] = (
-            self.positions, self.commands, self.rates, self.speeds,
-        )  # fmt: skip
-        for table in tables:
-            if one in table and other in table:
-                table[one], table[other] = table[other], table[one]
-        for attribute in ("position", "velocity"):
-            a, b = (getattr(self.joints[j], attribute) for j in (one, other))
-            if a in self.lines and b in self.lines:
-                first, second = self.lines[a], self.lines[b]
-                self.lines[a] = replace(second, column=a, reason=f"{second.reason}; {words}")
-                self.lines[b] = replace(first, column=b, reason=f"{first.reason}; {words}")
-        self._renew()
 
     def _add_command(
         self,

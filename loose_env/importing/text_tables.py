@@ -9,14 +9,13 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.importing.mapping import CsvLayout
-from loose_env.importing.mapping_file import quoted
+from loose_env.importing.mapping import CsvLayout, Encoding, quoted
 from loose_env.importing.samples import ChannelKey, Log, Table, unreadable
 from loose_env.importing.units import unit_in
 from loose_env.recording import MOST_VALUES
@@ -28,7 +27,7 @@ _LONGEST_LINE = 2**20
 _MOST_COLUMNS = 10_000
 _EXACT = 2**53
 """Whole numbers beyond which a float has no room for all digits."""
-_ENCODINGS = ("utf-8", "utf-16", "cp1252", "latin-1")
+_ENCODINGS: tuple[Encoding, ...] = get_args(Encoding)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE | re.ASCII)
 _MISSING = ("", "nan", "NaN", "NAN", "null", "None", "N/A")
 _VECTOR = re.compile(r"\s*[\[(]\s*[-+.\d].*[\])]\s*")
@@ -381,7 +380,7 @@ def _header_of(row: list[str], layout: CsvLayout) -> list[str]:
     return [" ".join(cell.split()).lstrip("#").strip() or "" for cell in row]
 
 
-def _encoding(path: Path, name: str) -> str:
+def _encoding(path: Path, name: str) -> Encoding:
     for encoding in _ENCODINGS[:-1]:
         try:
             with _open_text(path, name, encoding) as file:

@@ -5,13 +5,14 @@ Bishop, Pattern Recognition and Machine Learning, 2006, 9.2. The start follows A
 Vassilvitskii, k-means++, 2007.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_triangular
 from scipy.special import log_ndtr, logsumexp
 
 from loose_env.errors import InvalidData, InvalidSetting
@@ -75,14 +76,25 @@ class GaussianMixture:
     def log_densities(self, points: ArrayLike) -> Array:
         """Log of the weighted density of each component at points (N, D), (N, K)."""
         found = _points(points, self.means.shape[1])
-        d = found.shape[1]
-        logs = np.empty((len(found), len(self.weights)))
-        for k, (root, mean) in enumerate(zip(self._roots, self.means, strict=True)):
-            white = solve_triangular(root, (found - mean).T, lower=True, check_finite=False)
-            half = float(np.log(np.diag(root)).sum())
-            logs[:, k] = -0.5 * (white**2).sum(0) - half - 0.5 * d * _LOG_2PI
+        white = (found - self.means[:, None]) @ self._whiteners.mT
+        half = np.log(np.diagonal(self._roots, axis1=1, axis2=2)).sum(1)
+        logs = (-0.5 * (white**2).sum(2) - half[:, None]).T - 0.5 * found.shape[1] * _LOG_2PI
         with np.errstate(divide="ignore"):
             return np.asarray(logs + np.log(self.weights))
+
+    @cached_property
+    def _whiteners(self) -> Array:
+        return np.asarray(np.linalg.inv(self._roots))
+
+    @cached_property
+    def _conditional(self) -> tuple[GaussianMixture, Array, Array]:
+        """All but the first dimension; its slopes over them (K, D - 1), and deviations (K,)."""
+        others = self.covariances[:, 1:, 1:]
+        beside = GaussianMixture(weights=self.weights, means=self.means[:, 1:], covariances=others)
+        shared = self.covariances[:, 1:, 0]
+        slopes = np.linalg.solve(others, shared[..., None])[..., 0]
+        variances = self.covariances[:, 0, 0] - (shared * slopes).sum(1)
+        return beside, np.asarray(slopes), np.asarray(np.sqrt(variances))
 
     def log_upper_tail(self, points: ArrayLike) -> Array:
         """Log upper-tail probability of the first dimension of points (N, D), given the others.
@@ -99,18 +111,12 @@ class GaussianMixture:
         [0.5, 0.05]
         """
         found = _points(points, self.means.shape[1])
-        beside = GaussianMixture(
-            weights=self.weights, means=self.means[:, 1:], covariances=self.covariances[:, 1:, 1:]
-        )
+        beside, slopes, deviations = self._conditional
         others = beside.log_densities(found[:, 1:])
-        share = others - logsumexp(others, axis=1, keepdims=True)
-        tails = np.empty_like(share)
-        for k, (mean, covariance) in enumerate(zip(self.means, self.covariances, strict=True)):
-            slope = np.linalg.solve(covariance[1:, 1:], covariance[1:, 0])
-            expected = mean[0] + (found[:, 1:] - mean[1:]) @ slope
-            sd = math.sqrt(covariance[0, 0] - covariance[0, 1:] @ slope)
-            tails[:, k] = log_ndtr((expected - found[:, 0]) / sd)
-        return np.asarray(logsumexp(share + tails, axis=1))
+        share = others - np.logaddexp.reduce(others, axis=1, keepdims=True)
+        ahead = ((found[:, None, 1:] - beside.means) * slopes).sum(2)
+        tails = log_ndtr((self.means[:, 0] + ahead - found[:, :1]) / deviations)
+        return np.asarray(np.logaddexp.reduce(share + tails, axis=1))
 
 
 def fit_gaussian_mixture(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.evaluation import wilson
+from loose_env.evaluation import seed_of, wilson
 from loose_env.io import write_text
 
 FIRST_JUDGED = 10_000
@@ -40,7 +40,7 @@ def drawn_from(number: int, phrase: str, seed: int) -> int:
             f"case {number} is for judging: give a --phrase of which its draw is made "
             f"(numbers below {FIRST_JUDGED} are for development)"
         )
-    return int.from_bytes(hashlib.sha256(phrase.encode()).digest()[:8], "big")
+    return seed_of(phrase)
 
 
 def share(hits: int, count: int) -> str:

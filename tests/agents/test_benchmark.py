@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,8 @@ from loose_agents.benchmark.results import (
     results_schema,
 )
 
-from loose_env.envs import difficulty_named
-from loose_env.errors import InvalidData, UnknownName
+from loose_env.envs import EpisodeBatch, difficulty_named
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.rig import ReducedRig
 
 TASK = "loose_env/ControlTier-v0"
@@ -70,6 +71,43 @@ def test_a_file_comes_back_and_is_replayed_bit_for_bit(tmp_path: Path, results: 
     said = check_results(again, episodes=9, rng=rng())
     assert said.startswith("4 of 4 episodes") and "by the agent" in said
     assert "by the agent" not in check_results(replace(again, agent=None), episodes=2, rng=rng())
+
+
+def test_the_hidden_set_is_drawn_from_a_salt_that_was_committed_to(
+    tmp_path: Path, results: Results, few_episodes: pytest.MonkeyPatch
+) -> None:
+    for name, salt in (("hidden", ""), ("test", "a salt")):
+        with pytest.raises(InvalidSetting, match="drawn from a salt"):
+            tasks.set_named(name, salt)
+    told = {**TOLD, "entry": "hidden"}
+    play: Any = partial(play_results, TASK, "hidden", "always_healthy", told=told, folder=tmp_path)
+    first, other = play(salt="a salt"), play(salt="another")
+    assert first.actions[0].split()[0] == other.actions[0].split()[0]  # the same blind agent
+    assert first.reward != other.reward or first.truth != other.truth
+    with pytest.raises(InvalidData, match="no round was committed"):
+        check_results(first, episodes=4, rng=rng())
+    committed = (tasks.commitment_of("a salt"),)
+    few_episodes.setattr("loose_agents.benchmark.results.ROUNDS", committed)
+    assert "4 of 4 episodes" in check_results(first, episodes=4, rng=rng())
+    with pytest.raises(InvalidData, match="no round was committed"):
+        check_results(other, episodes=4, rng=rng())
+    table = leaderboard([results, first])
+    assert "On the hidden set" in table and "| hidden | 4 |" in table
+
+
+def test_an_agent_that_knows_the_public_arms_by_heart_knows_no_hidden_one(results: Results) -> None:
+    problem = tasks.task_problem(TASK, results.episodes)
+    batch = EpisodeBatch(problem.arm, problem.settings)
+
+    def first_pose(seed: int, number: int) -> bytes:
+        batch.start(0, seed=seed, number=number)
+        return batch.observe(0).tobytes()
+
+    public = results.episodes
+    by_heart = {first_pose(public.seed, k): results.truth[k] for k in range(4)}
+    assert all(first_pose(public.seed, k) in by_heart for k in range(4))
+    hidden = tasks.set_named("hidden", "a salt")
+    assert not any(first_pose(hidden.seed, k) in by_heart for k in range(4))
 
 
 def test_what_was_played_is_not_played_again(shards: Path, results: Results) -> None:

@@ -11,6 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from scipy.stats import dirichlet
 
+from loose_env.envs import batch_seeds
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.wrappers import (
     ActionAndPrediction,
@@ -20,6 +21,7 @@ from loose_env.wrappers import (
     MeasuredMinusNominal,
     PosteriorObservation,
     SeparateVerdict,
+    vector,
 )
 
 PLAIN: list[type[Any]] = [
@@ -216,6 +218,100 @@ def test_predictions_that_make_no_sense_are_refused() -> None:
     for action in wrong:
         with pytest.raises(InvalidAction, match="logits"):
             env.step(action)
+
+
+STACKS = [
+    ["PosteriorObservation", "MacroActions"],
+    ["MeasuredMinusNominal", "LatestRecord", "SeparateVerdict"],
+    ["JointSideObservation"],
+]
+
+
+def make_batch(names: list[str], **arguments: Any) -> Any:
+    usual = {"n_links": 2, "durations": (0.1,), "max_records": 3, "engine": "reduced"}
+    envs: Any = gymnasium.make_vec("loose_env/Planar-v0", num_envs=3, **{**usual, **arguments})
+    for name in names:
+        envs = getattr(vector, name)(envs)
+    return envs
+
+
+@pytest.mark.parametrize("names", STACKS, ids="+".join)
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
+def test_a_batch_shows_what_each_environment_shows_alone(names: list[str], mode: str) -> None:
+    envs = make_batch(names, autoreset_mode=mode)
+    singles = []
+    for _ in range(3):
+        env = make(max_records=3, engine="reduced")
+        for name in names:
+            env = globals()[name](env)
+        singles.append(env)
+    envs.action_space.seed(4)
+    observations, infos = envs.reset(seed=11)
+    assert observations in envs.observation_space
+    seeds = batch_seeds(11, 3)
+    alone = [env.reset(seed=seed) for env, seed in zip(singles, seeds, strict=True)]
+    over, ended = np.zeros(3, dtype=bool), 0
+    for _ in range(14):
+        for i, (observation, info) in enumerate(alone):
+            np.testing.assert_array_equal(observations[i], observation)
+            np.testing.assert_array_equal(infos["action_mask"][i], info["action_mask"])
+            if "probabilities" in info:
+                np.testing.assert_array_equal(infos["probabilities"][i], info["probabilities"])
+        np.testing.assert_array_equal(envs.action_masks()[~over], infos["action_mask"][~over])
+        actions = envs.action_space.sample()
+        observations, rewards, terminated, truncated, infos = envs.step(actions)
+        assert observations in envs.observation_space
+        again = over
+        over = (terminated | truncated) & (mode == "NextStep")
+        for i, env in enumerate(singles):
+            if again[i]:
+                alone[i] = env.reset()
+                continue
+            observation, reward, *over_now, info = env.step(actions[i])
+            assert (reward, over_now) == (rewards[i], [terminated[i], truncated[i]])
+            alone[i] = observation, info
+            if any(over_now) and mode == "SameStep":
+                ended += 1
+                np.testing.assert_array_equal(infos["final_obs"][i], observation)
+                final = infos["final_info"]
+                np.testing.assert_array_equal(final["action_mask"][i], info["action_mask"])
+                assert final["fault"][i] == info["fault"]
+                alone[i] = env.reset()
+    assert ended > 3 or mode == "NextStep"
+
+
+def test_stable_baselines3_takes_a_wrapped_batch() -> None:
+    sb3 = pytest.importorskip("loose_env.envs.sb3")
+    env = sb3.Sb3VecEnv(make_batch(STACKS[0]))
+    env.seed(0)
+    assert env.reset().shape == (3, *env.observation_space.shape)
+    masks = np.array(env.env_method("action_masks"))
+    assert masks.shape == (3, env.action_space.n)
+    right = env.get_attr("verdicts")[0].index("healthy")
+    env.step(np.zeros(3, dtype=int))
+    *_, dones, infos = env.step(np.full(3, env.action_space.n - 6 + right))
+    assert dones.all()
+    assert infos[0]["probabilities"].shape == (5,)
+    assert infos[0]["terminal_observation"].shape == env.observation_space.shape
+
+
+def test_batches_are_copied_and_the_wrong_kind_is_refused() -> None:
+    envs = make_batch(STACKS[0])
+    envs.reset(seed=3)
+    other = pickle.loads(pickle.dumps(envs))
+    actions = np.array([0, 1, 2])
+    for _ in range(3):
+        np.testing.assert_array_equal(envs.step(actions)[0], other.step(actions)[0])
+    with pytest.raises(InvalidSetting, match=r"take loose_env\.wrappers\.vector"):
+        MacroActions(make_batch([]))
+    with pytest.raises(InvalidSetting, match="one environment take"):
+        vector.MacroActions(make())
+    with pytest.raises(InvalidAction, match="from 0 to"):
+        envs.step(np.array([0, 1, 99]))
+    with pytest.raises(InvalidAction, match="from 0 to"):
+        envs.step(np.zeros((3, 2), dtype=int))
+    with pytest.raises(InvalidAction, match="whether to stop"):
+        make_batch(["SeparateVerdict"]).step([[0], [1, 2], 3])
 
 
 ARGUMENTS = {"n_links": 2, "engine": "reduced", "max_records": 2}

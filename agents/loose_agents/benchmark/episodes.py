@@ -1,5 +1,8 @@
 """Tasks and frozen episode sets of the benchmark, in and out of distribution, and play on them.
 
+The hidden set is drawn from the salt of a round, which is committed to by its hash and published
+when the round closes: an agent cannot know its arms by heart, as it could those of `SETS` "test".
+
 Out of distribution: two faults at once, a mismatch three times as large, an arm of other lengths
 and masses, a load that presses every loose seat against its stop, friction beyond the range,
 noisier sensors, less play than drawn, an arm that drifts between records. None is used in any
@@ -8,6 +11,7 @@ training.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -19,7 +23,8 @@ from loose_agents.base import BENCHMARK_SEED, Agent, Problem
 from loose_agents.evaluation import EpisodeRow, evaluate, problem_of
 from loose_env.arms import Drift, MismatchDraw
 from loose_env.envs import BatchRig, DiagnosisSettings, difficulty_named
-from loose_env.errors import UnknownName
+from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.evaluation import seed_of
 from loose_env.faults import SEVERAL_FAULTS, Fault
 from loose_env.registration import TIERS
 from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
@@ -179,9 +184,16 @@ class EpisodeSet:
     """How many, from number 0."""
 
 
+HIDDEN = "hidden"
+"""Set whose seed is secret while its round is open."""
+
+ROUNDS = ("e76c8d8f25682f5d213e102e5a6c9f8c1dacdda5b06a2f9253b854cdfcc3eef8",)
+"""Commitments to the salts of all rounds, the first round first."""
+
 SETS: Mapping[str, EpisodeSet] = MappingProxyType(
     {
         "test": EpisodeSet(kind="trained", words="as trained", seed=BENCHMARK_SEED, episodes=320),
+        HIDDEN: EpisodeSet(kind="trained", words="as trained, of a salt", seed=-1, episodes=320),
         **{
             kind: EpisodeSet(kind=kind, words=words, seed=BENCHMARK_SEED + 1, episodes=80)
             for kind, (words, _) in UNLIKE.items()
@@ -189,14 +201,33 @@ SETS: Mapping[str, EpisodeSet] = MappingProxyType(
         },
     }
 )
-"""Sets by name: "test", then those out of distribution."""
+"""Sets by name: "test"; the hidden one, seeded by its salt; those out of distribution."""
 
 
-def set_named(name: str) -> EpisodeSet:
-    """Look up a set."""
+def set_named(name: str, salt: str = "") -> EpisodeSet:
+    """Look up a set; the hidden one is drawn from a salt.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such set.
+    InvalidSetting
+        If the hidden set has no salt, or another set has one.
+    """
     if name not in SETS:
         raise UnknownName(f"unknown set {name!r}; sets are {list(SETS)}")
-    return SETS[name]
+    if (name == HIDDEN) != bool(salt):
+        raise InvalidSetting(
+            f"the set {HIDDEN!r} is drawn from a salt, and no other is: got set {name!r}, salt "
+            f"{salt!r}; `scripts/submit.py salt` makes one"
+        )
+    # Not the commitment's own hash, which is public while the round is open.
+    return replace(SETS[name], seed=seed_of(f"episodes of {salt}")) if salt else SETS[name]
+
+
+def commitment_of(salt: str) -> str:
+    """Commitment to a salt, 64 hexadecimal digits: its SHA-256."""
+    return hashlib.sha256(salt.encode()).hexdigest()
 
 
 def task_problem(task: str, episodes: EpisodeSet) -> Problem:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.base import hypothesis_prior
-from loose_agents.benchmark.episodes import SETS, TASKS, task_problem
+from loose_agents.benchmark.episodes import HIDDEN, SETS, TASKS, task_problem
 from loose_agents.benchmark.results import Results, read_results
 from loose_agents.sharded_play import bound_of
 from loose_env.envs import difficulty_named
@@ -82,6 +82,10 @@ def leaderboard(results: Sequence[Results]) -> str:
             continue
         lines = [_HEAD, "|---|" + "---:|" * (_HEAD.count("|") - 2), *agent_rows(own)]
         parts.append(f"### {task}\n\n" + "\n".join(lines) + _bound_words(task, own))
+        hidden = _entries(results, task, HIDDEN)
+        if hidden:
+            lines[2:] = agent_rows(hidden)
+            parts.append("On the hidden set:\n\n" + "\n".join(lines))
     outside = outside_table(results)
     if outside:
         parts.append(f"### Out of distribution\n\n{outside}")
@@ -93,7 +97,7 @@ def outside_table(results: Sequence[Results]) -> str:
 
     A row for every set that an entry has played, an entry a column; empty without any.
     """
-    outside = [each for each in results if each.set != "test"]
+    outside = [each for each in results if each.set not in ("test", HIDDEN)]
     if not outside:
         return ""
     entries = sorted({each.entry for each in outside}, key=lambda name: (name != ADAPTIVE, name))

@@ -19,9 +19,12 @@ import loose_env
 from loose_agents.base import Agent, EpisodeAgent, Problem
 from loose_agents.belief import setting_name, usual_estimator, weights_path
 from loose_agents.benchmark.episodes import (
+    HIDDEN,
+    ROUNDS,
     SETS,
     TASKS,
     EpisodeSet,
+    commitment_of,
     evaluate_kind,
     set_named,
     task_problem,
@@ -98,6 +101,8 @@ class Results:
     """Id of the environment."""
     set: str
     """Set of episodes."""
+    salt: str = ""
+    """Salt of the hidden set, published when its round closes; empty for other sets."""
     entry: str
     """Name on the leaderboard."""
     agent: str | None
@@ -147,7 +152,7 @@ class Results:
     @property
     def episodes(self) -> EpisodeSet:
         """The set that was played."""
-        return SETS[self.set]
+        return set_named(self.set, self.salt)
 
     def to_json(self) -> str:
         """Text of the file, a line for each entry, floats as they are."""
@@ -204,6 +209,9 @@ def _check(results: Results) -> None:
         if getattr(results, name) not in known:
             raise InvalidData(f"results.{name}: {getattr(results, name)!r:.60} is none of "
                               f"{list(known)}")  # fmt: skip
+    if (results.set == HIDDEN) != bool(results.salt):
+        raise InvalidData(f"results.salt: the set {HIDDEN!r} has a salt, and no other; got "
+                          f"{results.salt!r:.60}")  # fmt: skip
     most, count = results.episodes.episodes, len(results.reward)
     if not 1 <= count <= most:
         raise InvalidData(f"results.reward: the set {results.set!r} has 1 to {most} episodes, got "
@@ -249,12 +257,13 @@ def play_results(
     told: dict[str, Any],
     folder: Path,
     count: int | None = None,
+    salt: str = "",
     agent_seed: int = 0,
     named: bool = True,
     say: Callable[[str], None] = lambda words: None,
 ) -> Results:
     """Play a set of episodes; episodes stored in the folder are not played again."""
-    episodes = set_named(set_name)
+    episodes = set_named(set_name, salt)
     played = episodes.episodes if count is None else count
     if not 1 <= played <= episodes.episodes:
         raise InvalidSetting(
@@ -267,7 +276,8 @@ def play_results(
         "fingerprint": problem.fingerprint, "version": loose_env.__version__,
         "content": content_of(agent),
     }  # fmt: skip
-    name = f"{task}-{set_name}-{agent}".replace("/", "_").replace(":", "_")
+    round_of = f"-{commitment_of(salt)[:8]}" if salt else ""
+    name = f"{task}-{set_name}{round_of}-{agent}".replace("/", "_").replace(":", "_")
     store, parts = Store(folder / name, kept), spans(played, SHARD)
     for part in store.missing(parts):
         begin = time.process_time()
@@ -282,6 +292,7 @@ def play_results(
         cpu_seconds=sum(row["cpu_seconds"] for row in rows),
         task=task,
         set=set_name,
+        salt=salt,
         agent=agent if named else None,
         agent_seed=agent_seed,
         versions={
@@ -306,6 +317,10 @@ def check_results(
     The recorded actions are played, and return, verdict, truth and number of records compared.
     Where the file names its agent, that plays too, and its actions and confidence are compared.
     """
+    if results.set == HIDDEN and commitment_of(results.salt) not in ROUNDS:
+        raise InvalidData(
+            "results.salt: no round was committed to it; whoever drew it may know the arms"
+        )
     problem = task_problem(results.task, results.episodes)
     if results.fingerprint != problem.fingerprint:
         raise InvalidData(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.base import EpisodeAgent, Problem, hypothesis_prior
-from loose_agents.belief import links_from, records_taken
+from loose_agents.belief import links_from
 from loose_env.diagnosis import (
     Order,
     PlaceDirections,
@@ -216,7 +216,7 @@ class ClassicalAgent(EpisodeAgent):
     def act(self, observation: NDArray[np.float32], memory: Search) -> NDArray[np.int64]:
         """Process the latest record, then move on or decide."""
         problem, settings = self.problem, self.settings
-        taken, most = records_taken(problem, observation), problem.settings.max_records
+        taken, most = problem.layout.records_of(observation), problem.settings.max_records
         pose = problem.layout.pose_of(observation)
         if taken == 0:  # steps 1 and 2
             return self._measure(memory, pose, self.problem.stay)
@@ -404,7 +404,7 @@ class BlindAgent(EpisodeAgent):
     def act(self, observation: NDArray[np.float32], memory: Any) -> NDArray[np.int64]:
         """Take the cheapest records until the verdict counts; then give it."""
         problem = self.problem
-        taken = records_taken(problem, observation)
+        taken = problem.layout.records_of(observation)
         unsure = problem.actions.allows_unsure(taken, taken)
         if taken and (self.verdict != UNSURE or unsure):
             return problem.verdict(self.verdict)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.base import EpisodeAgent, Problem
-from loose_agents.belief import records_taken
 from loose_env.diagnosis import (
     ChangeModel,
     ChangeSighting,
@@ -77,7 +76,7 @@ class LinkFindingAgent(EpisodeAgent):
     def act(self, observation: NDArray[np.float32], memory: _Search) -> NDArray[np.int64]:
         """Process the latest record, then move on or decide."""
         problem, settings = self.problem, self.settings
-        taken = records_taken(problem, observation)
+        taken = problem.layout.records_of(observation)
         if taken == 0:
             return self._measure(memory, observation, None)
         seen = self._sighting(observation, taken - 1)
@@ -252,7 +251,7 @@ class SpaceLinkFindingAgent(EpisodeAgent):
         """Process the latest record, then move on or decide."""
         problem, settings = self.problem, self.settings
         most = problem.settings.max_records
-        taken = records_taken(problem, observation)
+        taken = problem.layout.records_of(observation)
         if taken == 0:
             return self._measure(memory, self.problem.stay)
         turns = settings.policy == "turns"

@@ -24,7 +24,6 @@ from loose_agents.belief import (
     best_verdict,
     make_estimator,
     records_measured,
-    records_taken,
     verdict_of,
 )
 from loose_agents.rl.model_files import (
@@ -212,7 +211,7 @@ class ModelAgent(EpisodeAgent):
         problem = self.problem
         mask = problem.actions.mask(
             problem.layout.pose_of(observation),
-            records_taken(problem, observation),
+            problem.layout.records_of(observation),
             records_measured(problem, observation),
         )
         return self.network.choose(observation, mask)

@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from loose_agents.base import Problem
-from loose_agents.belief import Tracker, make_estimator, records_measured, records_taken
+from loose_agents.belief import Tracker, make_estimator, records_measured
 from loose_agents.rl.agents import PolicyForm
 from loose_env.envs import DiagnosisVectorEnv
 from loose_env.envs.sb3 import Sb3VecEnv
@@ -170,7 +170,7 @@ class TrackedVecEnv(VecEnvWrapper):
         """Process the observations of some arms; return the policy's observations."""
         memories = [self._memories[i] for i in at]
         self._probabilities[at] = self.estimator.follow(rows, memories)
-        self._records[at], self._rows[at] = records_taken(self.problem, rows), rows
+        self._records[at], self._rows[at] = self.problem.layout.records_of(rows), rows
         return np.stack(
             [
                 self.form.features(

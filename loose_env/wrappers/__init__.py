@@ -1,0 +1,51 @@
+"""Gymnasium wrappers of observation, action and score; posterior features, decoded records.
+
+Those of a batch are in `loose_env.wrappers.vector`.
+"""
+
+from loose_env.envs import RecordLayout
+from loose_env.wrappers.changes import default_macros
+from loose_env.wrappers.posteriors import (
+    PROBABILITY_FLOOR,
+    Posterior,
+    analytic_posterior,
+    checked_order,
+    posterior_bounds,
+    posterior_features,
+    record_from,
+    records_from,
+    taken_in,
+)
+from loose_env.wrappers.shells import DiagnosisVectorWrapper, DiagnosisWrapper
+from loose_env.wrappers.single import (
+    ActionAndPrediction,
+    JointSideObservation,
+    LatestRecord,
+    MacroActions,
+    MeasuredMinusNominal,
+    PosteriorObservation,
+    SeparateVerdict,
+)
+
+__all__ = [
+    "PROBABILITY_FLOOR",
+    "ActionAndPrediction",
+    "DiagnosisVectorWrapper",
+    "DiagnosisWrapper",
+    "JointSideObservation",
+    "LatestRecord",
+    "MacroActions",
+    "MeasuredMinusNominal",
+    "Posterior",
+    "PosteriorObservation",
+    "RecordLayout",
+    "SeparateVerdict",
+    "analytic_posterior",
+    "checked_order",
+    "default_macros",
+    "posterior_bounds",
+    "posterior_features",
+    "record_from",
+    "records_from",
+    "taken_in",
+]

@@ -1,0 +1,290 @@
+"""Changes of observation and action, each written once for B arms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from loose_env.envs import ActionLayout, RecordLayout
+from loose_env.errors import InvalidAction, InvalidSetting
+from loose_env.typing import IndexArray
+from loose_env.wrappers.posteriors import (
+    Posterior,
+    analytic_posterior,
+    checked_order,
+    posterior_bounds,
+    posterior_features,
+    taken_in,
+)
+from loose_env.wrappers.shells import Change
+
+_NOMINAL = "nominal_"
+_JOINT_SIDE = ("level", "torque", "level_share", "duration", "joint_rms", "inertia", "valid")
+"""Groups of a record that torque, encoder and the excitation give, beside its pose."""
+
+
+class _Records(Change):
+    """Shows the records in another layout."""
+
+    inner: RecordLayout
+    """Layout of what is wrapped."""
+    layout: RecordLayout
+    """Layout of what is shown."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        found: RecordLayout = self.of_inner("layout")
+        self.inner = RecordLayout(
+            global_elements=found.global_elements,
+            slot_elements=found.slot_elements,
+            slots=found.slots,
+        )
+        self.layout = self._changed()
+        self.set_spaces(observation=self.layout.space)
+
+    def _changed(self) -> RecordLayout:
+        """Layout of what is shown."""
+        raise NotImplementedError
+
+    def _shown(
+        self, start: NDArray[np.float32], records: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Records (A, slots, size) as they are shown."""
+        raise NotImplementedError
+
+    def shown(self, observations: NDArray[np.float32], at: IndexArray) -> NDArray[np.float32]:
+        """Observations with the records in the other layout."""
+        start, records = self.inner.split(observations)
+        shown = self._shown(start, records)
+        return np.concatenate([start, shown.reshape(len(start), -1)], axis=1)
+
+
+class LatestRecord(_Records):
+    """Shows the latest record only."""
+
+    def _changed(self) -> RecordLayout:
+        names = [each.name for each in self.inner.global_elements]
+        self._spent = names.index("spent.records")
+        self._most = self.diagnosis.settings.max_records
+        return replace(self.inner, slots=1)
+
+    def _shown(
+        self, start: NDArray[np.float32], records: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        taken = np.rint(start[:, self._spent].astype(float) * self._most).astype(np.intp)
+        # Of a layout of one slot there is only that one.
+        slot = np.minimum(np.maximum(taken, 1), records.shape[1]) - 1
+        return np.asarray(records[np.arange(len(records)), slot])
+
+
+class MeasuredMinusNominal(_Records):
+    """Shows statistics less what the nominal, healthy arm would show."""
+
+    def _changed(self) -> RecordLayout:
+        elements = self.inner.slot_elements
+        index = {each.name: k for k, each in enumerate(elements)}
+        twins = {k: index.get(_NOMINAL + each.name) for k, each in enumerate(elements)}
+        self._kept = [k for k, e in enumerate(elements) if not e.name.startswith(_NOMINAL)]
+        self._pairs = np.array(
+            [(k, twins[of]) for k, of in enumerate(self._kept) if twins[of] is not None],
+            dtype=np.intp,
+        ).reshape(-1, 2)
+        shown = [elements[k] for k in self._kept]
+        for k, twin in self._pairs:
+            own, other = shown[k], elements[twin]
+            shown[k] = replace(own, low=own.low - other.high, high=own.high - other.low)
+        return replace(self.inner, slot_elements=tuple(shown))
+
+    def _shown(
+        self, start: NDArray[np.float32], records: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        shown = records[..., self._kept]
+        own, twin = self._pairs.T
+        shown[..., own] -= records[..., twin]
+        return shown
+
+
+class JointSideObservation(_Records):
+    """Shows what torque and encoders give."""
+
+    def _changed(self) -> RecordLayout:
+        elements = self.inner.slot_elements
+        self._kept = [k for k, each in enumerate(elements) if _of_joints(each.name)]
+        return replace(self.inner, slot_elements=tuple(elements[k] for k in self._kept))
+
+    def _shown(
+        self, start: NDArray[np.float32], records: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        return np.asarray(records[..., self._kept])
+
+
+def _of_joints(name: str) -> bool:
+    """Whether torque, encoders and the excitation give an element of a record."""
+    group = name.partition(".")[0].removeprefix(_NOMINAL)
+    return group in _JOINT_SIDE or group.endswith("pose")
+
+
+class PosteriorObservation(Change):
+    """Shows the posterior over the hypotheses in place of the records."""
+
+    def __init__(self, env: Any, posterior: Posterior | None = None) -> None:
+        super().__init__(env, posterior=posterior)
+        inner = self.diagnosis
+        if self.of_inner("layout") is not inner.layout:
+            raise InvalidSetting(
+                "PosteriorObservation reads the full observation: put it inside the wrappers that "
+                "change the records"
+            )
+        self._given = posterior
+        self.posterior = self._made()
+        self._order = checked_order(self.posterior, inner.hypotheses)
+        start = inner.layout.global_elements
+        bounds = np.array(posterior_bounds(len(self._order), start), dtype=np.float32).T
+        self._low, self._high = bounds
+        self.set_spaces(observation=spaces.Box(*bounds, dtype=np.float32))
+        self._beliefs: list[Any] = [self.posterior.start()] * self.num
+        self._records = np.zeros(self.num, dtype=np.intp)
+        self._shares = np.zeros((self.num, len(self._order)))
+
+    def _made(self) -> Posterior:
+        inner = self.diagnosis
+        return self._given or analytic_posterior(inner.batch.nominal, inner.settings)
+
+    def begun(self, at: IndexArray) -> None:
+        """Begin from the prior."""
+        for i in at:
+            self._beliefs[i] = self.posterior.start()
+        self._records[at] = 0
+
+    def shown(self, observations: NDArray[np.float32], at: IndexArray) -> NDArray[np.float32]:
+        """Update the posteriors of some arms and show them."""
+        layout, before = self.diagnosis.layout, [self._beliefs[i] for i in at]
+        after, taken = taken_in(self.posterior, layout, observations, before, self._records[at])
+        self._records[at] = taken
+        for i, belief in zip(at, after, strict=True):
+            self._beliefs[i] = belief
+            self._shares[i] = belief.probabilities[self._order]
+        start = observations[:, : len(layout.global_elements)]
+        shown = posterior_features(self._shares[at], start).astype(np.float32)
+        return np.clip(shown, self._low, self._high)
+
+    def told(self, at: IndexArray) -> dict[str, NDArray[Any]]:
+        """Posterior of the environment's hypotheses."""
+        return {"probabilities": self._shares[at]}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Attributes; the analytic posterior is built anew in a copy."""
+        return {**self.__dict__, "posterior": self._given}
+
+    def __setstate__(self, stored: dict[str, Any]) -> None:
+        """Take up the attributes."""
+        self.__dict__.update(stored)
+        self.posterior = self._made()
+
+
+def default_macros(layout: ActionLayout) -> list[NDArray[np.int64]]:
+    """Records that `MacroActions` offers by default.
+
+    Every one of these moves with every one of these excitations, in the longest record: stay, or
+    one joint by its largest move either way; all joints at the top level, or one alone.
+
+    Examples
+    --------
+    >>> import gymnasium, loose_env
+    >>> env = gymnasium.make("loose_env/Vera-v0").unwrapped
+    >>> len(default_macros(env.actions))
+    15
+    """
+    n, settings = layout.arm.n, layout.settings
+    stay = np.full(n, settings.stay)
+    extremes = {int(np.argmin(settings.moves)), int(np.argmax(settings.moves))} - {settings.stay}
+    moves = [stay]
+    for joint in range(n):
+        for extreme in sorted(extremes):
+            moved = stay.copy()
+            moved[joint] = extreme
+            moves.append(moved)
+    top = len(layout.arm.levels)
+    levels = [np.full(n, top), *(top * np.eye(n, dtype=np.intp))]
+    built = [layout.encode(moves=m, levels=v) for m in moves for v in levels]
+    return [np.array(each) for each in dict.fromkeys(tuple(each.tolist()) for each in built)]
+
+
+class MacroActions(Change):
+    """A `Discrete` choice among whole records, then among the verdicts."""
+
+    def __init__(self, env: Any, macros: Sequence[NDArray[np.int64]] | None = None) -> None:
+        super().__init__(env, macros=macros)
+        layout = self.diagnosis.actions
+        given = default_macros(layout) if macros is None else [np.asarray(m) for m in macros]
+        if not given:
+            raise InvalidSetting("MacroActions needs one record or more to choose from")
+        for each in given:
+            record = layout.decode(each)
+            if record.verdict or not np.any(each[layout.excitation]):
+                raise InvalidSetting(
+                    f"a macro is a record: it excites a joint and gives no verdict; got {each!r}"
+                )
+        self.macros = np.stack(given)
+        """Records to choose from (macros, entries)."""
+        verdicts = [layout.encode(verdict=1 + k) for k in range(len(self.diagnosis.verdicts))]
+        self._choices = np.concatenate([self.macros, np.stack(verdicts)])
+        self.set_spaces(action=spaces.Discrete(len(self._choices)))
+        moved = self.macros[:, : layout.most_moved]
+        first = np.cumsum([0, *layout.nvec[: layout.most_moved - 1]])
+        self._moves, self._verdicts = first + moved, layout.nvec[-1]
+
+    def inner_actions(self, actions: Any) -> NDArray[np.int64]:
+        """Records and verdicts of the choices (B,)."""
+        chosen, count = np.asarray(actions), len(self._choices)
+        whole = chosen.shape == (self.num,) and np.issubdtype(chosen.dtype, np.integer)
+        if not whole or chosen.min() < 0 or chosen.max() >= count:
+            raise InvalidAction(
+                f"a choice is a whole number from 0 to {count - 1}, one for each arm; got "
+                f"{actions!r:.200}"
+            )
+        return np.asarray(self._choices[chosen])
+
+    def masks(self, inner: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Allowed choices (A, choices)."""
+        verdicts = inner[:, -self._verdicts :]
+        records = inner[:, self._moves].all(axis=2) & verdicts[:, :1]
+        return np.concatenate([records, verdicts[:, 1:]], axis=1)
+
+
+class SeparateVerdict(Change):
+    """Whether to stop, and what to say then, as two entries in place of one."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        nvec = self.diagnosis.actions.nvec
+        self._nvec = np.array([*nvec[:-1], 2, nvec[-1] - 1])
+        self.set_spaces(action=spaces.MultiDiscrete(self._nvec))
+
+    def inner_actions(self, actions: Any) -> NDArray[np.int64]:
+        """Actions with one verdict, given only with a stop."""
+        try:
+            chosen = np.asarray(actions)
+        except ValueError:  # rows of different length
+            chosen = np.array(None)
+        whole = chosen.shape == (self.num, len(self._nvec))
+        whole = whole and np.issubdtype(chosen.dtype, np.integer)
+        if not whole or (chosen < 0).any() or (chosen >= self._nvec).any():
+            raise InvalidAction(
+                f"an action is one of MultiDiscrete({self._nvec}): a record, whether to stop, a "
+                f"verdict; got {actions!r:.200}"
+            )
+        verdict = np.where(chosen[:, -2] > 0, 1 + chosen[:, -1], 0)
+        return np.concatenate([chosen[:, :-2], verdict[:, None]], axis=1)
+
+    def masks(self, inner: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Allowed choices of all entries, one after the other, as MaskablePPO takes them."""
+        record, go_on, named = np.split(inner, [-self._nvec[-1] - 1, -self._nvec[-1]], axis=1)
+        some = named.any(axis=1, keepdims=True)
+        # An entry without a choice is no mask; what it says does not count before a stop.
+        return np.concatenate([record, go_on, some, named | ~some], axis=1)
