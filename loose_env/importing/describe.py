@@ -14,7 +14,13 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.importing.clocks import chosen_time, named_times, samples_of, time_line
-from loose_env.importing.mapping import MAPPING_FORMAT, TimeSource, quoted
+from loose_env.importing.mapping import (
+    MAPPING_FORMAT,
+    TimeSource,
+    channel_keys,
+    printable,
+    quoted,
+)
 from loose_env.importing.reading import given_files, open_log
 from loose_env.importing.samples import ChannelKey, Log, Table
 from loose_env.importing.units import column_quantity
@@ -186,7 +192,7 @@ def _listed(log: Log) -> FileList:
                 "# no column of time was found; name it, or give the recorder's rate: "
                 "time = { rate_hz = ... } [Hz]"
             )
-            options.append(time_line(time, _comment(words)) if offered else none)
+            options.append(time_line(time, printable(words)) if offered else none)
         streams.append(_stream(table, time))
     return FileList(log=log, streams=tuple(streams), options=tuple(options))
 
@@ -206,14 +212,14 @@ def _stream(table: Table, time: TimeSource) -> Stream:
 def _stream_lines(
     name: str, file: FileList, stream: Stream, model: mujoco.MjModel | None
 ) -> list[str]:
-    about = [_comment(stream.table.topic), _comment(stream.table.kind)]
+    about = [printable(stream.table.topic), printable(stream.table.kind)]
     if stream.samples:
         about.append(f"{stream.samples} samples")
     if stream.rate_hz is not None:
         about.append(f"{stream.rate_hz:.6g} Hz over {stream.seconds:.3f} s")
     if stream.start_ns is not None:
         about.append(f"from {_date(stream.start_ns)}")
-    about.append(_comment(stream.table.note))
+    about.append(printable(stream.table.note))
     lines = ["", f"# {file.log.words}: {', '.join(filter(None, about))}"[:_WIDE]]
     for channel in stream.channels:
         lines.append("# " + _channel_line(name, channel, _likely(channel, model)))
@@ -240,21 +246,14 @@ def _likely(channel: Channel, model: mujoco.MjModel | None) -> str:
 
 
 def _channel_line(name: str, channel: Channel, column: str) -> str:
-    parts = [f"source = {quoted(name)}"]
-    if channel.key.topic:
-        parts.append(f"topic = {quoted(channel.key.topic)}")
-    parts.append(f"channel = {quoted(channel.key.channel)}")
+    parts = channel_keys(name, channel.key)
     if channel.unit:
         parts.append(f"unit = {quoted(channel.unit)}")
     if _DOWN.fullmatch(channel.key.channel):
         parts.append("sign = -1")  # the recorder counts it against the axis
     seen = ", ".join(f"{value:.6g}" for value in channel.first)
-    note = "; ".join(filter(None, (seen, _comment(channel.words))))
+    note = "; ".join(filter(None, (seen, printable(channel.words))))
     return f"{quoted(column)} = {{ {', '.join(parts)} }}{f'  # {note}' if note else ''}"
-
-
-def _comment(words: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in words)
 
 
 def source_name(given: str, taken: Container[str]) -> str:

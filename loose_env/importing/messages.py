@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
-from loose_env.importing.samples import ChannelKey, Log, Table
+from loose_env.importing.samples import ChannelKey, Log, Table, natural
 from loose_env.recording import MOST_VALUES
 
 STORAGES = (".mcap", ".db3", ".bag", ".mcap.zstd", ".db3.zstd")
@@ -70,11 +69,8 @@ def open_messages(path: Path, name: str) -> Log:
 
 def storages(folder: Path) -> list[Path]:
     """Files of a bag in a folder, in the order in which they were recorded."""
-
-    def order(path: Path) -> list[tuple[int, str]]:
-        return [(int(p), "") if p.isdigit() else (0, p) for p in re.split(r"(\d+)", path.name)]
-
-    return sorted((p for p in folder.iterdir() if p.name.endswith(STORAGES)), key=order)
+    found = (p for p in folder.iterdir() if p.name.endswith(STORAGES))
+    return sorted(found, key=lambda path: natural(path.name))
 
 
 def _tables(path: Path, name: str, topics: set[str] | None) -> list[Table]:
