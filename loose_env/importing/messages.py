@@ -9,6 +9,7 @@ import io
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -211,7 +212,8 @@ def _numbers(here: Any, words: str, depth: int) -> Iterator[tuple[str, Any, Any]
         elif 0 < len(value) <= _MOST_ENTRIES:
             if isinstance(value[0], (bool, int, float, np.number)):
                 numbered = tuple(map(str, range(len(value))))
-                yield own, label if len(label) == len(value) else numbered, [*map(float, value)]
+                plain = value.tolist() if isinstance(value, np.ndarray) else [*map(float, value)]
+                yield own, label if len(label) == len(value) else numbered, plain
             elif not isinstance(value[0], (str, bytes)):
                 for i in range(len(value)):
                     yield from _numbers(value[i], f"{own}[{i}]", depth + 1)
@@ -219,13 +221,15 @@ def _numbers(here: Any, words: str, depth: int) -> Iterator[tuple[str, Any, Any]
 
 def _fields(holder: Any) -> Sequence[str]:
     """Names of the fields of a decoded message: of JSON, ROS or protobuf."""
-    if isinstance(holder, dict):
-        return [str(name) for name in holder]
-    descriptor = getattr(type(holder), "DESCRIPTOR", None)
+    return [*map(str, holder)] if isinstance(holder, dict) else _fields_of(type(holder))  # type: ignore[arg-type]
+
+
+@cache
+def _fields_of(kind: type) -> tuple[str, ...]:
+    descriptor = getattr(kind, "DESCRIPTOR", None)
     if descriptor is not None:
-        return [field.name for field in descriptor.fields]
-    own = getattr(type(holder), "__dataclass_fields__", ())
-    return [name for name in own if not name.startswith("__")]
+        return tuple(field.name for field in descriptor.fields)
+    return tuple(n for n in getattr(kind, "__dataclass_fields__", ()) if not n.startswith("__"))
 
 
 def _field(holder: Any, name: str) -> Any:
