@@ -130,19 +130,7 @@ class Balance:
         self.bias = self._forces(model, self.commands, still)[0]  # gravity and inertial coupling
         self.operator = self._operator(model)
         self._nominal = model
-<<<<<<< HEAD
         self.encoders = {n: machine.joints.index(j) for n, j in machine.encoders.items()}
-        self.stiffness = np.zeros(len(machine.joints))
-        if not self.released.all():
-            self.stiffness = np.diag(self._operator(model, drives=True)[2]).copy()
-=======
-        sensors = joint_sensors(machine.model)
-        self.encoders = {
-            name: number
-            for number, joint in enumerate(machine.joints)
-            for name in sensors[joint].position
-        }
->>>>>>> main
         measured = np.isfinite(self.torques)
         inverse = (self.forms == "inverse")[:, None]
         self.seen = np.where(inverse, measured, True)

@@ -534,13 +534,8 @@ class Selection:
 
     def _exchanges(self, state: SetFit, weightings: Sequence[Sequence[Array]]) -> list[Set]:
         """Sets with a member removed, reshaped or exchanged, or a kind exchanged everywhere."""
-<<<<<<< HEAD
-        forms = [self.whole(powers, state) for powers in weightings]
+        forms = [Form(self, powers, state) for powers in weightings]
         found, everything = [], self.evidence.terms
-=======
-        form, found = Form(self, state.powers, state), []
-        everything = self.evidence.terms
->>>>>>> main
         for term in state.terms:
             rest = tuple(t for t in state.terms if t is not term)
             found.append(rest)
