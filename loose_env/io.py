@@ -488,9 +488,9 @@ def check_fields(settings: Any, kind: Any = None) -> None:
     loose_env.errors.InvalidSetting: Own.most must be a whole number; got 2.5
     """
     kind = kind or type(settings)
-    for name, hint in _hints(kind):
+    for name, (validator, words) in _rules(kind):
         value = getattr(settings, name)
-        if words := unmet(hint, value):
+        if validator is not None and not validator.isinstance_python(_bare(value)):
             raise InvalidSetting(f"{kind.__name__}.{name} must be {words}; got {value!r:.200}")
 
 
@@ -501,9 +501,10 @@ def unmet(hint: Any, value: Any) -> str:
 
 
 @cache
-def _hints(kind: Any) -> tuple[tuple[str, Any], ...]:
+def _rules(kind: Any) -> tuple[tuple[str, tuple[SchemaValidator | None, str]], ...]:
+    """Fields of a dataclass, each with its validator and the words of an error."""
     hints = get_type_hints(kind, include_extras=True)
-    return tuple((each.name, hints[each.name]) for each in fields(kind))
+    return tuple((each.name, _validator(hints[each.name])) for each in fields(kind))
 
 
 @cache

@@ -1,9 +1,9 @@
 """Clock offsets by the phase delay between a channel and what the encoders or a command imply.
 
 A clock changes the phase of every line by 2 pi f d and the amplitude of none; a resonance between
-two sensors changes both. Lines whose amplitude is not that of the others are therefore left out
-from the highest down, and an offset is told from the lines below alone. Of the coherent lines, each
-has the weight coherence / (1 - coherence), the inverse variance of its phase up to a factor; see
+two sensors changes both. An offset is therefore told by rigid lines alone, those with the amplitude
+that the encoders imply, up to the frequency where they become few. Each has the weight
+coherence / (1 - coherence), the inverse variance of its phase up to a factor; see
 `loose_env.statistics.phase_delay`.
 """
 
@@ -38,8 +38,11 @@ FEWEST_LINES = 6
 SEGMENTS = 8
 """Segments of a run whose spectra are averaged: the scatter of a coherence is then 0.1."""
 FLAT = 0.25
-"""Median deviation of the lines' log amplitudes, above which it is not a clock that changes them:
-the least coherent scatter by 0.16, and up to half a resonance's frequency gains rise by 0.3."""
+"""Logarithm of a line's amplitude over the implied one, above which it is not rigid: the least
+coherent scatter by 0.16, and up to half a resonance's frequency gains rise by 0.3."""
+MOSTLY = 0.75
+"""Share of rigid lines, down to which the lines below a frequency are used: beyond a resonance a
+few have the right amplitude by chance."""
 LARGEST_DELAY_S = 0.05
 """Largest clock offset searched [s]: three periods at the lower end of a usual band."""
 LARGEST_LAG_S = 0.4
@@ -103,7 +106,7 @@ class _Seen(NamedTuple):
 
 
 def delay_between(
-    x: Array, y: Array, step: float, *, largest: float = LARGEST_DELAY_S, flat: bool = True
+    x: Array, y: Array, step: float, *, largest: float = LARGEST_DELAY_S, rigid: bool = True
 ) -> Delay | None:
     """Delay of y behind x by the phase of their coherent lines; None where no delay explains it.
 
@@ -128,12 +131,12 @@ def delay_between(
         frequency < min(HIGHEST_LINE / step, HIGHEST_LINE_HZ)
     )
     lines = np.flatnonzero(used)
-    gain = np.log(np.maximum(np.abs(cross), 1e-300) / np.maximum(own, 1e-300))
-    while flat and len(lines) >= FEWEST_LINES:
-        kept = gain[lines]
-        if np.median(np.abs(kept - np.median(kept))) <= FLAT:
-            break
-        lines = lines[: len(lines) * 3 // 4]
+    if rigid:
+        gain = np.log(np.maximum(np.abs(cross), 1e-300) / np.maximum(own, 1e-300))[lines]
+        as_implied = np.abs(gain) <= FLAT
+        enough = np.cumsum(as_implied) >= MOSTLY * np.arange(1, len(lines) + 1)
+        last = int(np.flatnonzero(enough)[-1]) + 1 if enough.any() else 0
+        lines = lines[:last][as_implied[:last]]
     if len(lines) < FEWEST_LINES:
         return None
     at, share = frequency[lines], np.minimum(coherence[lines], 0.99)
@@ -182,7 +185,7 @@ def _seen(machine: Machine, motion: Motion) -> Iterator[tuple[str, _Seen]]:
         if drive.joint in measured:
             read = motion.mean(filled(run.time, measured[drive.joint].values))
             given = motion.mean(command)
-            found = delay_between(given, read, step, largest=LARGEST_LAG_S, flat=False)
+            found = delay_between(given, read, step, largest=LARGEST_LAG_S, rigid=False)
             if found is not None:
                 yield "servo", _Seen(motion, f"ctrl.{drive.name}", found, drive.lag)
 

@@ -14,7 +14,14 @@ from scipy import signal
 
 from loose_env.doctor.corrections import Correction
 from loose_env.doctor.findings import Defect, Finding
-from loose_env.doctor.machine import Channel, Machine, filled, positions_of, servos_of
+from loose_env.doctor.machine import (
+    Channel,
+    Machine,
+    channels_of,
+    filled,
+    positions_of,
+    servos_of,
+)
 from loose_env.doctor.settings import POSE_SPREAD, DoctorSettings
 from loose_env.doctor.units import ANGLE, LENGTH, UNIT_MATCH, grouped, named_unit
 from loose_env.recording import Run
@@ -180,7 +187,23 @@ def _alone(
             return _UNIT
         if mean and named_unit(noted / mean, units):
             return _NOTED
-    return _LIMITS if _outside_by_unit(machine, joint, values) else None
+    if not _outside_by_unit(machine, joint, values):
+        return None
+    consistent = machine.limits(joint) is None and _moves_alike(machine, run, joint)
+    return None if consistent else _LIMITS
+
+
+def _moves_alike(machine: Machine, run: Run, joint: str) -> bool:
+    """Return whether a command or a velocity of the joint has the unit that its positions have."""
+    beside = [(command, 0) for drive, command in servos_of(machine, run) if drive.joint == joint]
+    beside += [
+        (filled(run.time, c.values), 1)
+        for c in channels_of(machine, run)
+        if c.kind == "velocity" and c.of == joint
+    ]
+    position = filled(run.time, positions_of(machine, run)[joint].values)
+    own = (position, np.gradient(position, run.time))
+    return any(0.5 < np.std(other) / max(np.std(own[k]), 1e-12) < 2.0 for other, k in beside)
 
 
 def _outside_by_unit(machine: Machine, joint: str, values: Array) -> bool:

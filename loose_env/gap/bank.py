@@ -32,7 +32,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.motions import Motion, battery, check_motion
-from loose_env.gap.servo_arm import ServoArm
+from loose_env.gap.servo_arm import RATE, ServoArm
 from loose_env.typing import Array, IndexArray
 
 EXCLUDED = (
@@ -305,8 +305,8 @@ def motion_bank(
 
 def _played(arm: ServoArm, commands: Array, readings: Array) -> dict[Form, Measured]:
     """Motion of one run by its readings, in the band of all motions, as each balance sees it."""
-    step, joints, own = 1.0 / arm.sensing.rate, len(arm.joints), arm.driven
-    thin = max(1, int(arm.sensing.rate / (6 * _BAND_HZ)))
+    step, joints, own = 1.0 / RATE, len(arm.joints), arm.driven
+    thin = max(1, int(RATE / (6 * _BAND_HZ)))
     filtered = np.zeros((len(readings), arm.machine.model.nv))
     filtered[:] = arm.rest_position
     filtered[:, own] = low_passed(readings[:, :joints], _BAND_HZ, step)
@@ -427,7 +427,7 @@ class Along:
                 if values not in known:
                     own = np.array(values)
                     known[values] = {f: self.balances[f].forces(term.effect, own) for f in forms}
-                    if type(term.effect).command is not Effect.command:
+                    if term.effect.overrides("command"):
                         known[values]["sampled"] = self._stepped(term.effect, own)
                 changes: dict[Form, Array] = {}
                 for form, forces in known[values].items():
@@ -443,11 +443,11 @@ class Along:
     def _stepped(self, effect: Effect, values: Array) -> Forces:
         """Change at the samples by an effect on the commands, which act in steps."""
         every, sampled = self.arm.parts, self.balances["sampled"]
-        thin = round(sampled.motion.step * self.arm.sensing.rate)
+        thin = round(sampled.motion.step * RATE)
         held = self.arm.held(self.commands)
-        time = np.arange(len(held)) / (every * self.arm.sensing.rate)
+        time = np.arange(len(held)) / (every * RATE)
         acting = effect.command(time, held, values)[::every]
-        acting = low_passed(acting, _BAND_HZ, 1.0 / self.arm.sensing.rate)[::thin]
+        acting = low_passed(acting, _BAND_HZ, 1.0 / RATE)[::thin]
         smooth = sampled.given - sampled.given_by(acting)
         nothing = np.zeros_like(smooth)
         return Forces(smooth=smooth, dry=nothing, readings=nothing[:, :0], operator=nothing)
@@ -476,8 +476,8 @@ def _evidence(
     series = np.stack([*map(along.tolerances, own), *along.columns(terms)], axis=1)
     found = MotionEvidence(
         np.empty((0, 0), np.float32), nominal, window, scale,
-        len(planned.desired) / arm.sensing.rate,
-        float(np.sum((planned.torque / arm.torque_limits) ** 2)) / arm.sensing.rate,
+        len(planned.desired) / RATE,
+        float(np.sum((planned.torque / arm.torque_limits) ** 2)) / RATE,
     )  # fmt: skip
     return replace(found, rows=found.whitened(series).T.astype(np.float32))
 

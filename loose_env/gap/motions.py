@@ -12,7 +12,7 @@ import numpy as np
 from annotated_types import Gt
 
 from loose_env.errors import InvalidSetting
-from loose_env.gap.servo_arm import MotionLimits, PlannedMotion, ServoArm, followed
+from loose_env.gap.servo_arm import RATE, MotionLimits, PlannedMotion, ServoArm, followed
 from loose_env.io import Checked, NonNegativeCount, Positive, Rule
 from loose_env.typing import Array, IndexArray
 
@@ -283,7 +283,7 @@ def check_motion(motion: Motion, arm: ServoArm) -> tuple[PlannedMotion, str]:
 
     # joints are hinges and slides: one position and one speed each
     where = (arm.driven, arm.driven)
-    planned = followed(model, data, desired, 1 / arm.sensing.rate, where, command)
+    planned = followed(model, data, desired, 1 / RATE, where, command)
     return planned, arm.limits.refusal(planned)
 
 

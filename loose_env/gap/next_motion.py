@@ -25,7 +25,7 @@ from loose_env.gap.core.find import Answer, Say, silent
 from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.motion import Motion as Measured
 from loose_env.gap.core.motion import smooth
-from loose_env.gap.core.selection import Selection, Set, SetFit, neighbours
+from loose_env.gap.core.selection import Form, Selection, Set, SetFit, neighbours
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
@@ -35,7 +35,6 @@ from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed
 from loose_env.inference import log_determinant
 from loose_env.io import (
     Checked,
-    Count,
     NonNegative,
     Positive,
     json_text,
@@ -66,6 +65,11 @@ _REPEATS = 2  # how often a motion is recorded: each of the runs is held out in 
 _CONTROL_HZ = 3.0  # bandwidth of the controller that is assumed where the model has no servo [Hz]
 _SETTLE_S = 0.5  # how long a servo holds the first pose before a motion [s]
 _SEED = 7  # seed of the sensors' noise
+_SHORTEST_S = 6.0  # shortest excitation [s]: stretches of it are held out in turn
+_SETUP_S = 10.0
+"""Time that a recording costs beside its motion [s]: of two motions that separate equally well the
+shorter one is taken."""
+_RIVALS = 6  # pairs that are compared, the closest first
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,13 +94,6 @@ class NextMotionSettings(Checked):
     """Share of a drive's torque limit that a motion may take [1]."""
     next_seconds: Positive = 15.0
     """Longest motion [s]."""
-    next_least_seconds: Positive = 6.0
-    """Shortest excitation [s]: stretches of it are held out in turn."""
-    next_setup_s: NonNegative = 10.0
-    """Time that a recording costs beside its motion [s]: of two motions that separate equally well
-    the shorter one is taken."""
-    next_rivals: Count = 6
-    """Most pairs that are compared, the closest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,7 +223,7 @@ def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
     """
     selection, decision = answer.selection, answer.decision
     fit = decision.fit
-    machine, form = selection.evidence.balance.machine, selection.whole(fit.powers, fit)
+    machine, form = selection.evidence.balance.machine, Form(selection, fit.powers, fit)
     found, beside = [], {(kind, where) for _, kind, where in decision.rivals}
     rests = {t: tuple(o for o in fit.terms if o is not t) for t in fit.terms}
     sides = {f.term: _side(selection, fit, f.term, (f.term,)) for f in decision.findings}
@@ -253,7 +250,7 @@ def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
 
 
 def _fitted(
-    selection: Selection, form: Any, rest: Set, name: tuple[str, str], fit: SetFit
+    selection: Selection, form: Form, rest: Set, name: tuple[str, str], fit: SetFit
 ) -> tuple[Side, SetFit] | None:
     """Effect of a name beside others, in its best shapes; None if none is allowed."""
     forms = [t for t in selection.evidence.terms if t.name == name]
@@ -458,7 +455,7 @@ def limits_of(
         seen, of_speed = np.abs(motion.stacked("speed")).max(axis=0), "the fastest of the runs"
         # a joint that never moved may move as fast as others
         speed = np.where(seen > 0.05 * seen.max(), seen, max(float(seen.max()), 0.1))
-    gears = np.abs(_gears(machine))
+    gears = np.abs(machine.moments)
     torque = (gears * np.where(gears > 0, force_limits(model), 0.0)).sum(axis=1)
     torque[torque == 0] = np.inf
     of_joint = np.abs(model.jnt_actfrcrange).min(axis=1)
@@ -491,11 +488,6 @@ def _stated_speed(model: mujoco.MjModel, unit: Array) -> Array | None:
                 )
             return told * unit if told.size == 1 else told
     return None
-
-
-def _gears(machine: NominalModel) -> Array:
-    """Torque on each joint per force of each actuator (joints, actuators)."""
-    return np.stack([machine.gears(joint) for joint in machine.joints])
 
 
 def drive_of(machine: NominalModel) -> CommandMode:
@@ -550,7 +542,7 @@ class Player:
     def play(self, desired: Array) -> PlannedMotion:
         """Play desired joint positions (T, joints), sampled as the recording, on the model."""
         model, data, at, dofs = self._model, mujoco.MjData(self._model), self._at, self._dofs
-        count, gears = len(self.machine.actuators), _gears(self.machine)
+        count, gears = len(self.machine.actuators), self.machine.moments
         rates = np.gradient(desired, self._interval, axis=0)
         turn, inertias = 2 * np.pi * _CONTROL_HZ, self.machine.inertias
         data.qpos[at] = desired[0]
@@ -647,7 +639,7 @@ def choose_next(
     settings = settings or NextMotionSettings()
     balance = answer.selection.evidence.balance
     with silent():
-        pairs = open_pairs(answer)[: settings.next_rivals]
+        pairs = open_pairs(answer)[:_RIVALS]
         if not pairs and not any(f.named for f in answer.decision.findings):
             say("next motion: nothing is missing and nothing is open; none is needed")
             return None
@@ -657,7 +649,7 @@ def choose_next(
         say(f"next motion: {len(fitting)} motions, {len(pairs)} open pairs")
         questions = Questions(answer, pairs, player)
         rates = [
-            gains.value / (planned.time[-1] + settings.next_setup_s)
+            gains.value / (planned.time[-1] + _SETUP_S)
             for gains, (_, planned) in zip(
                 questions.gains([planned for _, planned in fitting]), fitting, strict=True
             )
@@ -702,7 +694,7 @@ def _played(
 
     tries = 1
     if wanted is None:
-        tries, least = _TRIES, min(settings.next_least_seconds, settings.next_seconds)
+        tries, least = _TRIES, min(_SHORTEST_S, settings.next_seconds)
         machine = player.machine
         torque = np.where(np.isfinite(limits.torque), limits.torque, machine.load_scales)
         driven = np.arange(len(limits.joints))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated
@@ -20,11 +20,16 @@ from loose_env.gap.model.hypothesis import Hypothesis, NominalParameters
 from loose_env.gap.model.nominal_model import NominalModel, mass_matrix
 from loose_env.gap.runs import Channel, Trial
 from loose_env.gap.simulator import Simulator
-from loose_env.io import Checked, Count, Positive, Rule
+from loose_env.io import Checked, Positive, Rule
 from loose_env.typing import Array, IndexArray
 
 SLIDE = 0.2
 """Limits of slides over those of hinges: metres for radians."""
+RATE = 250.0
+"""Rate at which its sensors are read [1/s]."""
+_ENCODER_STEPS = 2**14  # steps of an encoder per turn; of a slide, per metre
+_ENCODER_NOISE = 1.5e-4  # standard deviation of its noise before quantisation [rad, m]
+_TORQUE_NOISE = 0.005  # standard deviation of the measured torque over the torque limit
 _OVERSHOOT = 1.25
 """Speed of the machine over the limit of its commands: a servo overshoots after a step."""
 _ROOM = 1e-6  # rounding that a limit does not count
@@ -167,34 +172,6 @@ def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]
     return found
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sensing(Checked):
-    """Sensors of the machine: encoders and drive torques, read at one rate.
-
-    Examples
-    --------
-    >>> Sensing(encoder_steps=1000).quantum(np.array([True, False])).round(5).tolist()
-    [0.00628, 0.001]
-    """
-
-    rate: Positive = 250.0
-    """Sample rate [1/s]."""
-    encoder_steps: Count = 2**14
-    """Steps of an encoder per turn; of a slide, per metre."""
-    encoder_noise: Positive = 1.5e-4
-    """Standard deviation of the noise before quantisation [rad, m]."""
-    torque_noise: Positive = 0.005
-    """Standard deviation of the measured torque over the torque limit [1]."""
-
-    def quantum(self, turning: NDArray[np.bool_]) -> Array:
-        """Step of each encoder, of hinges and of slides [rad, m] (J,)."""
-        return np.where(turning, 2 * np.pi, 1.0) / self.encoder_steps
-
-    def encoder_sd(self, turning: NDArray[np.bool_]) -> Array:
-        """Standard deviation of readings, quantisation as white noise [rad, m] (J,)."""
-        return np.asarray(np.hypot(self.encoder_noise, self.quantum(turning) / np.sqrt(12)))
-
-
 @dataclass(frozen=True, eq=False)
 class ServoArm(Checked):
     """Nominal model of an arm on position servos, its home pose, limits and sensors.
@@ -207,8 +184,6 @@ class ServoArm(Checked):
 
     spec: mujoco.MjSpec
     """The model, with one position servo a driven joint; never changed."""
-    sensing: Sensing = Sensing()
-    """Sensors."""
     tolerance: Annotated[float, Rule("between 0 and 0.5", (Gt(0), Lt(0.5)))] = 0.03
     """Relative tolerance of the nominal parameters."""
     max_speed: Positive = 2.0
@@ -236,7 +211,7 @@ class ServoArm(Checked):
         model = spec.copy().compile()
         for sensor in list(spec.sensors):
             spec.delete(sensor)
-        interval = 1.0 / self.sensing.rate
+        interval = 1.0 / RATE
         step = min(float(model.opt.timestep), _STABLE / max(_rotor_rate(model), 1e-9))
         spec.option.timestep = interval / np.ceil(interval / max(step, 5e-4) - 1e-9)
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -310,7 +285,7 @@ class ServoArm(Checked):
         limited, turning = model.jnt_limited[self.driven].astype(bool), _hinges(model)[self.driven]
         low, high = model.jnt_range[self.driven].T
         return MotionLimits(
-            joints=self.joints, turning=turning, rate=self.sensing.rate, home=home,
+            joints=self.joints, turning=turning, rate=RATE, home=home,
             low=np.where(limited, low, home - np.pi), high=np.where(limited, high, home + np.pi),
             speed=self.max_speed * np.where(turning, 1.0, SLIDE),
             torque=_TORQUE_SHARE * self.torque_limits,
@@ -342,13 +317,20 @@ class ServoArm(Checked):
     @cached_property
     def noise(self) -> Array:
         """Noise standard deviation of each channel (2 J,)."""
-        positions = self.sensing.encoder_sd(self.limits.turning)
-        return np.concatenate([positions, self.sensing.torque_noise * self.torque_limits])
+        positions = np.hypot(_ENCODER_NOISE, self._quantum / np.sqrt(12))
+        return np.concatenate([positions, _TORQUE_NOISE * self.torque_limits])
+
+    @property
+    def _quantum(self) -> Array:
+        """Step of each encoder [rad, m] (J,)."""
+        return np.where(self.limits.turning, 2 * np.pi, 1.0) / _ENCODER_STEPS
 
     @cached_property
     def key(self) -> str:
-        """Digest of model, sensing, tolerance and speed: what columns depend on."""
-        text = self._prepared.to_xml() + repr((asdict(self.sensing), self.tolerance))
+        """Digest of model, sensors, tolerance and speed: what columns depend on."""
+        text = self._prepared.to_xml() + repr(
+            (RATE, _ENCODER_STEPS, _ENCODER_NOISE, _TORQUE_NOISE, self.tolerance)
+        )
         text += repr((self.max_speed, mujoco.__version__))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -381,7 +363,7 @@ class ServoArm(Checked):
     @property
     def parts(self) -> int:
         """Steps of a simulation from sample to sample."""
-        return round(1.0 / (self.sensing.rate * float(self.machine.model.opt.timestep)))
+        return round(1.0 / (RATE * float(self.machine.model.opt.timestep)))
 
     def held(self, commands: Array) -> Array:
         """Commands that act, held, at the steps of a simulation (n · parts, nu).
@@ -398,7 +380,7 @@ class ServoArm(Checked):
         position = self.rest_position
         position[self.driven] = self.home
         return Trial(
-            name="motion", form="forward", time=np.arange(count) / self.sensing.rate,
+            name="motion", form="forward", time=np.arange(count) / RATE,
             measured=np.zeros((count, len(self.channels))), step=step, steps=len(controls),
             controls=controls, position=position, speed=np.zeros(self.model.nv), resting=True,
         )  # fmt: skip
@@ -407,19 +389,14 @@ class ServoArm(Checked):
         """Add encoder noise, quantisation and torque noise to readings (n, 2 J)."""
         count = len(self.joints)
         found = readings + rng.normal(size=readings.shape) * np.concatenate(
-            [np.full(count, self.sensing.encoder_noise), self.noise[count:]]
+            [np.full(count, _ENCODER_NOISE), self.noise[count:]]
         )
-        quantum = self.sensing.quantum(self.limits.turning)
-        found[:, :count] = quantum * np.round(found[:, :count] / quantum)
+        found[:, :count] = self._quantum * np.round(found[:, :count] / self._quantum)
         return np.asarray(found)
 
 
 def read_servo_arm(
-    path: str | Path,
-    *,
-    sensing: Sensing | None = None,
-    tolerance: float = 0.03,
-    max_speed: float = 2.0,
+    path: str | Path, *, tolerance: float = 0.03, max_speed: float = 2.0
 ) -> ServoArm:
     """Read an MJCF file as an arm on position servos.
 
@@ -439,7 +416,7 @@ def read_servo_arm(
         spec.copy().compile()
     except ValueError as error:
         raise InvalidData(f"MuJoCo does not compile {path}: {error}") from error
-    return ServoArm(spec, sensing or Sensing(), tolerance, max_speed)
+    return ServoArm(spec, tolerance, max_speed)
 
 
 def force_limits(model: mujoco.MjModel) -> Array:

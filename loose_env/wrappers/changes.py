@@ -45,7 +45,7 @@ class _Records(Change):
             slots=found.slots,
         )
         self.layout = self._changed()
-        self.set_spaces(observation=self.layout.space)
+        self.set_space("observation", self.layout.space)
 
     def _changed(self) -> RecordLayout:
         """Layout of what is shown."""
@@ -146,7 +146,7 @@ class PosteriorObservation(Change):
         start = inner.layout.global_elements
         bounds = np.array(posterior_bounds(len(self._order), start), dtype=np.float32).T
         self._low, self._high = bounds
-        self.set_spaces(observation=spaces.Box(*bounds, dtype=np.float32))
+        self.set_space("observation", spaces.Box(*bounds, dtype=np.float32))
         self._beliefs: list[Any] = [self.posterior.start()] * self.num
         self._records = np.zeros(self.num, dtype=np.intp)
         self._shares = np.zeros((self.num, len(self._order)))
@@ -234,7 +234,7 @@ class MacroActions(Change):
         """Records to choose from (macros, entries)."""
         verdicts = [layout.encode(verdict=1 + k) for k in range(len(self.diagnosis.verdicts))]
         self._choices = np.concatenate([self.macros, np.stack(verdicts)])
-        self.set_spaces(action=spaces.Discrete(len(self._choices)))
+        self.set_space("action", spaces.Discrete(len(self._choices)))
         moved = self.macros[:, : layout.most_moved]
         first = np.cumsum([0, *layout.nvec[: layout.most_moved - 1]])
         self._moves, self._verdicts = first + moved, layout.nvec[-1]
@@ -264,7 +264,7 @@ class SeparateVerdict(Change):
         super().__init__(env)
         nvec = self.diagnosis.actions.nvec
         self._nvec = np.array([*nvec[:-1], 2, nvec[-1] - 1])
-        self.set_spaces(action=spaces.MultiDiscrete(self._nvec))
+        self.set_space("action", spaces.MultiDiscrete(self._nvec))
 
     def inner_actions(self, actions: Any) -> NDArray[np.int64]:
         """Actions with one verdict, given only with a stop."""

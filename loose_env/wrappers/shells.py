@@ -36,13 +36,8 @@ class Change:
         """Attribute of what is wrapped."""
         raise NotImplementedError
 
-    def set_spaces(
-        self,
-        *,
-        observation: spaces.Space[Any] | None = None,
-        action: spaces.Space[Any] | None = None,
-    ) -> None:
-        """Say what one arm shows and takes."""
+    def set_space(self, name: str, space: spaces.Space[Any]) -> None:
+        """Say what one arm shows or takes: "observation" or "action"."""
         raise NotImplementedError
 
     def begun(self, at: IndexArray) -> None:
@@ -111,17 +106,9 @@ class DiagnosisWrapper(
         """Attribute of what is wrapped."""
         return self.env.get_wrapper_attr(name)
 
-    def set_spaces(
-        self,
-        *,
-        observation: spaces.Space[Any] | None = None,
-        action: spaces.Space[Any] | None = None,
-    ) -> None:
-        """Say what is shown and taken."""
-        if observation is not None:
-            self.observation_space = observation
-        if action is not None:
-            self.action_space = action
+    def set_space(self, name: str, space: spaces.Space[Any]) -> None:
+        """Say what is shown or taken: "observation" or "action"."""
+        setattr(self, f"{name}_space", space)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -176,19 +163,10 @@ class DiagnosisVectorWrapper(Change, VectorWrapper[Any, Any, Any, Any, Any]):
             own = own.env
         return getattr(own, name)
 
-    def set_spaces(
-        self,
-        *,
-        observation: spaces.Space[Any] | None = None,
-        action: spaces.Space[Any] | None = None,
-    ) -> None:
-        """Say what one arm shows and takes."""
-        if observation is not None:
-            self.single_observation_space = observation
-            self.observation_space = batch_space(observation, self.num)
-        if action is not None:
-            self.single_action_space = action
-            self.action_space = batch_space(action, self.num)
+    def set_space(self, name: str, space: spaces.Space[Any]) -> None:
+        """Say what one arm shows or takes: "observation" or "action"."""
+        setattr(self, f"single_{name}_space", space)
+        setattr(self, f"{name}_space", batch_space(space, self.num))
 
     def reset(
         self,

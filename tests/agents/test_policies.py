@@ -151,3 +151,39 @@ def test_fixed_agents_need_their_sequences_and_take_so_many_records(
         make_agent("fixed_2", problem), "fixed_2", arm, RULES, episodes=3, seed=1, threads=1
     )
     assert [row.records for row in rows] == [2, 2, 2]
+
+
+@pytest.mark.parametrize(
+    "name", ["posterior/greedy", "posterior/look_ahead", "posterior/open_loop"]
+)
+def test_several_arms_are_played_as_each_is_alone(name: str) -> None:
+    rules = DiagnosisSettings(engine="reduced", durations=(0.2,))
+    problem, num = Problem.of(planar(2), rules), 3
+    agent, batch = make_agent(name, problem), EpisodeBatch(problem.arm, rules, num=num, threads=1)
+    for slot in range(num):
+        batch.start(slot, seed=slot, number=0)
+    together, alone = None, [None] * num
+    for _ in range(3):
+        rows = batch.shown(range(num))
+        actions, together = agent.predict(rows, together)
+        for k in range(num):
+            action, alone[k] = agent.predict(rows[k], alone[k])
+            assert np.array_equal(action, actions[k])
+            assert np.array_equal(alone[k][0].probabilities, together[k].probabilities)
+        shake = problem.actions.encode(levels=np.array([0, 2]))
+        batch.step(range(num), np.where(actions[:, -1:] > 0, shake, actions))
+
+
+def test_expected_information_does_not_depend_on_the_candidates_beside(problem, estimator) -> None:
+    information, now = information_of(problem, estimator), situation(problem, estimator)
+    faults = information.imagine(now.memory.belief, now.rng)
+    rng = np.random.default_rng(2)
+    poses = np.array([problem.arm.random_pose(rng) for _ in range(7)])
+    torque = rng.random((7, 3)) * (rng.random((7, 3)) < 0.6) + np.eye(3)[rng.integers(3, size=7)]
+    durations = rng.choice([0.2, 1.2], 7)
+    together = information.of(faults, poses, torque, durations)
+    for k in range(7):
+        one = slice(k, k + 1)
+        alone = information.of(faults, poses[one], torque[one], durations[one])
+        assert alone.information[0] == pytest.approx(together.information[k], rel=1e-9)
+        assert alone.sure[0] == pytest.approx(together.sure[k], rel=1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +13,18 @@ from scipy import signal
 
 from loose_env.doctor import DoctorSettings, Finding, Report, examine
 from loose_env.errors import InvalidSetting
-from loose_env.recording import Recording, Run
+from loose_env.recording import Recording, Run, write_recording
 from loose_env.typing import Array
-from tests.doctor.machine import JOINTS, MOTORS, each_run, late, record, with_controls, with_sensors
+from tests.doctor.machine import (
+    JOINTS,
+    MOTORS,
+    each_run,
+    late,
+    record,
+    with_controls,
+    with_sensors,
+    xml,
+)
 
 Change = Callable[[Recording], Recording]
 Columns = Callable[[Array], Array]
@@ -132,6 +142,21 @@ def test_what_contradicts_the_model_or_another_channel_is_an_error(
     assert any(words in one.found for one in found)
     if check == "axes":
         assert {one.unit for one in found} == {"deg"}
+
+
+@pytest.mark.parametrize("consistent", [True, False])
+def test_a_joint_without_limits_that_turns_many_times_is_no_angle_in_degrees(
+    servo: Recording, tmp_path: Path, consistent: bool
+) -> None:
+    free = xml().replace('name="base"', 'name="base" limited="false"')
+    time = np.arange(800) / 100
+    angle = 30 * np.sin(time)
+    speed = 30 * np.cos(time) * (1.0 if consistent else np.pi / 180)
+    turning = Run(name="a.csv", time=time, sensors={"q_base": angle, "v_base": speed})
+    found = examine(write_recording(tmp_path / "table", model_xml=free, runs=[turning])).findings
+    assert [one.channel for one in found if one.check == "units"] == (
+        [] if consistent else ["sensor.q_base"]
+    )
 
 
 def test_a_piezoelectric_accelerometer_is_only_noted_and_its_g_known_by_the_motion(

@@ -49,7 +49,7 @@ def test_a_motion_starts_and_ends_at_rest_at_home_within_amplitude_and_speed(
     assert np.all(off[0] == 0) and np.all(off[-1] == 0)
     assert np.all(off[:, 1] == 0)  # a joint that is not excited stays
     assert 0.01 < np.abs(off).max() <= 0.2 + 1e-9
-    assert np.abs(np.diff(commands, axis=0)).max() * arm.sensing.rate <= arm.max_speed + 1e-9
+    assert np.abs(np.diff(commands, axis=0)).max() * arm.limits.rate <= arm.max_speed + 1e-9
     assert np.abs(np.diff(off[:70], axis=0)).max() < 1e-9
 
 

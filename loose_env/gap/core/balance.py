@@ -74,7 +74,6 @@ class Forces:
     operator: Array
     """Change of the mean inertia, damping and stiffness matrices, drives included (3, joints,
     joints)."""
-    eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
 
     def with_contact(self, direction: Array) -> Array:
         """The whole change for a direction of sliding (T, joints + R)."""
@@ -128,7 +127,8 @@ class Balance:
         model = compiled(machine.fresh())
         self.needed, self.given = self._forces(model, self.commands)
         self.dry = np.broadcast_to(model.dof_frictionloss, self.needed.shape)
-        self.bias = self._bias(model)
+        still = self.position, self.speed, 0 * self.speed
+        self.bias = self._forces(model, self.commands, still)[0]  # gravity and inertial coupling
         self.operator = self._operator(model)
         self._nominal = model
         sensors = joint_sensors(machine.model)
@@ -137,9 +137,6 @@ class Balance:
             for number, joint in enumerate(machine.joints)
             for name in sensors[joint].position
         }
-        self.stiffness = np.zeros(len(machine.joints))
-        if not self.released.all():
-            self.stiffness = np.diag(self._operator(model, drives=True)[2]).copy()
         measured = np.isfinite(self.torques)
         inverse = (self.forms == "inverse")[:, None]
         self.seen = np.where(inverse, measured, True)
@@ -154,16 +151,15 @@ class Balance:
         """Change of the balance by an effect at some values of its parameters."""
         if isinstance(effect, MountedPayload):
             return self._by_run(effect, values)
-        own = type(effect)
         model, commands = None, self.commands
-        if own.edit is not Effect.edit:
+        if effect.overrides("edit"):
             spec = self.machine.fresh()
             effect.edit(spec, values)
             model = compiled(spec)
-        if own is CommandInterpolation:
+        if isinstance(effect, CommandInterpolation):
             straight = self.motion.stacked("straight")
             commands = commands + values[0] * (straight - commands)
-        elif own.command is not Effect.command:
+        elif effect.overrides("command"):
             commands = np.concatenate(
                 [
                     _commanded(effect, run, values) if run.form == "forward" else run.commands
@@ -198,7 +194,7 @@ class Balance:
 
     def _misread(self, effect: Effect, values: Array) -> str:
         """Position sensor that reads otherwise by an effect than its joint moves; "" if none."""
-        if type(effect).read is Effect.read:
+        if not effect.overrides("read"):
             return ""
         sizes = zip(self.machine.sensors, self.machine.model.sensor_dim, strict=True)
         still = {column_of(n): np.zeros((2, size) if size > 1 else 2) for n, size in sizes}
@@ -289,13 +285,8 @@ class Balance:
         if model is not None:
             dry += model.dof_frictionloss[self._dofs(model)] - self.dry
         operator = np.zeros_like(self.operator)
-        eased = np.zeros(self.needed.shape[1])
-        edited = given is not self.given and model is not None
-        if edited and isinstance(effect, DriveLimit):
-            # a drive at its limit holds nothing there, and as before elsewhere
-            reached = np.mean(np.abs(given - self.given) > _MODEL * np.abs(self.given), axis=0)
-            eased = reached * (self.stiffness != 0)
-        elif edited and model is not None and model.nv == self.needed.shape[1]:
+        alike = given is self.given or isinstance(effect, DriveLimit)  # a limit is no operator
+        if model is not None and not alike and model.nv == self.needed.shape[1]:
             operator = self._operator(model) - self.operator
         elif model is not None and model.nv > self.needed.shape[1] and (self.forms == "free").all():
             # what a hidden joint leaves of the forces that the motion takes
@@ -303,7 +294,7 @@ class Balance:
             operator[0] = (ratio - 1)[:, None] * self.operator[0]
         needed = needed - given
         if effect is not None:
-            if type(effect).torque is not Effect.torque:
+            if effect.overrides("torque"):
                 paths = zip(
                     self.motion.split(self.position), self.motion.split(self.speed), strict=True
                 )
@@ -312,7 +303,7 @@ class Balance:
                 dry += effect.dry_friction(
                     self._loads(effect, values), self.bias, self.speed, values
                 )
-            if type(effect).sensed_torque is not Effect.sensed_torque:
+            if effect.overrides("sensed_torque"):
                 inverse = self.forms == "inverse"
                 for joint, name in enumerate(self.machine.joints):
                     sensed = effect.sensed_torque(name, needed[:, joint], values)
@@ -322,7 +313,6 @@ class Balance:
             dry=dry,
             readings=self.readings.change(model, effect, values) + felt,
             operator=operator,
-            eased=eased,
         )
 
     def _loads(self, effect: DrivenEffect, values: Array) -> Array:
@@ -402,10 +392,6 @@ class Balance:
         batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
         return mass.copy()
 
-    def _bias(self, model: mujoco.MjModel) -> Array:
-        """Torque of gravity and inertial coupling (T, joints)."""
-        return self._forces(model, self.commands, (self.position, self.speed, 0 * self.speed))[0]
-
     def _batch(self, model: mujoco.MjModel, count: int) -> tuple[Batch, list[Array]]:
         """Batch with room for all samples, and its mass matrices and forces."""
         key = (*(int(getattr(model, name)) for name in _SIZES), count, tuple(model.jnt_bodyid))
@@ -417,8 +403,8 @@ class Balance:
             self._batches[key] = batch, [batch.bind(name) for name in names]
         return self._batches[key]
 
-    def _operator(self, model: mujoco.MjModel, *, drives: bool = False) -> Array:
-        """Mean inertia, damping and stiffness, drives included or alone (3, joints, joints)."""
+    def _operator(self, model: mujoco.MjModel) -> Array:
+        """Mean inertia, damping and stiffness, drives included (3, joints, joints)."""
         rows = np.linspace(0, len(self.position) - 1, _POSES).astype(int)
         joints = len(self.machine.joints)
         found = np.zeros((3, joints, joints))
@@ -431,7 +417,7 @@ class Balance:
                 states.append(moved)
         a, v, q = (np.concatenate([s[k] for s in states]) for k in range(3))
         needed, given = self._forces(model, np.tile(commands, (len(states), 1)), (q, v, a))
-        force = (-given if drives else needed - given).reshape(len(states), len(rows), joints)
+        force = (needed - given).reshape(len(states), len(rows), joints)
         for order in range(3):
             for joint in range(joints):
                 change = force[1 + order * joints + joint] - force[0]

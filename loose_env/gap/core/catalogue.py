@@ -49,7 +49,6 @@ class Column:
     spread: float  # Prior standard deviation
     low: float  # Smallest coefficient
     high: float  # Largest coefficient
-    eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
     late: Late = None  # Joint whose positions are read late, and by how much [s]
 
 
@@ -113,29 +112,21 @@ def shows(balance: Balance, effect: Effect) -> bool:
     """
     if effect.part == "sensor":
         return effect.where in balance.encoders or balance.readings.has(effect.where)
-    acts = effect.moves or _senses_torque(effect)
-    if effect.has_stops or not acts or not moves(balance, effect):
+    senses = effect.overrides("sensed_torque")
+    if effect.has_stops or not (effect.moves or senses):
+        return False
+    joint = effect.part == "joint"  # at rest all forces are constant
+    if joint and not moves_at(balance, balance.machine.joint_number(effect.where)):
         return False
     if effect.drives and balance.released.all():
-        return _senses_torque(effect) and bool((balance.forms == "inverse").any())
+        return senses and bool((balance.forms == "inverse").any())
     return True
-
-
-def moves(balance: Balance, effect: Effect) -> bool:
-    """Whether the joint of an effect moves, where it is at one: at rest all forces are constant."""
-    if effect.part != "joint":
-        return True
-    return moves_at(balance, balance.machine.joint_number(effect.where))
 
 
 def moves_at(balance: Balance, joint: int) -> bool:
     """Whether a joint moves clearly more than its noise."""
     reach = float(np.ptp(balance.position[:, joint]))
     return reach > _MOVING * float(balance.motion.noise[0, joint])
-
-
-def _senses_torque(effect: Effect) -> bool:
-    return type(effect).sensed_torque is not Effect.sensed_torque
 
 
 def shapes(balance: Balance, effect: Effect) -> list[tuple[tuple[tuple[float, ...], ...], bool]]:
@@ -158,7 +149,7 @@ def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
     """Starts of an effect, those from the data where it proposes any."""
     if effect.adds_motion:
         return (*effect.starts, *balance.resonances(effect))
-    if effect.part == "joint" and type(effect).propose is not Effect.propose:
+    if effect.part == "joint" and effect.overrides("propose"):
         joint = balance.machine.joint_number(effect.where)
         rows = np.flatnonzero(balance.seen[:, joint])
         rows = rows[:: max(1, len(rows) // _LOOKED_AT)]
@@ -283,7 +274,7 @@ def _column(
         late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
         return Column(
             change=Change(change), operator=forces.operator, centre=1.0, spread=width,
-            low=1 - 2.3 * width, high=1 + 2.3 * width, eased=forces.eased, late=late,
+            low=1 - 2.3 * width, high=1 + 2.3 * width, late=late,
         )  # fmt: skip
     readings = np.sqrt(np.mean(balance.readings.foretold**2, axis=0))
     typical = np.maximum(np.concatenate([balance.machine.load_scales, readings]), 1e-9)
@@ -307,5 +298,5 @@ def _column(
             spread = min(spread, abs(parameter.unsurprising / step))
     return Column(
         change=Change(change), operator=forces.operator, centre=0.0, spread=spread, low=low,
-        high=high, eased=forces.eased,
+        high=high,
     )  # fmt: skip

@@ -19,7 +19,7 @@ from loose_env.gap.core.balance import USUAL, Balance
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import append, stretches_of
 from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
-from loose_env.gap.core.selection import KIND, Selection, Set, SetFit, at_joint, neighbours
+from loose_env.gap.core.selection import KIND, Form, Selection, Set, SetFit, at_joint, neighbours
 from loose_env.gap.model.effect import Mountings, free_of, values_of
 from loose_env.gap.model.effects.inertia import MountedPayload, Payload
 from loose_env.inference import log_determinant
@@ -306,7 +306,7 @@ def _gains(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
 
 def _near(selection: Selection, fit: SetFit) -> tuple[list[set[tuple[str, str]]], Array]:
     """Effects and probability of the sets near the answer."""
-    form = selection.whole(fit.powers, fit)
+    form = Form(selection, fit.powers, fit)
     forms = {t.form for t in fit.terms}
     pool = [t for t in selection.evidence.terms if t.form not in forms]
     for _, term in selection.screened(form, fit.terms, pool)[:12]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term
-from loose_env.gap.core.selection import Selection, neighbours
+from loose_env.gap.core.selection import Form, Selection, neighbours
 from loose_env.gap.output.result import (
     EffectLocation,
     Identifiability,
@@ -100,7 +100,7 @@ class _Shown:
 def _effects(selection: Selection) -> tuple[VisibleEffect, ...]:
     """Every effect that the catalogue has for this recording."""
     evidence, kept = selection.evidence, selection.evidence.tolerances
-    form = selection.whole(selection.rich)
+    form = Form(selection, selection.rich)
     every = np.arange(len(evidence.precision))
     data = form.block(every) - np.diag(evidence.precision)  # without the priors of the effects
     inverse = np.linalg.inv(data[:kept, :kept] + np.eye(kept))

@@ -69,7 +69,7 @@ class Readings:
             return self.nothing
         if model is not None and model.nv == self.model.nv and self._moved(model):
             found = self.of(model, *self._states)
-        if effect is not None and type(effect).read is not Effect.read:
+        if effect is not None and effect.overrides("read"):
             columns = np.column_stack([found, *positions.values()])
             found = found + np.concatenate(
                 [

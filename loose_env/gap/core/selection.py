@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from math import lgamma, log
+from math import comb, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
-from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers
+from loose_env.gap.core.evidence import Channel, Evidence, append
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.inference import log_determinant
 from loose_env.typing import Array
@@ -41,8 +41,6 @@ _MOST = 40  # steps of a search
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
 _SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
-_BENT = 4.0
-"""Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _SIZES = 10.0  # widths of the prior of a size that values are given
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)  # relative steps in which shapes are refined
 
@@ -66,7 +64,7 @@ class SetFit:
 
     def places(self, columns: Iterable[int]) -> NDArray[np.intp]:
         """Where columns of the set stand among its coefficients."""
-        return _places(self.numbers, columns)
+        return np.searchsorted(self.numbers, list(columns))
 
 
 class Selection:
@@ -91,7 +89,6 @@ class Selection:
         ]
         self.fits: dict[frozenset[int], SetFit] = {}
         self._replaced: dict[tuple[object, ...], Term | None] = {}
-        self._off: dict[tuple[object, ...], dict[int, Array]] = {}
 
     # ---- the prior of sets
 
@@ -119,7 +116,7 @@ class Selection:
         kinds = {t.effect.kind: t.effect.extends or t.effect.kind for t in own}
         for simple, count in Counter(kinds[t.effect.kind] for t in own).items():
             places = self._places.get(simple, count)
-            cost += KIND + 2 * log(places) + 2 * _log_choose(places, min(count, places)) + count
+            cost += KIND + 2 * log(places) + 2 * log(comb(places, min(count, places))) + count
         cost += sum(FORM * bool(t.effect.extends) + 2 * log(t.effect.choices) for t in own)
         return cost + sum(log(max(self._shapes[t.name], 1)) for t in own)
 
@@ -192,21 +189,14 @@ class Selection:
                 weight, count = self.weights(k, power), evidence.channels[k].count
                 moved = part.growth @ found[part.at]
                 own = (weight @ part.gram).reshape(len(part.at), -1)
-                held = part.held @ found[part.at]
-                less = bool(held < -1e-12)
-                shrunk[k] |= moved < min(float(held), -1e-12)  # for good: else it alternates
+                shrunk[k] |= moved < -1e-12  # for good: else it alternates
                 # noise that grows with the operator is in the columns: least squares would
                 # attenuate their coefficients (errors in variables)
-                noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved)
-                noisy *= (moved > 0) | less
+                noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved) * (moved > 0)
                 slope[part.at] += weight @ part.slope + noisy @ part.growth
                 guard = shrunk[k] * weight * power
                 own += (part.growth.T * guard) @ part.growth
                 slope[part.at] += guard @ part.growth
-                if less:  # what is beyond the noise was the motion that the drive held
-                    beyond = float(np.sum(~shrunk[k] * weight * np.maximum(power - count, 0)))
-                    own += beyond * np.outer(part.held, part.held)
-                    slope[part.at] += beyond * part.held
                 normal[part.grid] += own
             scale = 1 / np.sqrt(np.diag(normal))
             found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
@@ -226,7 +216,7 @@ class Selection:
         allowed &= bool(np.isfinite(cost))
         for term in terms:
             if term.effect.axes:  # a mass of nothing weighs nothing, wherever it is
-                x = values[_places(numbers, evidence.columns_of(term))]
+                x = values[np.searchsorted(numbers, evidence.columns_of(term))]
                 allowed &= bool(np.any(term.values(x) != term.effect.null_values))
         return SetFit(
             terms, numbers, values, *levels, curvature, cost, cost + self.prior(terms), allowed
@@ -237,8 +227,7 @@ class Selection:
     ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
         """Powers and costs of all cells, in units of the noise of the fitted operator.
 
-        A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
-        drive that holds less, whose discrepancy stays the same motion.
+        A balance whose every term shrinks makes less noise, too, and gains nothing.
         """
         evidence = self.evidence
         operator = evidence.balance.operator + np.tensordot(values, evidence.operators[numbers], 1)
@@ -250,9 +239,7 @@ class Selection:
             now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
             ratio += (1 + part.beside @ own) ** 2 - 1
-            held = max(1.0 + float(part.held @ own), 0.0) ** 2
-            scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
-            excess = np.maximum((power - count * ratio) / scale, -count)
+            excess = np.maximum((power - count * ratio) / np.clip(ratio, 1e-300, 1.0), -count)
             level = self.values[k]
             costs = level * np.log1p(np.maximum(excess, 0.0) / level)
             found.append((count + excess, costs))
@@ -260,20 +247,13 @@ class Selection:
 
     # ---- many sets at fixed weights
 
-    def whole(self, powers: Sequence[Array], fit: SetFit | None = None) -> _Form:
-        """The quadratic form of all columns at the weights of given residuals.
-
-        Around a fitted set its noise is that of the set's operator.
-        """
-        return _Form(self, powers, fit)
-
-    def predicted(self, form: _Form, terms: Sequence[Term]) -> float:
+    def predicted(self, form: Form, terms: Sequence[Term]) -> float:
         """Total of a set at fixed weights; infinite where a coefficient is out of bounds."""
         evidence, at = self.evidence, self.columns(terms)
         normal, slope = form.block(at), form.slope[at]
         try:
             half, values, determinant = _solved(normal, slope)
-            noise = form.of_operator(at, values)
+            noise = _Noise(form, at, values)
             if noise.acts:
                 more, along = noise.between(at, at), noise.along(at)
                 half, values, determinant = _solved(normal + more, slope + along)
@@ -287,7 +267,7 @@ class Selection:
         return float(-half @ half + determinant + prior + self.prior(terms))
 
     def screened(
-        self, form: _Form, terms: Sequence[Term], pool: Iterable[Term]
+        self, form: Form, terms: Sequence[Term], pool: Iterable[Term]
     ) -> list[tuple[float, Term]]:
         """Gain of each candidate beside a set at fixed weights, the largest first."""
         evidence, at = self.evidence, self.columns(terms)
@@ -347,7 +327,7 @@ class Selection:
         One kind at a time may be led astray: where friction is missing as well, a lag that halves
         every drive explains more than the true delay.
         """
-        form = self.whole(self.rich)
+        form = Form(self, self.rich)
         single = _by_kind(t for _, t in self.screened(form, (), self.evidence.terms))
         ranked: list[Set] = []
         level: list[Set] = [()]
@@ -411,28 +391,10 @@ class Selection:
         # two digits: a secant to a value nearby is as good, and is already there
         secant = tuple(float(f"{value:.1e}") for value in term.values(shares))
         axes[int(np.argmax(np.abs(shares)))] = secant
-        if tuple(axes) == term.axes or not self._bent(term, shares, state.powers):
+        if tuple(axes) == term.axes:
             return state
         new = self.replaced(state, term, tuple(axes), (term.contact,))
         return new if new is not None and new.total < state.total else state
-
-    def _bent(self, term: Term, shares: Array, powers: Sequence[Array]) -> bool:
-        """Whether an effect differs from its columns by more than the data's doubt of it."""
-        key = id(term), *(f"{value:.1e}" for value in term.values(shares))
-        if key not in self._off:
-            balance = self.evidence.balance
-            exact = balance.forces(term.effect, term.values(shares)).with_contact(
-                balance.directions[term.contact or USUAL]
-            )
-            parts = zip(shares, term.columns, strict=True)
-            off = exact - sum(share * column.change.whole() for share, column in parts)
-            self._off[key] = {
-                k: cell_powers(balance, channel.joint, off)
-                for k, channel in enumerate(self.evidence.channels)
-                if np.any(off[:, channel.joint])
-            }
-        cells = self._off[key].items()
-        return float(sum(self.weights(k, powers[k]) @ own for k, own in cells)) > _BENT
 
     def replaced(
         self,
@@ -474,7 +436,7 @@ class Selection:
         sets: dict[frozenset[int], Set] = {}
         for powers in weightings:
             seen: Counter[tuple[str, str]] = Counter()
-            screened = self.screened(self.whole(powers, state), state.terms, pool)
+            screened = self.screened(Form(self, powers, state), state.terms, pool)
             for _, term in screened:
                 if seen[term.name] < 2 and len(seen) < _SCREENED:
                     seen[term.name] += 1
@@ -493,7 +455,7 @@ class Selection:
         """Fits of the sets that look best at fixed weights."""
         chosen: dict[int, Sequence[Array]] = {}
         for powers in weightings:
-            form = self.whole(powers)
+            form = Form(self, powers)
             form.cover(k for own in sets for k in self.columns(own))
             likely = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
             for total, k in likely:
@@ -525,7 +487,7 @@ class Selection:
                 return state
             state = best
 
-    def alternatives(self, form: _Form, rest: Set, term: Term) -> list[Term]:
+    def alternatives(self, form: Form, rest: Set, term: Term) -> list[Term]:
         """Other kinds at the place of a member, or at the links and drives beside it."""
         machine, forms = self.evidence.balance.machine, {t.form for t in rest}
         near = neighbours(machine, term.effect.where)
@@ -538,7 +500,7 @@ class Selection:
 
     def _exchanges(self, state: SetFit) -> list[Set]:
         """Sets with a member removed, reshaped or exchanged, or a kind exchanged everywhere."""
-        form, found = self.whole(state.powers, state), []
+        form, found = Form(self, state.powers, state), []
         everything = self.evidence.terms
         for term in state.terms:
             rest = tuple(t for t in state.terms if t is not term)
@@ -566,11 +528,6 @@ def _by_kind(terms: Iterable[Term]) -> list[Set]:
     for term in terms:
         kinds.setdefault(term.effect.kind, {}).setdefault(term.effect.where, term)
     return [tuple(places.values()) for places in kinds.values()]
-
-
-def _places(numbers: NDArray[np.intp], columns: Iterable[int]) -> NDArray[np.intp]:
-    """Where some columns stand among others, which are sorted."""
-    return np.searchsorted(numbers, list(columns))
 
 
 def _is_linear(term: Term) -> bool:
@@ -613,7 +570,7 @@ def _values(channel: Channel, noisy: float) -> Array:
 class _Noise:
     """What the noise of a fitted operator adds to the quadratic form."""
 
-    def __init__(self, form: _Form, at: NDArray[np.intp], values: Array) -> None:
+    def __init__(self, form: Form, at: NDArray[np.intp], values: Array) -> None:
         growth = form.growth
         moved = growth[:, at] @ values
         self._some = np.flatnonzero((moved < -1e-12) & (form.noise > 0))
@@ -639,10 +596,15 @@ class _Noise:
         return np.asarray(self._guard @ self._scale(at) + self._noisy @ self._growth[:, at])
 
 
-class _Form:
-    """Quadratic form of all columns at fixed weights; its matrix is made where it is asked for."""
+class Form:
+    """Quadratic form of all columns at the weights of some powers, made where it is asked for.
 
-    def __init__(self, selection: Selection, powers: Sequence[Array], fit: SetFit | None) -> None:
+    Around a fitted set its noise is that of the set's operator.
+    """
+
+    def __init__(
+        self, selection: Selection, powers: Sequence[Array], fit: SetFit | None = None
+    ) -> None:
         self._evidence = evidence = selection.evidence
         count = len(evidence.precision)
         self._weights = [selection.weights(k, p) for k, p in enumerate(powers)]
@@ -665,10 +627,6 @@ class _Form:
         self._fit_noise = None if fit is None else _Noise(self, fit.numbers, fit.values)
         if self._fit_noise is not None:
             self.diagonal += self._fit_noise.diagonal()
-
-    def of_operator(self, at: NDArray[np.intp], values: Array) -> _Noise:
-        """What the noise of an operator adds."""
-        return _Noise(self, at, values)
 
     def near(self, at: NDArray[np.intp]) -> tuple[Array, Array]:
         """Normal matrix between some columns and all, and slope, around the fitted set."""
@@ -738,7 +696,6 @@ class _Part:
     gram: Array
     slope: Array
     growth: Array
-    held: Array
     beside: Array
 
 
@@ -762,7 +719,6 @@ def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
         gram.reshape(len(gram), -1),
         channel.slope[:, local],
         channel.growth[:, local],
-        channel.held[local],
         channel.beside[:, local],
     )
 
@@ -774,7 +730,3 @@ def _near_bounds(
     low, high, law = evidence.low[at], evidence.high[at], evidence.centre[at] > 0
     room = np.where(law, 0.15, 0.5 * np.abs(np.where(np.isfinite(low), low, 0.0)))
     return np.asarray((values >= low - room) & (values <= high + np.where(law, 0.15, np.inf)))
-
-
-def _log_choose(of: int, count: int) -> float:
-    return lgamma(of + 1) - lgamma(count + 1) - lgamma(of - count + 1)

@@ -101,14 +101,19 @@ class NominalModel:
         """Mask of the actuators whose gain and bias are affine (actuators,)."""
         return affine_actuators(self.model)
 
-    def gears(self, joint: str) -> Array:
-        """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
+    @cached_property
+    def moments(self) -> Array:
+        """Torque on each joint per force of each actuator, at its zero (joints, actuators)."""
         data = self.at_zero
         dense = np.zeros((len(data.moment_rownnz), self.model.nv))
         mujoco.mju_sparse2dense(
             dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
         )
-        return np.asarray(dense[: len(self.actuators), self.joint_number(joint)])
+        return np.ascontiguousarray(dense[: len(self.actuators), : len(self.joints)].T)
+
+    def gears(self, joint: str) -> Array:
+        """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
+        return np.asarray(self.moments[self.joint_number(joint)])
 
     @cached_property
     def at_zero(self) -> mujoco.MjData:

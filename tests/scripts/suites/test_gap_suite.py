@@ -190,7 +190,7 @@ def test_files_enter_against_commitments_made_from_a_phrase(
         run(replace(entered, afresh=True))
 
 
-@pytest.mark.parametrize("name", ["without discrepancy", "core.decision.HELD_OUT=8"])
+@pytest.mark.parametrize("name", ["without discrepancy", "core.selection.KIND=20"])
 def test_a_variant_changes_a_number_wherever_it_is_known(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
