@@ -230,7 +230,7 @@ def listed(source: FileList) -> dict[str, Any]:
     """Streams and channels of a file; what its kind does not say is null."""
     streams = [
         {
-            "topic": stream.topic,
+            "topic": stream.table.topic,
             "samples": stream.samples or None,
             "seconds": stream.seconds,
             "rate_hz": stream.rate_hz,
@@ -241,7 +241,7 @@ def listed(source: FileList) -> dict[str, Any]:
         }
         for stream in source.streams
     ]
-    return {"file": source.name, "kind": source.kind, "streams": streams}
+    return {"file": source.log.name, "kind": source.log.kind, "streams": streams}
 
 
 def contents(recording: Recording) -> dict[str, Any]:

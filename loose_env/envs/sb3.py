@@ -50,8 +50,8 @@ class Sb3VecEnv(VecEnv):
     """
 
     def __init__(self, env: Any) -> None:
-        inner = getattr(env, "unwrapped", env)
-        if not isinstance(inner, DiagnosisVectorEnv) or not hasattr(env, "action_masks"):
+        inner = getattr(env, "diagnosis", env)  # of the wrappers that keep masks and final infos
+        if not isinstance(inner, DiagnosisVectorEnv):
             raise InvalidSetting(
                 f"Sb3VecEnv adapts a DiagnosisVectorEnv, as gymnasium.make_vec gives it; got "
                 f"{type(env).__name__}: wrap single environments and give them to "

@@ -19,7 +19,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
-from loose_env.importing.samples import ChannelKey, FileKind, Log, Table
+from loose_env.importing.samples import ChannelKey, FileKind, Log, Table, natural
 from loose_env.importing.units import unit_in
 from loose_env.recording import MOST_VALUES
 
@@ -93,11 +93,7 @@ def _episodes(tree: Tree) -> dict[str, Tree]:
         kinds = {tuple(sorted(each)) for each in groups.values()}
         numbered = all(_NUMBER.search(key) for key in groups)
         if groups and not own and len(kinds) == 1 and (numbered or len(groups) > 1):
-
-            def order(key: str) -> list[tuple[int, str]]:
-                return [(int(p), "") if p.isdigit() else (0, p) for p in _NUMBER.split(key)]
-
-            return {key: groups[key] for key in sorted(groups, key=order)}
+            return {key: groups[key] for key in sorted(groups, key=natural)}
         if len(groups) != 1 or own:
             break
         here = next(iter(groups.values()))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.importing.dates import date_format_of, date_ns, looks_like_a_date
-from loose_env.importing.mapping import TimeSource, quoted
+from loose_env.importing.mapping import TimeSource, printable, quoted
 from loose_env.importing.samples import Samples, Table
 from loose_env.importing.units import quantity_of, unit_in, unit_named
 from loose_env.recording import nearest
@@ -161,8 +161,7 @@ def time_line(time: TimeSource, words: str = "") -> str:
     parts += [f"date_format = {quoted(time.date_format)}"] if time.date_format else []
     parts += [f"stamp = {quoted(time.stamp)}"] if time.stamp != "auto" else []
     parts += [f"rate_hz = {time.rate_hz:.12g}"] if time.rate_hz is not None else []
-    plain = "".join(c if c.isprintable() else " " for c in words)
-    return f"time = {{ {', '.join(parts)} }}{f'  # {plain}' if plain else ''}"
+    return f"time = {{ {', '.join(parts)} }}{f'  # {printable(words)}' if words else ''}"
 
 
 def time_unit(step: float, value: float = 0.0) -> str:

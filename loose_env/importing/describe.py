@@ -7,15 +7,22 @@ import time
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.importing.clocks import chosen_time, named_times, samples_of, time_line
-from loose_env.importing.mapping import MAPPING_FORMAT, TimeSource, quoted
+from loose_env.importing.mapping import (
+    MAPPING_FORMAT,
+    TimeSource,
+    channel_keys,
+    printable,
+    quoted,
+)
 from loose_env.importing.reading import given_files, open_log
-from loose_env.importing.samples import ChannelKey, FileKind, Log, Table
+from loose_env.importing.samples import ChannelKey, Log, Table
 from loose_env.importing.units import column_quantity
 from loose_env.recording import ModelColumns, joint_sensors
 
@@ -27,54 +34,61 @@ _MOST_LISTED = 500
 """Channels listed of one topic."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Channel:
+class Channel(NamedTuple):
     """One channel."""
 
     key: ChannelKey
-    """Its identifier in a mapping."""
-    first: tuple[float, ...] = ()
+    first: tuple[float, ...]
     """First values, as the file holds them."""
-    unit: str = ""
+    unit: str
     """Unit that the file itself gives."""
-    words: str = ""
+    words: str
     """Further description in the file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stream:
-    """Channels that share their times."""
+    """Table of a file, and when it was recorded."""
 
-    topic: str = ""
-    kind: str = ""
-    """Type and encoding."""
-    samples: int = 0
+    table: Table
     start_ns: int | None = None
     """First sample [ns since 1970], where the file knows the date."""
     seconds: float | None = None
     """From the first to the last sample [s], where that is known."""
-    channels: tuple[Channel, ...] = ()
-    note: str = ""
+
+    @property
+    def samples(self) -> int:
+        """Number of rows."""
+        return len(self.table) if self.table.columns else 0
 
     @property
     def rate_hz(self) -> float | None:
         """Mean rate [Hz]."""
         return (self.samples - 1) / self.seconds if self.seconds and self.samples > 1 else None
 
+    @property
+    def channels(self) -> list[Channel]:
+        """Channels of the table."""
+        own = self.table
+        return [
+            Channel(
+                ChannelKey(name, own.topic),
+                tuple(np.asarray(own.columns.get(name, ())[:3], dtype=float).tolist()),
+                own.units.get(name, ""),
+                own.words.get(name, ""),
+            )
+            for name in [*own.columns, *own.texts][:_MOST_LISTED]
+        ]
+
 
 @dataclass(frozen=True, kw_only=True)
 class FileList:
     """One file."""
 
-    name: str
-    kind: FileKind
-    words: str
-    """The kind in words."""
+    log: Log
     streams: tuple[Stream, ...]
-    options: tuple[str, ...] = ()
+    options: tuple[str, ...]
     """Lines of a mapping that say how to read it."""
-    episodes: tuple[str, ...] = ()
-    """Names of its episodes, each of which becomes a run; empty where it has none."""
 
 
 def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None) -> str:
@@ -113,7 +127,8 @@ def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None
             quantity = column_quantity(model, column)
             lines.append(f"#   {quoted(column)}{f'  {quantity}' if quantity else ''}")
     for name, each in lists.items():
-        lines += ["", f"[sources.{name}]", f"file = {quoted(each.name)}", f'kind = "{each.kind}"']
+        lines += ["", f"[sources.{name}]", f"file = {quoted(each.log.name)}"]
+        lines.append(f'kind = "{each.log.kind}"')
         lines += each.options
     lines += [
         "",
@@ -177,55 +192,35 @@ def _listed(log: Log) -> FileList:
                 "# no column of time was found; name it, or give the recorder's rate: "
                 "time = { rate_hz = ... } [Hz]"
             )
-            options.append(time_line(time, _comment(words)) if offered else none)
+            options.append(time_line(time, printable(words)) if offered else none)
         streams.append(_stream(table, time))
-    return FileList(
-        name=log.name, kind=log.kind, words=log.words, streams=tuple(streams),
-        options=tuple(options), episodes=log.episodes,
-    )  # fmt: skip
+    return FileList(log=log, streams=tuple(streams), options=tuple(options))
 
 
 def _stream(table: Table, time: TimeSource) -> Stream:
-    start, seconds = None, None
-    names = [*table.columns, *table.texts][:_MOST_LISTED]
+    """Table with its beginning and length, where its time can be read."""
     for name in [n for n in table.columns if n != time.column][:1]:
         try:
             own = samples_of(table, name, time)
         except InvalidData:
             continue
-        seconds = float(own.time[-1] - own.time[0])
         start = own.origin_ns if own.origin_ns > 10**17 else None
-    return Stream(
-        topic=table.topic,
-        kind=table.kind,
-        samples=len(table) if table.columns else 0,
-        start_ns=start,
-        seconds=seconds,
-        channels=tuple(
-            Channel(
-                key=ChannelKey(name, table.topic),
-                first=tuple(np.asarray(table.columns.get(name, ())[:3], dtype=float).tolist()),
-                unit=table.units.get(name, ""),
-                words=table.words.get(name, ""),
-            )
-            for name in names
-        ),
-        note=table.note,
-    )
+        return Stream(table=table, start_ns=start, seconds=float(own.time[-1] - own.time[0]))
+    return Stream(table=table)
 
 
 def _stream_lines(
     name: str, file: FileList, stream: Stream, model: mujoco.MjModel | None
 ) -> list[str]:
-    about = [_comment(stream.topic), _comment(stream.kind)]
+    about = [printable(stream.table.topic), printable(stream.table.kind)]
     if stream.samples:
         about.append(f"{stream.samples} samples")
     if stream.rate_hz is not None:
         about.append(f"{stream.rate_hz:.6g} Hz over {stream.seconds:.3f} s")
     if stream.start_ns is not None:
         about.append(f"from {_date(stream.start_ns)}")
-    about.append(_comment(stream.note))
-    lines = ["", f"# {file.words}: {', '.join(filter(None, about))}"[:_WIDE]]
+    about.append(printable(stream.table.note))
+    lines = ["", f"# {file.log.words}: {', '.join(filter(None, about))}"[:_WIDE]]
     for channel in stream.channels:
         lines.append("# " + _channel_line(name, channel, _likely(channel, model)))
     return lines
@@ -251,21 +246,14 @@ def _likely(channel: Channel, model: mujoco.MjModel | None) -> str:
 
 
 def _channel_line(name: str, channel: Channel, column: str) -> str:
-    parts = [f"source = {quoted(name)}"]
-    if channel.key.topic:
-        parts.append(f"topic = {quoted(channel.key.topic)}")
-    parts.append(f"channel = {quoted(channel.key.channel)}")
+    parts = channel_keys(name, channel.key)
     if channel.unit:
         parts.append(f"unit = {quoted(channel.unit)}")
     if _DOWN.fullmatch(channel.key.channel):
         parts.append("sign = -1")  # the recorder counts it against the axis
     seen = ", ".join(f"{value:.6g}" for value in channel.first)
-    note = "; ".join(filter(None, (seen, _comment(channel.words))))
+    note = "; ".join(filter(None, (seen, printable(channel.words))))
     return f"{quoted(column)} = {{ {', '.join(parts)} }}{f'  # {note}' if note else ''}"
-
-
-def _comment(words: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in words)
 
 
 def source_name(given: str, taken: Container[str]) -> str:

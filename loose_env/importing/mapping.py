@@ -475,3 +475,15 @@ def _known(place: str, source: str, sources: Mapping[str, SourceEntry]) -> None:
 def quoted(words: str) -> str:
     """Quote text for TOML, whose strings are JSON's but for one control character."""
     return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def printable(words: str) -> str:
+    """Words for a comment of a mapping."""
+    return "".join(c if c.isprintable() else " " for c in words)
+
+
+def channel_keys(source: str, key: ChannelKey) -> list[str]:
+    """Keys of a mapping's column that name a channel; without a source where it is ""."""
+    parts = [f"source = {quoted(source)}"] if source else []
+    parts += [f"topic = {quoted(key.topic)}"] if key.topic else []
+    return [*parts, f"channel = {quoted(key.channel)}"]

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import io
 import json
-import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
-from loose_env.importing.samples import ChannelKey, Log, Table
+from loose_env.importing.samples import ChannelKey, Log, Table, natural
 from loose_env.recording import MOST_VALUES
 
 STORAGES = (".mcap", ".db3", ".bag", ".mcap.zstd", ".db3.zstd")
@@ -70,11 +70,8 @@ def open_messages(path: Path, name: str) -> Log:
 
 def storages(folder: Path) -> list[Path]:
     """Files of a bag in a folder, in the order in which they were recorded."""
-
-    def order(path: Path) -> list[tuple[int, str]]:
-        return [(int(p), "") if p.isdigit() else (0, p) for p in re.split(r"(\d+)", path.name)]
-
-    return sorted((p for p in folder.iterdir() if p.name.endswith(STORAGES)), key=order)
+    found = (p for p in folder.iterdir() if p.name.endswith(STORAGES))
+    return sorted(found, key=lambda path: natural(path.name))
 
 
 def _tables(path: Path, name: str, topics: set[str] | None) -> list[Table]:
@@ -215,7 +212,8 @@ def _numbers(here: Any, words: str, depth: int) -> Iterator[tuple[str, Any, Any]
         elif 0 < len(value) <= _MOST_ENTRIES:
             if isinstance(value[0], (bool, int, float, np.number)):
                 numbered = tuple(map(str, range(len(value))))
-                yield own, label if len(label) == len(value) else numbered, [*map(float, value)]
+                plain = value.tolist() if isinstance(value, np.ndarray) else [*map(float, value)]
+                yield own, label if len(label) == len(value) else numbered, plain
             elif not isinstance(value[0], (str, bytes)):
                 for i in range(len(value)):
                     yield from _numbers(value[i], f"{own}[{i}]", depth + 1)
@@ -223,13 +221,15 @@ def _numbers(here: Any, words: str, depth: int) -> Iterator[tuple[str, Any, Any]
 
 def _fields(holder: Any) -> Sequence[str]:
     """Names of the fields of a decoded message: of JSON, ROS or protobuf."""
-    if isinstance(holder, dict):
-        return [str(name) for name in holder]
-    descriptor = getattr(type(holder), "DESCRIPTOR", None)
+    return [*map(str, holder)] if isinstance(holder, dict) else _fields_of(type(holder))  # type: ignore[arg-type]
+
+
+@cache
+def _fields_of(kind: type) -> tuple[str, ...]:
+    descriptor = getattr(kind, "DESCRIPTOR", None)
     if descriptor is not None:
-        return [field.name for field in descriptor.fields]
-    own = getattr(type(holder), "__dataclass_fields__", ())
-    return [name for name in own if not name.startswith("__")]
+        return tuple(field.name for field in descriptor.fields)
+    return tuple(n for n in getattr(kind, "__dataclass_fields__", ()) if not n.startswith("__"))
 
 
 def _field(holder: Any, name: str) -> Any:

@@ -17,11 +17,17 @@ from loose_env.importing.clocks import chosen_time, samples_of, time_line
 from loose_env.importing.describe import source_name
 from loose_env.importing.evidence import Signal, coding_of, on_one_base
 from loose_env.importing.join_runs import decoded
-from loose_env.importing.mapping import MAPPING_FORMAT, TimeSource, quoted
+from loose_env.importing.mapping import (
+    MAPPING_FORMAT,
+    TimeSource,
+    channel_keys,
+    printable,
+    quoted,
+)
 from loose_env.importing.names import meaning_of, quantities
-from loose_env.importing.reading import given_files, natural, open_log
+from loose_env.importing.reading import given_files, open_log
 from loose_env.importing.roles import Line, Roles
-from loose_env.importing.samples import ChannelKey, Log, Samples, Table
+from loose_env.importing.samples import ChannelKey, Log, Samples, Table, natural
 from loose_env.importing.targets import joint_targets
 
 _MOST_RUNS = 4
@@ -374,15 +380,15 @@ def proposal_text(proposal: Proposal, model: str) -> str:
         "[columns]",
     ]
     for each in proposal.columns:
-        lines.append(f"# {_plain(each.reason)}")
+        lines.append(f"# {printable(each.reason)}")
         lines.append(f"{'# ' if each.open else ''}{_line(each, several)}")
-    lines += [f"# {_plain(note)}" for note in proposal.notes]
+    lines += [f"# {printable(note)}" for note in proposal.notes]
     if proposal.unassigned:
         lines.append("# Not used:")
     for left in proposal.unassigned[:_MOST_LEFT]:
-        parts = _place(left.source, left.key, several)
+        parts = channel_keys(left.source if several else "", left.key)
         parts += [f"unit = {quoted(left.unit)}"] if left.unit else []
-        lines.append(f'# "sensor.?" = {{ {", ".join(parts)} }}  # {_plain(left.reason)}')
+        lines.append(f'# "sensor.?" = {{ {", ".join(parts)} }}  # {printable(left.reason)}')
     if len(proposal.unassigned) > _MOST_LEFT:
         more = len(proposal.unassigned) - _MOST_LEFT
         lines.append(f"# and {more} more: loose import --describe lists them")
@@ -425,15 +431,9 @@ def _shared(runs: Sequence[Sequence[str]]) -> list[str]:
     return []
 
 
-def _place(source: str, key: ChannelKey, several: bool) -> list[str]:
-    parts = [f"source = {quoted(source)}"] if several else []
-    parts += [f"topic = {quoted(key.topic)}"] if key.topic else []
-    return [*parts, f"channel = {quoted(key.channel)}"]
-
-
 def _line(each: Line, several: bool) -> str:
     s = each.candidate
-    parts = _place(s.source, s.key, several)
+    parts = channel_keys(s.source if several else "", s.key)
     scaling = each.scaling
     parts += [f"unit = {quoted(scaling.unit)}"] if scaling.unit else []
     parts += [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
@@ -442,7 +442,3 @@ def _line(each: Line, several: bool) -> str:
     parts += [f"period = {s.period:.9g}  "[:-2]] if s.period is not None else []
     parts += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None else []
     return f"{quoted(each.column or 'sensor.?')} = {{ {', '.join(parts)} }}"
-
-
-def _plain(words: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in words)

@@ -23,6 +23,7 @@ from loose_env.importing.samples import (
     Log,
     Samples,
     found_in,
+    natural,
     unreadable,
 )
 from loose_env.importing.text_tables import open_text_table
@@ -98,17 +99,6 @@ def _logs_in(folder: Path) -> list[Path]:
     if logs:
         return logs
     return [log for p in members if p.is_dir() for log in _logs_in(p)]
-
-
-def natural(name: str) -> list[tuple[int, str]]:
-    """Key that sorts names with numbers by the numbers.
-
-    Examples
-    --------
-    >>> sorted(["run10", "run9"], key=natural)
-    ['run9', 'run10']
-    """
-    return [(int(p), "") if p.isdigit() else (0, p) for p in re.split(r"(\d+)", name)]
 
 
 def files_of_runs(mapping: ImportMapping, given: Given) -> list[dict[str, Path]]:

@@ -6,6 +6,7 @@ whether it can be one, is decided in `clocks`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -169,6 +170,17 @@ def found_in(tables: Iterable[Table], key: ChannelKey, name: str) -> tuple[Table
         f"there are {', '.join(map(repr, known[:30]))[:600] or 'none'}"
         f"{nearest(key.channel, known)}"
     )
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """Key that sorts names with numbers by the numbers.
+
+    Examples
+    --------
+    >>> sorted(["run10", "run9"], key=natural)
+    ['run9', 'run10']
+    """
+    return [(int(p), "") if p.isdigit() else (0, p) for p in re.split(r"(\d+)", name)]
 
 
 def unreadable(name: str, error: OSError) -> InvalidData:
