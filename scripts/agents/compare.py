@@ -14,7 +14,7 @@ import os
 import shlex
 import sys
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +28,7 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 import numpy as np
 from loose_agents.base import EVALUATION_SEED, Problem
 from loose_agents.belief import ESTIMATORS, OWN_WEIGHTS, setting_name, weights_digest, weights_path
-from loose_agents.evaluation import arguments_of, problem_of
+from loose_agents.evaluation import arguments_of, diagnosis_env, problem_of
 from loose_agents.jobs import BackendSettings, canonical
 from loose_agents.policies.choice import POLICIES
 from loose_agents.registry import AGENTS, describe, make_agent
@@ -38,7 +38,7 @@ import loose_env
 from loose_env.arms import unfelt_words
 from loose_env.cli.command import command
 from loose_env.evaluation import by_agent, configuration_hash, need_format, standings, write_rows
-from loose_env.io import Count
+from loose_env.io import Count, written_beside
 from loose_env.report import comparison_text
 
 EPISODES = 4000
@@ -92,6 +92,8 @@ class Options(BackendSettings):
     """Keep what was played: the same command with further agents plays only these."""
     rows: str = "parquet"
     """Raw rows as parquet or json."""
+    dataset: Path | None = None
+    """File (.npz) of all steps of these episodes, for offline reinforcement learning."""
     page: bool = False
     """Write a page with pictures too."""
 
@@ -190,6 +192,37 @@ def write_page(
     )
 
 
+def write_dataset(
+    path: Path, rows: Sequence[dict[str, Any]], env_id: str, arguments: Mapping[str, Any]
+) -> Path:
+    """Play the episodes of rows again by their actions, and write all steps as arrays.
+
+    One step a row: ``observations``, ``actions``, ``rewards``, ``next_observations``,
+    ``terminals``, ``timeouts`` (as D4RL calls them), ``action_masks``, and ``episode_ends``, the
+    number of steps up to the end of each episode; beside them its ``agents`` and ``truths``.
+    """
+    batch = diagnosis_env(env_id, arguments).batch
+    steps: dict[str, list[Any]] = defaultdict(list)
+    ends = []
+    for row in rows:
+        batch.start(0, seed=row["seed"], number=row["episode"])
+        for code in row["actions"].split():
+            action = batch.actions.from_code(code)
+            steps["observations"].append(batch.observe(0))
+            steps["action_masks"].append(batch.mask(0))
+            found = batch.step([0], [action])[0]
+            steps["actions"].append(action)
+            steps["rewards"].append(found.reward)
+            steps["terminals"].append(found.terminated)
+            steps["timeouts"].append(found.truncated)
+            steps["next_observations"].append(batch.observe(0))
+        ends.append(len(steps["rewards"]))
+    told = {f"{name}s": np.array([row[name] for row in rows]) for name in ("agent", "truth")}
+    arrays: dict[str, Any] = {name: np.array(values) for name, values in steps.items()}
+    arrays |= {"episode_ends": np.array(ends), **told}
+    return written_beside(path, lambda file: np.savez_compressed(file, **arrays))
+
+
 def _told(rows: Sequence[dict[str, Any]], best: str) -> dict[str, Any]:
     """The first faulty arm that the best agent got right after more than one record."""
     own = [row for row in rows if row["agent"] == best]
@@ -204,6 +237,8 @@ def compare(options: Options) -> None:
         if not Path(options.weights).is_dir():
             raise ValueError(f"--weights {options.weights} is no folder")
         os.environ[OWN_WEIGHTS] = str(Path(options.weights).resolve())  # for the workers too
+    if options.dataset is not None and options.dataset.suffix != ".npz":
+        raise ValueError(f"--dataset is a file .npz, got {options.dataset}")
     form = need_format(options.rows)  # whatever is wrong shows now, not after an hour of play
     arguments = arguments_of(options.arguments)
     problem = problem_of(options.env, arguments)
@@ -250,6 +285,8 @@ def compare(options: Options) -> None:
         said=said,
     )
     print(f"\n{title}\n\n{told}\n")
+    if options.dataset is not None:
+        print(f"Steps: {write_dataset(options.dataset, rows, options.env, arguments)}")
     print(f"Rows: {write_rows(out, 'rows', rows, configuration, form=form)}")
     if forced:
         print(f"Rows of the curve: {write_rows(out, 'curve', forced, configuration, form=form)}")

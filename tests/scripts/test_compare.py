@@ -54,6 +54,20 @@ def test_agents_that_may_not_stop_take_every_record(whole: Path) -> None:
     assert all(len(row["trail_best"]) == 2 for row in rows)
 
 
+def test_a_dataset_holds_the_steps_of_the_rows(tmp_path: Path) -> None:
+    file = tmp_path / "steps.npz"
+    rows = run(tmp_path, "--agents", "random", "always_healthy", "--dataset", str(file))
+    found = np.load(file)
+    ends = found["episode_ends"]
+    returns = np.add.reduceat(found["rewards"], [0, *ends[:-1]])
+    np.testing.assert_allclose(returns, [row["reward"] for row in rows])
+    assert found["terminals"][ends - 1].all() and found["terminals"].sum() == len(rows)
+    following = found["next_observations"][:-1][~found["terminals"][:-1]]
+    np.testing.assert_array_equal(following, found["observations"][1:][~found["terminals"][:-1]])
+    with pytest.raises(SystemExit):
+        run(tmp_path, "--agents", "random", "--dataset", "steps.csv")
+
+
 def test_the_page_says_how_to_make_it_again(whole: Path) -> None:
     page = (whole / "index.html").read_text(encoding="utf-8")
     assert "--agents random classical" in page
