@@ -73,6 +73,7 @@ class Forces:
     operator: Array
     """Change of the mean inertia, damping and stiffness matrices, drives included (3, joints,
     joints)."""
+    eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
 
     def with_contact(self, direction: Array) -> Array:
         """The whole change for a direction of sliding (T, joints + R)."""
@@ -130,6 +131,9 @@ class Balance:
         self.bias = self._forces(model, self.commands, still)[0]  # gravity and inertial coupling
         self.operator = self._operator(model)
         self._nominal = model
+        self.stiffness = np.zeros(len(machine.joints))
+        if not self.released.all():
+            self.stiffness = np.diag(self._operator(model, drives=True)[2]).copy()
         self.encoders = {n: machine.joints.index(j) for n, j in machine.encoders.items()}
         measured = np.isfinite(self.torques)
         inverse = (self.forms == "inverse")[:, None]
@@ -279,8 +283,13 @@ class Balance:
         if model is not None:
             dry += model.dof_frictionloss[self._dofs(model)] - self.dry
         operator = np.zeros_like(self.operator)
-        alike = given is self.given or isinstance(effect, DriveLimit)  # a limit is no operator
-        if model is not None and not alike and model.nv == self.needed.shape[1]:
+        eased = np.zeros(self.needed.shape[1])
+        edited = given is not self.given and model is not None
+        if edited and isinstance(effect, DriveLimit):
+            # a drive at its limit holds nothing there, and as before elsewhere
+            reached = np.mean(np.abs(given - self.given) > _MODEL * np.abs(self.given), axis=0)
+            eased = reached * (self.stiffness != 0)
+        elif edited and model is not None and model.nv == self.needed.shape[1]:
             operator = self._operator(model) - self.operator
         elif model is not None and model.nv > self.needed.shape[1] and (self.forms == "free").all():
             # what a hidden joint leaves of the forces that the motion takes
@@ -307,6 +316,7 @@ class Balance:
             dry=dry,
             readings=self.readings.change(model, effect, values) + felt,
             operator=operator,
+            eased=eased,
         )
 
     def _loads(self, effect: DrivenEffect, values: Array) -> Array:
@@ -397,8 +407,8 @@ class Balance:
             self._batches[key] = batch, [batch.bind(name) for name in names]
         return self._batches[key]
 
-    def _operator(self, model: mujoco.MjModel) -> Array:
-        """Mean inertia, damping and stiffness, drives included (3, joints, joints)."""
+    def _operator(self, model: mujoco.MjModel, *, drives: bool = False) -> Array:
+        """Mean inertia, damping and stiffness, drives included or alone (3, joints, joints)."""
         rows = np.linspace(0, len(self.position) - 1, _POSES).astype(int)
         joints = len(self.machine.joints)
         found = np.zeros((3, joints, joints))
@@ -411,7 +421,7 @@ class Balance:
                 states.append(moved)
         a, v, q = (np.concatenate([s[k] for s in states]) for k in range(3))
         needed, given = self._forces(model, np.tile(commands, (len(states), 1)), (q, v, a))
-        force = (needed - given).reshape(len(states), len(rows), joints)
+        force = (-given if drives else needed - given).reshape(len(states), len(rows), joints)
         for order in range(3):
             for joint in range(joints):
                 change = force[1 + order * joints + joint] - force[0]

@@ -49,6 +49,7 @@ class Column:
     spread: float  # Prior standard deviation
     low: float  # Smallest coefficient
     high: float  # Largest coefficient
+    eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
     late: Late = None  # Joint whose positions are read late, and by how much [s]
 
 
@@ -274,7 +275,7 @@ def _column(
         late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
         return Column(
             change=Change(change), operator=forces.operator, centre=1.0, spread=width,
-            low=1 - 2.3 * width, high=1 + 2.3 * width, late=late,
+            low=1 - 2.3 * width, high=1 + 2.3 * width, eased=forces.eased, late=late,
         )  # fmt: skip
     readings = np.sqrt(np.mean(balance.readings.foretold**2, axis=0))
     typical = np.maximum(np.concatenate([balance.machine.load_scales, readings]), 1e-9)
@@ -298,5 +299,5 @@ def _column(
             spread = min(spread, abs(parameter.unsurprising / step))
     return Column(
         change=Change(change), operator=forces.operator, centre=0.0, spread=spread, low=low,
-        high=high,
+        high=high, eased=forces.eased,
     )  # fmt: skip

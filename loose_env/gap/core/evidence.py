@@ -51,6 +51,8 @@ class Channel:
     turn: Array  # Centre of each cell's band [rad/s] (C,)
     growth: Array
     """Relative change of each cell's noise by a coefficient of one of each column (C, K)."""
+    held: Array
+    """Relative change of the stiffness by which the drive holds the joint, by each column (K,)."""
     beside: Array
     """Part of `growth` that no operator has: of foretold readings, and of late positions (C, K)."""
     blanked: float  # Share of the time that is left out: rest, and knocks
@@ -221,7 +223,7 @@ def append(evidence: Evidence, *terms: Term) -> None:
         channel.square = _widened(channel.square, channel.by_cell(new**2))
         noise = _noise_of(
             balance, channel.joint, channel.turn, wide, np.stack(operators),
-            [columns[k].late for k in own],
+            [columns[k].late for k in own], [columns[k].eased for k in own],
         )  # fmt: skip
         for name, part in noise.items():
             setattr(channel, name, np.concatenate([getattr(channel, name), part], axis=-1))
@@ -243,10 +245,13 @@ def _noise_of(
     wide: Sequence[Change],
     operators: Array,
     late: Sequence[Late] = (),
+    eased: Sequence[Array | float] = (),
 ) -> dict[str, Array]:
-    """Relative changes of a channel's noise by each column."""
+    """Relative changes of a channel's noise and of what its drive holds, by each column."""
     beside = _beside(balance, joint, turn, wide, late)
-    return {"growth": _growth(balance, joint, turn, operators) + beside, "beside": beside}
+    held = _held(balance, joint, operators, eased or [0.0] * len(operators))
+    return {"growth": _growth(balance, joint, turn, operators) + beside, "held": held,
+            "beside": beside}  # fmt: skip
 
 
 def _widened(known: Array, more: Array) -> Array:
@@ -375,6 +380,17 @@ def _edges(balance: Balance) -> Array:
     top = balance.motion.band
     low = min(3 / (longest * balance.motion.step), top / 4)
     return np.concatenate([[0.0], np.geomspace(low, 1.02 * top, BANDS)])
+
+
+def _held(balance: Balance, joint: int, operators: Array, eased: Sequence[Array | float]) -> Array:
+    """Relative change of the stiffness by which a drive holds a joint (K,); 0 without a servo."""
+    if joint >= len(balance.machine.joints) or balance.released.any():
+        return np.zeros(len(operators))
+    stiffness = balance.operator[2, joint, joint]
+    if abs(balance.stiffness[joint]) <= 0.5 * abs(stiffness):
+        return np.zeros(len(operators))
+    free = np.array([np.broadcast_to(own, len(balance.stiffness))[joint] for own in eased])
+    return np.asarray(operators[:, 2, joint, joint] / stiffness - free)
 
 
 def _gains(balance: Balance, channel: int, wide: Sequence[Change]) -> Array:

@@ -189,14 +189,21 @@ class Selection:
                 weight, count = self.weights(k, power), evidence.channels[k].count
                 moved = part.growth @ found[part.at]
                 own = (weight @ part.gram).reshape(len(part.at), -1)
-                shrunk[k] |= moved < -1e-12  # for good: else it alternates
+                held = part.held @ found[part.at]
+                less = bool(held < -1e-12)
+                shrunk[k] |= moved < min(float(held), -1e-12)  # for good: else it alternates
                 # noise that grows with the operator is in the columns: least squares would
                 # attenuate their coefficients (errors in variables)
-                noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved) * (moved > 0)
+                noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved)
+                noisy *= (moved > 0) | less
                 slope[part.at] += weight @ part.slope + noisy @ part.growth
                 guard = shrunk[k] * weight * power
                 own += (part.growth.T * guard) @ part.growth
                 slope[part.at] += guard @ part.growth
+                if less:  # what is beyond the noise was the motion that the drive held
+                    beyond = float(np.sum(~shrunk[k] * weight * np.maximum(power - count, 0)))
+                    own += beyond * np.outer(part.held, part.held)
+                    slope[part.at] += beyond * part.held
                 normal[part.grid] += own
             scale = 1 / np.sqrt(np.diag(normal))
             found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
@@ -227,7 +234,8 @@ class Selection:
     ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
         """Powers and costs of all cells, in units of the noise of the fitted operator.
 
-        A balance whose every term shrinks makes less noise, too, and gains nothing.
+        A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
+        drive that holds less, whose discrepancy stays the same motion.
         """
         evidence = self.evidence
         operator = evidence.balance.operator + np.tensordot(values, evidence.operators[numbers], 1)
@@ -239,7 +247,9 @@ class Selection:
             now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
             ratio = (now / self.usual[k]) ** 2
             ratio += (1 + part.beside @ own) ** 2 - 1
-            excess = np.maximum((power - count * ratio) / np.clip(ratio, 1e-300, 1.0), -count)
+            held = max(1.0 + float(part.held @ own), 0.0) ** 2
+            scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
+            excess = np.maximum((power - count * ratio) / scale, -count)
             level = self.values[k]
             costs = level * np.log1p(np.maximum(excess, 0.0) / level)
             found.append((count + excess, costs))
@@ -732,6 +742,7 @@ class _Part:
     gram: Array
     slope: Array
     growth: Array
+    held: Array
     beside: Array
 
 
@@ -755,6 +766,7 @@ def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
         gram.reshape(len(gram), -1),
         channel.slope[:, local],
         channel.growth[:, local],
+        channel.held[local],
         channel.beside[:, local],
     )
 
