@@ -360,7 +360,7 @@ def _advice(
         if len(effects) > 1:
             return how_to_separate(*effects[0], *effects[1])
         return how_to_see(effects[0][0]) if effects else "record more of its motion"
-    if own.verdict != "unexplained":
+    if own.verdict == "not needed" or own.after <= LARGE:
         return ""
     channel = answer.selection.evidence.channels[number]
     runs = answer.selection.evidence.balance.motion.runs

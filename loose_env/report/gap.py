@@ -63,6 +63,11 @@ _CHANNELS = ["joint or reading", "verdict", "effects", "explained", "before", "a
 _DOUBTFUL = "Fitted, and not named"
 _PULLED = "Beyond its tolerance"
 BEFORE, AFTER = TRUTH, MEASURED  # colours of the nominal and of the corrected model
+_FILLED = {
+    "actuator_lag": "fill the filter, data.act[model.actuator_actadr[k]],",
+    "command_delay": "fill the buffer, mujoco.mj_initCtrlHistory,",
+}
+"""Effects that keep a state in MJCF, and how it is filled."""
 _UNIT = "before, after: residual on held-out data, in noise standard deviations (noise alone: 1)"
 
 
@@ -388,10 +393,20 @@ def gap_steps(result: GapResult) -> list[str]:
     """Recommended next steps."""
     steps = []
     if result.effects:
+        inside = any(each.in_model for each in result.effects)
         steps.append(
             "Simulate with model.xml. It is a plain MJCF file, and the recording's columns are "
             "valid in it."
+            if inside
+            else "model.xml alone behaves as the nominal model: MJCF cannot express what is named."
         )
+    lags = [e for e in result.effects if e.kind in _FILLED and e.in_model]
+    for kind, lines in _FILLED.items():
+        if own := [e.where for e in lags if e.kind == kind]:
+            steps.append(
+                f"Before the first step, {lines} of {named_list(own)} with the first command: it "
+                "begins at zero"
+            )
     if result.code:
         apart = [each for each in result.effects if not each.in_model]
         steps.append(
@@ -401,7 +416,7 @@ def gap_steps(result: GapResult) -> list[str]:
     alike = [(e, other) for e in result.effects for other in e.ambiguous_with[:RIVALS]]
     steps += _separating("separate", alike, lambda e: effect_words(e.kind, e.where))
     for each in result.channels:
-        if each.verdict in ("cannot tell", "unexplained") and each.advice:
+        if each.advice:
             steps.append(f"{_reading(each.channel)}, {each.verdict}: {each.advice}")
     if any(each.verdict == "unexplained" for each in result.channels):
         steps.append(

@@ -188,6 +188,13 @@ def test_every_open_question_gets_a_motion_that_answers_it() -> None:
     assert "strain what you suspect" in gap_steps(result("no_gap"))[0]
 
 
+def test_what_model_xml_cannot_do_alone_is_told() -> None:
+    lag = NamedEffect(kind="actuator_lag", where="motor1", parameters={"time_constant": 0.016})
+    assert "fill the filter, data.act" in gap_steps(result("named", effects=(lag,)))[1]
+    gain = NamedEffect(kind="sensor_gain", where="gyro", parameters={"gain": 1.1}, in_model=False)
+    assert "behaves as the nominal model" in gap_steps(result("named", effects=(gain,)))[0]
+
+
 def test_an_effect_whose_every_parameter_is_zero_is_told() -> None:
     nothing = {"mass": 0.0, "x": 0.0}
     ends = dict.fromkeys(nothing, (0.0, 0.0))
