@@ -382,6 +382,12 @@ def _edges(balance: Balance) -> Array:
     return np.concatenate([[0.0], np.geomspace(low, 1.02 * top, BANDS)])
 
 
+def cell_powers(balance: Balance, channel: int, change: Array) -> Array:
+    """Power of a change of the balance in each cell of a channel, in noise variances (C,)."""
+    found = _rows(balance, channel, change[:, [channel]])
+    return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count)).astype(float)
+
+
 def _held(balance: Balance, joint: int, operators: Array, eased: Sequence[Array | float]) -> Array:
     """Relative change of the stiffness by which a drive holds a joint (K,); 0 without a servo."""
     if joint >= len(balance.machine.joints) or balance.released.any():

@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
-from loose_env.gap.core.evidence import Channel, Evidence, append
+from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.inference import log_determinant
 from loose_env.typing import Array
@@ -41,6 +41,8 @@ _MOST = 40  # steps of a search
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
 _SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
+_BENT = 4.0
+"""Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _SIZES = 10.0  # widths of the prior of a size that values are given
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)  # relative steps in which shapes are refined
 
@@ -89,6 +91,7 @@ class Selection:
         ]
         self.fits: dict[frozenset[int], SetFit] = {}
         self._replaced: dict[tuple[object, ...], Term | None] = {}
+        self._off: dict[tuple[object, ...], dict[int, Array]] = {}
 
     # ---- the prior of sets
 
@@ -401,10 +404,28 @@ class Selection:
         # two digits: a secant to a value nearby is as good, and is already there
         secant = tuple(float(f"{value:.1e}") for value in term.values(shares))
         axes[int(np.argmax(np.abs(shares)))] = secant
-        if tuple(axes) == term.axes:
+        if tuple(axes) == term.axes or not self._bent(term, shares, state.powers):
             return state
         new = self.replaced(state, term, tuple(axes), (term.contact,))
         return new if new is not None and new.total < state.total else state
+
+    def _bent(self, term: Term, shares: Array, powers: Sequence[Array]) -> bool:
+        """Whether an effect differs from its columns by more than the data's doubt of it."""
+        key = id(term), *(f"{value:.1e}" for value in term.values(shares))
+        if key not in self._off:
+            balance = self.evidence.balance
+            exact = balance.forces(term.effect, term.values(shares)).with_contact(
+                balance.directions[term.contact or USUAL]
+            )
+            parts = zip(shares, term.columns, strict=True)
+            off = exact - sum(share * column.change.whole() for share, column in parts)
+            self._off[key] = {
+                k: cell_powers(balance, channel.joint, off)
+                for k, channel in enumerate(self.evidence.channels)
+                if np.any(off[:, channel.joint])
+            }
+        cells = self._off[key].items()
+        return float(sum(self.weights(k, powers[k]) @ own for k, own in cells)) > _BENT
 
     def replaced(
         self,
