@@ -319,10 +319,8 @@ def _signals(
         )
     if not signals:
         names = ", ".join(log.files[0][0] for log in logs.values())
-        raise InvalidData(
-            f"{names}: no channels of numbers that have 10 samples in common; give the runs of one "
-            "motion"
-        )
+        why = next((each.reason for each in left.values()), "give the runs of one motion")
+        raise InvalidData(f"{names}: no channels of numbers that have 10 samples in common; {why}")
     used = {(s.source, s.key) for s in signals}
     return signals, step, [each for key, each in left.items() if key not in used]
 

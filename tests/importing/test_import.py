@@ -437,6 +437,18 @@ def test_an_accelerometer_that_its_file_names_is_told_by_gravity(
     assert ('file = "run-1"' in said and 'file = "run-2"' in said) or not unit
 
 
+def test_a_row_without_a_time_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "arm.xml").write_text(SENSED)
+    time = np.arange(0, 4, 0.01)
+    rows = np.column_stack([time, np.sin(5 * time)])
+    rows[3, 0] = np.nan
+    write_csv(tmp_path / "robot.csv", rows, ["t", "q_lift"])
+    words = ["--model", str(tmp_path / "arm.xml"), "--mapping", str(tmp_path / "map.toml")]
+    assert main(["import", "--guess", str(tmp_path / "robot.csv"), *words]) == 1
+    assert "line 5, column 't': '' is no time" in capsys.readouterr().err
+    assert not (tmp_path / "map.toml").exists()
+
+
 PLANNED = """{"format": "loose-recording/1", "model": "arm.xml", "runs": [
  {"file": "run-01.csv", "pose": {"elbow": 0.25}, "planned": true},
  {"file": "run-02.csv", "condition": "healthy", "planned": true},
