@@ -11,8 +11,9 @@ from scipy.special import softmax
 from loose_env.instrument.arm import BOLTS, SuspectArm
 from loose_env.instrument.locate import Rhythm, direction_scores, names_of
 from loose_env.instrument.motion import Gears
-from loose_env.instrument.records import REPEATS, Record
+from loose_env.instrument.records import Record
 from loose_env.instrument.reference import Change
+from loose_env.instrument.ringing import REPEATS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +23,7 @@ class Numbers:
     `python -m scripts.suites.instrument.run --ablate` leaves each out on judged recordings.
     """
 
-    rhythm: float = 0.40
+    rhythm: float = 0.35
     """Correlation of foretold and heard envelope from which something knocks [1]: on
     development numbers healthy machines of six kinds reached 0.07 to 0.27."""
     rhythm_beside: float = 0.25
@@ -76,7 +77,7 @@ def score(
     """Score rhythm, direction and softening of every hypothesis together, as log likelihoods."""
     covariances = [
         gears.rotation
-        @ (r.covariance - (0 if healthy is None else healthy[k].covariance))
+        @ (r.ring.covariance - (0 if healthy is None else healthy[k].ring.covariance))
         @ gears.rotation.T
         for k, r in enumerate(records)
     ]
@@ -119,7 +120,7 @@ class Alarm:
 
 def repeats(records: Sequence[Record]) -> float:
     """Correlation between periods of what rings, loud poses by their power."""
-    power = np.array([max(float(r.envelope.mean()) - r.floor, 1e-18) for r in records])
+    power = [float(r.ring.levels[0]) for r in records]
     return float(np.average([r.repeats for r in records], weights=power))
 
 
