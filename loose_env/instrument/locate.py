@@ -245,7 +245,7 @@ def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
     throws : ndarray
         Direction of each hypothesis by pose (R, H, 3).
     covariances : sequence of ndarray
-        Of the top band, noise taken off, the model's frame (3, 3) [m²/s⁴].
+        Of what repeats in the highest band, the model's frame (3, 3) [m²/s⁴].
     """
     power = np.array([max(float(np.trace(c)), 1e-12) for c in covariances])
     # Poses that hardly rang say little about direction.

@@ -36,7 +36,7 @@ from loose_env.typing import Array
 from loose_env.version import __version__
 
 _SHOWN = 100
-"""Samples of an envelope in the result."""
+"""Samples of a rhythm in the result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -468,7 +468,7 @@ def _places(
             verdict = "suspect"
             alone = rank == 0 and chance > 1 - _LISTED
             why = (
-                "the top band rings in its rhythm"
+                "the tool rings in its rhythm"
                 if alone
                 else "the session does not tell it from the other suspects"
             )

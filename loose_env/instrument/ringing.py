@@ -24,8 +24,9 @@ _SMOOTH_S = 0.004
 _SMOOTH_HZ = 8.0
 """Frequency to either side over which the spectrum is smoothed [Hz]: wider than a link's mode,
 which 1 to 3 % of damping make 2 to 6 Hz wide at 100 Hz."""
-_HEARD = 0.05
-"""Share of the energy that counts as repeating at least [1]: of pure noise 0.01 to 0.03 does."""
+_HEARD = 0.2
+"""Share of the energy that counts as repeating at least [1]: what repeats less is friction and gear
+mesh that differ from day to day by more than a decibel."""
 _STRIKES = 2.0
 """Mean energy over that of the median period from which single strikes make it [1]."""
 REPEATS = 0.60
