@@ -52,6 +52,7 @@ TIER_WORDS = {
     "loose_env/StoppingTier-v0": "when to stop, more than which records",
     "loose_env/GravityTier-v0": "joints and poses that open the seat against gravity, on a wall",
     "loose_env/WeakDriveTier-v0": "joints and poses that open the seat at half the drive",
+    "loose_env/SearchTier-v0": "results: each move splits the links that are left in two",
 }
 """What tells agents apart on each tier."""
 MEANINGS = {
