@@ -68,10 +68,10 @@ TIERS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
             "loose_env/Planar-v0",
             {
                 "n_links": 7,
-                "levels": (4.0,),
+                "vertical": True,
                 "difficulty": {"kinds": {"healthy": 0.125, "structural_looseness": 0.875}},
                 "kinds": ("healthy", "structural_looseness"),
-                "prices": {"record": 0.15},
+                "prices": {"record": 0.1},
                 "max_moved": 1,
                 **_ONE_EXCITER,
             },
