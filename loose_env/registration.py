@@ -71,7 +71,7 @@ TIERS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
                 "vertical": True,
                 "difficulty": {"kinds": {"healthy": 0.125, "structural_looseness": 0.875}},
                 "kinds": ("healthy", "structural_looseness"),
-                "prices": {"record": 0.1},
+                "prices": {"record": 0.15},
                 "max_moved": 1,
                 **_ONE_EXCITER,
             },
