@@ -419,6 +419,15 @@ def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
             "one run alone: alternate stretches of it are held out, so that what every stretch of "
             "it has in common is not tested; record a second run with another motion"
         )
+    balance = answer.selection.evidence.balance
+    late = [f for f in answer.decision.findings if f.named and f.term.effect.kind == "sensor_delay"]
+    if (balance.forms == "inverse").any() and any(
+        f.term.effect.where in balance.encoders for f in late
+    ):
+        found.append(
+            "late encoders: a torque log shows only the time between torques and positions, so "
+            "that torques which are logged early, or before a drive gives them, look the same"
+        )
     for each in answer.decision.findings:
         effect = each.term.effect
         alone = Hypothesis(effects=(effect,), values=(each.values,))

@@ -98,7 +98,7 @@ def correction_code(hypothesis: Hypothesis) -> str:
     on ``model`` and ``data`` of MuJoCo. A torque is held over a step, and therefore evaluated at
     its middle: half a step early for an accelerometer.
     """
-    pairs = hypothesis.pairs
+    pairs = [(e, np.array([float(f"{v:.6g}") for v in own])) for e, own in hypothesis.pairs]
     terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
     readings = [line for effect, own in pairs if (line := effect.code(own))]
     driven = [(e, own) for e, own in pairs if isinstance(e, DrivenEffect)]
@@ -113,12 +113,19 @@ def correction_code(hypothesis: Hypothesis) -> str:
         "import numpy as np",
         f"joints = [model.joint(name) for name in [{', '.join(map(repr, machine.joints))}]]",
         "dofs = [int(joint.dofadr[0]) for joint in joints]",
-        "speed, torque = data.qvel[dofs], np.zeros(len(joints))",
-        "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
-        "position = position + 0.5 * model.opt.timestep * speed",
-        *terms,
-        "data.qfrc_applied[dofs] = torque",
+        "speed = data.qvel[dofs]",
     ]
+    if terms or feedback:
+        lines += [
+            "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
+            "position = position + 0.5 * model.opt.timestep * speed",
+        ]
+    if terms:
+        lines += [
+            "torque = np.zeros(len(joints))  # or forces of your own that you apply in this step",
+            *terms,
+            "data.qfrc_applied[dofs] = torque",
+        ]
     if feedback:
         lines += [
             f"command = data.ctrl[:{len(machine.actuators)}]  # as commanded, set anew each step",
@@ -127,7 +134,7 @@ def correction_code(hypothesis: Hypothesis) -> str:
     if frictions:
         spec = machine.fresh()
         hypothesis.edit(spec)
-        own = [spec.joint(name).frictionloss for name in machine.joints]
+        own = [float(f"{spec.joint(name).frictionloss:.6g}") for name in machine.joints]
         lines += [
             "mujoco.mj_forward(model, data)",
             f"drive, friction = data.qfrc_actuator[dofs], np.array({own})",
