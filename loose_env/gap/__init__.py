@@ -13,7 +13,6 @@ from loose_env.gap.explain import (
     GapSolution,
     check_gap,
     explain_gap,
-    pulled_words,
     solve_gap,
     write_gap,
 )
@@ -125,7 +124,6 @@ __all__ = [
     "next_motion_lines",
     "note_source",
     "outlook",
-    "pulled_words",
     "read_effects",
     "read_result",
     "read_servo_arm",

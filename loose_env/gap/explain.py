@@ -170,8 +170,7 @@ def solve_gap(
             effects=tuple(f.term.effect for f in named), values=tuple(f.values for f in named)
         )
         # of what is in model.xml or the code, not of what was fitted and is not named
-        names = {f.term.name for f in named}
-        terms = tuple(term for term in fit.terms if term.name in names)
+        terms = tuple(t for t in fit.terms if t.name in {f.term.name for f in named})
         corrected_fit = fit if terms == fit.terms else selection.solve(terms, fit.powers)
         nominal = selection.solve(())
         before, after = left_by(selection, nominal), left_by(selection, corrected_fit)
@@ -207,7 +206,6 @@ def solve_gap(
             settings=asdict(answer.settings),
         )
         largest = np.argsort([test.rms for test in tests])[::-1][: FIGURES - 1]
-        band = evidence.balance.motion.band
         shown = after.copy()
         for channel in evidence.channels:
             shown[weight_of(evidence.balance, channel.joint) < 0.5, channel.joint] = nan
@@ -215,7 +213,7 @@ def solve_gap(
         answer=answer, corrected=corrected, overlays=overlays(selection, before, shown, FIGURES),
         correlations=tuple(correlations[k] for k in largest), played=played,
         parameters=parameter_correlation(selection, fit),
-        responses=() if played is None else responses(played, band),
+        responses=() if played is None else responses(played, evidence.balance.motion.band),
         result=result, seconds=time.monotonic() - begun,
     )  # fmt: skip
 
@@ -284,21 +282,12 @@ def write_gap(
         machine,
         solution.corrected,
         source=solution.answer.recording.model_path,
-        notes=model_notes(result.effects, pulled_words(result)),
+        notes=model_notes(result),
     )
     page = report(place, solution)
     motions = [] if next_motion is None else write_next_motion(place, *next_motion)
     file = result.write(place / "result.json")
     return [*models, *([] if page is None else [page]), *motions, file]
-
-
-def pulled_words(result: GapResult) -> list[str]:
-    """Sentences on the tolerances that the data pull."""
-    return [
-        f"{each.name}: {abs(each.deviations):.1f} standard deviations "
-        f"{'above' if each.deviations > 0 else 'below'} the nominal value"
-        for each in result.pulled
-    ]
 
 
 def _verdict(answer: Answer) -> Verdict:
@@ -312,13 +301,14 @@ def _verdict(answer: Answer) -> Verdict:
 def pooled_rms(selection: Selection, rms: Array) -> float:
     """Residual over the values of all channels, of that of each one (C,)."""
     counts = np.array([c.count.sum() for c in selection.evidence.channels])
-    return float(np.sqrt(np.sum(counts * rms**2) / counts.sum()))
+    return float(np.sqrt(np.average(rms**2, weights=counts)))
 
 
 def named_effect(found: Finding) -> NamedEffect:
     """An effect of the answer in the form of a result."""
     effect, names = found.term.effect, [p.name for p in found.term.effect.parameters]
-    ends = zip(found.low.tolist(), found.high.tolist(), strict=True)
+    bounds = np.transpose([(p.low, p.high) for p in effect.parameters])
+    ends = map(tuple, np.clip([found.low, found.high], *bounds).T.tolist())
     return NamedEffect(
         kind=effect.kind,
         where=effect.where,
@@ -410,20 +400,18 @@ def _ranking(answer: Answer) -> tuple[RankedSet, ...]:
 
 def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
     """Cautions: samples left out, one run alone, effects that no file carries."""
-    machine = answer.selection.evidence.balance.machine
-    found = [*measured_runs(recording.runs, machine.model)[1], *naming_notes(recording.spec())]
+    balance = answer.selection.evidence.balance
+    model, named = balance.machine.model, [f.term.name for f in answer.decision.findings if f.named]
+    found = [*measured_runs(recording.runs, model)[1], *naming_notes(recording.spec())]
     if any(each.term.effect.kind == "payload" for each in answer.decision.findings):
-        found += payload_notes(machine)
-    if len(answer.selection.evidence.balance.motion.runs) == 1:
+        found += payload_notes(balance.machine)
+    if len(balance.motion.runs) == 1:
         found.append(
             "one run alone: alternate stretches of it are held out, so that what every stretch of "
             "it has in common is not tested; record a second run with another motion"
         )
-    balance = answer.selection.evidence.balance
-    late = [f for f in answer.decision.findings if f.named and f.term.effect.kind == "sensor_delay"]
-    if (balance.forms == "inverse").any() and any(
-        f.term.effect.where in balance.encoders for f in late
-    ):
+    late = any(("sensor_delay", encoder) in named for encoder in balance.encoders)
+    if late and (balance.forms == "inverse").any():
         found.append(
             "late encoders: a torque log shows only the time between torques and positions, so "
             "that torques which are logged early, or before a drive gives them, look the same"

@@ -27,7 +27,6 @@ from loose_env.gap import (
     how_to_see,
     how_to_separate,
     kind_words,
-    pulled_words,
 )
 from loose_env.io import begun, write_text
 from loose_env.recording import joint_sensors
@@ -144,7 +143,7 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
             ("", "  ", [_EFFECTS, *effects] if effects else []),
             ("", "  ", [_CHANNELS, *_channel_rows(result)]),
             ("Residual", "  ", [_UNIT, *_quantities(result)]),
-            (_PULLED, f"{_PULLED.lower()}: ", pulled_words(result)[:RIVALS]),
+            (_PULLED, f"{_PULLED.lower()}: ", [each.words for each in result.pulled[:RIVALS]]),
             *(graded_parts(result.graded_warnings) if warnings else []),
         ],
     )
@@ -429,7 +428,7 @@ def gap_steps(result: GapResult) -> list[str]:
     if result.pulled:
         steps.append(
             "Check these parameters of the model, which the data pull beyond their tolerances: "
-            f"{'; '.join(pulled_words(result)[:RIVALS])}"
+            f"{'; '.join([each.words for each in result.pulled[:RIVALS]])}"
         )
     if result.verdict == "no_gap":
         steps.append(
@@ -544,14 +543,14 @@ def _overlay_section(solution: GapSolution) -> Section:
         models = [np.where(compared, x, np.nan) for x in (each.nominal, each.corrected)]
         lines = (each.time, each.measured, *models)
         figure = overlay_figure(*(x[thin] for x in lines), unit=each.unit)
-        off = [float(np.nanstd(each.measured - x)) for x in models]
+        off = [float(np.sqrt(np.nanmean((each.measured - x) ** 2))) for x in models]
         unit = "" if each.unit == "as recorded" else f" {each.unit}"
         cards.append(
             FigureCard(
                 title=f"{_reading(each.channel)} in {each.run}",
                 image=figure,
                 caption=f"The nominal model is off by {off[0]:.3g}{unit}, the corrected one by "
-                f"{off[1]:.3g}{unit} (standard deviation).",
+                f"{off[1]:.3g}{unit} (root mean square).",
             )
         )
     intro = "The few seconds in which the nominal model is most wrong. " + (

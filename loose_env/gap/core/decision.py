@@ -125,8 +125,8 @@ def _decision(
 ) -> Decision:
     """Findings with the rivals beside them, and the verdict of each channel."""
     members = {term.name for term in fit.terms}
-    likely = {name: p for name, p in chances.items() if name not in members and p > _RIVAL}
-    rivals = tuple(sorted(((p, *name) for name, p in likely.items()), reverse=True))
+    likely = ((p, *name) for name, p in chances.items() if name not in members and p > _RIVAL)
+    rivals = tuple(sorted(likely, reverse=True))
     channels = tuple(_verdicts(selection, findings, rivals, before, after))
     return Decision(findings=tuple(findings), channels=channels, fit=fit, rivals=rivals)
 
@@ -189,8 +189,7 @@ def decide_simulated(
                 doubt=_doubt(chance, sure, gain, bool(shown.get(term.name))),
             )
         )  # fmt: skip
-    decision = _decision(selection, fit, findings, chances, before, after)
-    return replace(decision, simulated=True)
+    return replace(_decision(selection, fit, findings, chances, before, after), simulated=True)
 
 
 def _in_cells(selection: Selection, fit: ExactFit) -> SetFit:

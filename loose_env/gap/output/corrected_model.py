@@ -16,7 +16,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import DrivenEffect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, set_step
-from loose_env.gap.output.result import NamedEffect
+from loose_env.gap.output.result import GapResult
 from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
@@ -114,12 +114,9 @@ def correction_code(hypothesis: Hypothesis) -> str:
         f"joints = [model.joint(name) for name in [{', '.join(map(repr, machine.joints))}]]",
         "dofs = [int(joint.dofadr[0]) for joint in joints]",
         "speed = data.qvel[dofs]",
+        "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
+        "position = position + 0.5 * model.opt.timestep * speed",
     ]
-    if terms or feedback:
-        lines += [
-            "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
-            "position = position + 0.5 * model.opt.timestep * speed",
-        ]
     if terms:
         lines += [
             "torque = np.zeros(len(joints))  # or forces of your own that you apply in this step",
@@ -224,17 +221,14 @@ def _check_columns(nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:
         )
 
 
-def model_notes(named: Sequence[NamedEffect], pulled: Sequence[str]) -> list[str]:
+def model_notes(result: GapResult) -> list[str]:
     """Format notes for the head of ``model.xml``: all changes to the nominal model."""
-    notes = ["Corrected by loose gap."]
-    if named:
-        notes.append("Added to the nominal model:")
-        for each in named:
-            place = "" if each.in_model else " (not in model.xml: see result.json, code)"
-            notes.append(f"{each.kind} at {each.where}: {each.values_in_words()}{place}")
-    else:
-        notes.append("No effect was added to the nominal model.")
-    if pulled:
+    notes = ["Corrected by loose gap.", "Added to the nominal model:"]
+    for each in result.effects:
+        place = "" if each.in_model else " (not in model.xml: see result.json, code)"
+        notes.append(f"{each.kind} at {each.where}: {each.values_in_words()}{place}")
+    if not result.effects:
+        notes[-1] = "No effect was added to the nominal model."
+    if result.pulled:
         notes.append("Not changed, though the data pull them out of their tolerances:")
-        notes += pulled
-    return notes
+    return [*notes, *(each.words for each in result.pulled)]
