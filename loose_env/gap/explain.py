@@ -13,6 +13,7 @@ from scipy.special import softmax
 
 from loose_env.doctor import Finding as Preflight
 from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms, places_of
+from loose_env.gap.core.evidence import weight_of
 from loose_env.gap.core.exact import LARGE
 from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
@@ -69,7 +70,8 @@ class GapSolution:
     corrected: Hypothesis
     """The named effects at their values, as ``model.xml`` has them."""
     overlays: tuple[Overlay, ...]
-    """Measured against both models where most is missing."""
+    """Measured against both models where most is missing; NaN of the corrected one where samples
+    are not compared: at rest, knocked, or at a limit of the drive."""
     correlations: tuple[Correlation, ...]
     """Correlations in time of the largest residuals that are left."""
     parameters: tuple[tuple[str, ...], Array]
@@ -167,13 +169,17 @@ def solve_gap(
         corrected = Hypothesis(
             effects=tuple(f.term.effect for f in named), values=tuple(f.values for f in named)
         )
+        # of what is in model.xml or the code, not of what was fitted and is not named
+        names = {f.term.name for f in named}
+        terms = tuple(term for term in fit.terms if term.name in names)
+        corrected_fit = fit if terms == fit.terms else selection.solve(terms, fit.powers)
         nominal = selection.solve(())
-        before, after = left_by(selection, nominal), left_by(selection, fit)
+        before, after = left_by(selection, nominal), left_by(selection, corrected_fit)
         tests, correlations = residual_tests(selection, after)
         errors, played = simulated(answer, corrected)
         evidence = selection.evidence
         channels = [evidence.balance.channels[c.joint] for c in evidence.channels]
-        sides = [held_out_rms(selection, each) for each in (nominal, fit)]
+        sides = [held_out_rms(selection, each) for each in (nominal, corrected_fit)]
         pairs = np.stack(sides, axis=1).tolist()
         gap = Gap(
             before=pooled_rms(selection, sides[0]),
@@ -199,8 +205,11 @@ def solve_gap(
         )
         largest = np.argsort([test.rms for test in tests])[::-1][: FIGURES - 1]
         band = evidence.balance.motion.band
+        shown = after.copy()
+        for channel in evidence.channels:
+            shown[weight_of(evidence.balance, channel.joint) < 0.5, channel.joint] = nan
     return GapSolution(
-        answer=answer, corrected=corrected, overlays=overlays(selection, before, after, FIGURES),
+        answer=answer, corrected=corrected, overlays=overlays(selection, before, shown, FIGURES),
         correlations=tuple(correlations[k] for k in largest), played=played,
         parameters=parameter_correlation(selection, fit),
         responses=() if played is None else responses(played, band),
@@ -318,6 +327,7 @@ def named_effect(found: Finding) -> NamedEffect:
         mountings=effect.mountings,
         in_model=effect.in_model,
         probability=found.probability,
+        probability_alone=found.alone,
         z=found.z,
         held_out_gain={"run": found.by_run, "stretch": found.by_stretch},
         doubt=found.doubt,
@@ -355,7 +365,7 @@ def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
 def _advice(
     answer: Answer, number: int, own: JointVerdict, effects: Sequence[tuple[str, str]]
 ) -> str:
-    """Motion that would tell, or where most is left."""
+    """Motion that would tell, or where most of the residual is."""
     if own.verdict == "cannot tell":
         if len(effects) > 1:
             return how_to_separate(*effects[0], *effects[1])
@@ -369,10 +379,8 @@ def _advice(
     turns, at = np.unique(channel.turn, return_inverse=True)
     loudest = turns[int(np.argmax(np.bincount(at, excess)))] / (2 * np.pi)
     share = max(1 - (own.after / max(own.before, 1e-300)) ** 2, 0.0)
-    return (
-        f"{100 * share:.0f} % explained; most is left in {runs[int(np.argmax(by_run))].name}, "
-        f"around {loudest:.2g} Hz"
-    )
+    tried = f"all that was tried explains {100 * share:.0f} %; " * (own.verdict == "unexplained")
+    return f"{tried}most is left in {runs[int(np.argmax(by_run))].name}, around {loudest:.2g} Hz"
 
 
 def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
@@ -385,21 +393,21 @@ def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
 
 
 def _ranking(answer: Answer) -> tuple[RankedSet, ...]:
-    """Best sets of effects that were visited, each set of kinds and locations once."""
-    simulated = {frozenset(t.name for t in e.terms): e.total for e in answer.exact}
+    """Best sets that were visited, by what chose among them; each of kinds and locations once."""
+    searched = len(answer.exact) > 1  # in simulation, from the set of the cells
+    cells = [f for f in (*answer.selection.fits.values(), answer.decision.fit) if f.allowed]
     totals: dict[frozenset[tuple[str, str]], float] = {}
-    for fit in (*answer.selection.fits.values(), answer.decision.fit):
+    for fit in answer.exact if searched else cells:
         names = frozenset(term.name for term in fit.terms)
-        if fit.allowed:
-            totals[names] = min(fit.total, totals.get(names, np.inf))
-    ranked, quickest = sorted(totals, key=totals.__getitem__), min(simulated.values(), default=0.0)
+        totals[names] = min(fit.total, totals.get(names, np.inf))
+    ranked = sorted(totals, key=totals.__getitem__)
     behind = np.array([totals[names] for names in ranked]) - totals[ranked[0]]
     return tuple(
         RankedSet(
             effects=tuple(EffectLocation(kind=k, where=w) for k, w in sorted(names)),
             behind=float(above),
             probability=float(probability),
-            simulated=simulated[names] - quickest if names in simulated else None,
+            source="simulation" if searched else "force balance",
         )
         for names, above, probability in zip(ranked, behind, softmax(-behind / 2), strict=True)
     )[:_RANKED]

@@ -32,8 +32,10 @@ _FEWEST = 10
 """Samples from which an array is a signal and no constant of the set-up."""
 _WIDEST = 4096
 """Entries from which a vector is an image or a matrix of weights."""
-_RATES = re.compile(r"(^|_|/)(\w*_?hz|rate|freq|frequency|fs|fps|control_freq|sample_rate)$", re.I)
-_STEPS = re.compile(r"(^|_|/)(dt|ts|sample_time|timestep|time_step|sampling_time)$", re.I)
+_RATES = re.compile(
+    r"(^|_|/|@)(\w*_?hz|rate|freq|frequency|fs|fps|control_freq|sample_rate)$", re.I
+)
+_STEPS = re.compile(r"(^|_|/|@)(dt|ts|sample_time|timestep|time_step|sampling_time)$", re.I)
 _NAMES = ("columns", "names", "labels", "header", "headers", "fields", "joint_names", "joints",
           "channels", "dof_names", "data_columns")  # fmt: skip
 _NUMBER = re.compile(r"(\d+)")
@@ -204,6 +206,7 @@ def _texts(tree: Tree, key: str = "", depth: int = 0) -> Iterator[tuple[str, lis
             yield from _texts(value, f"{key}/{name}" if key else str(name), depth + 1)
     elif (
         isinstance(tree, (list, np.ndarray))
+        and np.ndim(tree)
         and len(tree)
         and all(isinstance(each, (str, np.str_)) for each in list(tree)[:_WIDEST])
     ):
@@ -218,7 +221,7 @@ def _rate_of(tree: Tree, key: str = "", depth: int = 0) -> float | None:
             if found:
                 return found
         return None
-    if np.ndim(tree) or isinstance(tree, (str, bytes, bool)) or not _is_plain(tree):
+    if isinstance(tree, bool) or not (_is_plain(tree) or (np.ndim(tree) == 0 and _is_array(tree))):
         return None
     value = float(tree)
     rate = value if _RATES.search(key) else 1 / value if value and _STEPS.search(key) else 0.0
@@ -227,6 +230,10 @@ def _rate_of(tree: Tree, key: str = "", depth: int = 0) -> float | None:
 
 def _is_plain(value: Any) -> bool:
     return isinstance(value, (int, float, np.number))
+
+
+def _is_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
 
 
 def _is_signal(value: Any) -> bool:

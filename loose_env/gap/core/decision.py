@@ -49,6 +49,7 @@ class Finding:
     low: Array  # Lower ends of their 95 % intervals (P,)
     high: Array  # Upper ends (P,)
     probability: float  # Probability that the machine has it, or one of `confusable` in its place
+    alone: float  # Probability that the machine has it
     confusable: tuple[tuple[str, str], ...]
     """Other effects beside its place that explain the data nearly as well."""
     z: float  # Largest coefficient over its standard deviation
@@ -117,7 +118,8 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
-                probability=chance, confusable=tuple(sorted(alike - {term.name})),
+                probability=chance, alone=min(chances[term.name], chance),
+                confusable=tuple(sorted(alike - {term.name})),
                 z=z, by_run=by_run, by_stretch=by_stretch,
                 doubt=_doubt(chance, z > _Z, held, bool(open_[_main(selection, fit, term)])),
             )
@@ -194,8 +196,8 @@ def decide_simulated(
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
-                probability=chance, confusable=(), z=np.inf if sure else 0.0, by_run=gain,
-                by_stretch=gain,
+                probability=chance, alone=chance, confusable=(), z=np.inf if sure else 0.0,
+                by_run=gain, by_stretch=gain,
                 doubt=_doubt(chance, sure, gain, bool(shown.get(term.name))),
             )
         )  # fmt: skip
