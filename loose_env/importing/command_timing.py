@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from loose_env.importing.resampling import median_step
@@ -36,6 +35,12 @@ _PIECES = 8
 """Pieces that are left out in turn for the standard deviation: residuals are correlated."""
 _DRY = 0.1
 """Speed at which friction is 76 % of its slow value, over the joint's rms speed."""
+
+_STEPS = 4
+"""Steps of Gauss and Newton: a delay is linear for a part of the motion's period only."""
+
+_Part = tuple[Array, Array, Array, Run]
+"""Needed torque and position of a joint at the times of a grid, and the run."""
 
 
 class CommandDelay(NamedTuple):
@@ -104,33 +109,41 @@ def _held(run: Run, drive: str) -> Array:
     return CommandTiming().acting(run.time, run.controls[drive], run.time)
 
 
-def _delay(
-    model: mujoco.MjModel, drive: str, step: float, parts: Sequence[tuple[Array, Array, Array, Run]]
-) -> CommandDelay:
+def _delay(model: mujoco.MjModel, drive: str, step: float, parts: Sequence[_Part]) -> CommandDelay:
+    interval = float(np.median([interval_of(run.time, _held(run, drive)) for *_, run in parts]))
+    late = 0.0
+    for _ in range(_STEPS):
+        y, terms = _terms(model, drive, step, parts, interval, late)
+        late += _fitted(y, terms)
+    piece = np.arange(len(y)) * _PIECES // max(len(y), 1)
+    without = [_fitted(y[piece != k], terms[piece != k]) for k in range(_PIECES)]
+    return CommandDelay(late, float(np.sqrt(_PIECES - 1) * np.std(without)), interval)
+
+
+def _fitted(y: Array, terms: Array) -> float:
+    size = np.maximum(np.linalg.norm(terms, axis=0), 1e-300)
+    return float(np.linalg.lstsq(terms / size, y, rcond=None)[0][0] / size[0])
+
+
+def _terms(
+    model: mujoco.MjModel, drive: str, step: float, parts: Sequence[_Part], interval: float,
+    late: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Torque (T,) that a drive does not give, and its change by delay and friction (T, 4)."""
     own = model.actuator(drive)
     gear, gain, (bias, stiff, damped) = float(own.gear[0]), float(own.gainprm[0]), own.biasprm[:3]
-    intervals = [interval_of(run.time, _held(run, drive)) for *_, run in parts]
-    interval = float(np.median(intervals))
     left, columns = [], []
     for needed, position, grid, run in parts:
-        lines = np.interp(grid, run.time, lines_of(run.time, _held(run, drive), interval))
-        command, q = (np.asarray(ndimage.uniform_filter1d(x, SMOOTHED)) for x in (lines, position))
+        lines = lines_of(run.time, _held(run, drive), interval)
+        asked = np.interp(grid - late, run.time, lines)
+        command, q = (np.asarray(ndimage.uniform_filter1d(x, SMOOTHED)) for x in (asked, position))
         speed, inner = np.gradient(q, step), slice(SMOOTHED, -SMOOTHED)
         given = gear * (gain * command + bias + gear * (stiff * q + damped * speed))
         dry = np.tanh(speed / (_DRY * np.std(speed) + 1e-12))
-        late = -gear * gain * np.gradient(command, step)
+        later = -gear * gain * np.gradient(command, step)
         left.append((needed - given)[inner])
-        columns.append(np.stack([late, np.ones_like(q), speed, dry], axis=1)[inner])
-    y, terms = np.concatenate(left), np.concatenate(columns)
-    size = np.maximum(np.linalg.norm(terms, axis=0), 1e-300)
-    piece = np.arange(len(y)) * _PIECES // max(len(y), 1)
-
-    def fitted(rows: NDArray[np.bool_]) -> float:
-        return float((np.linalg.lstsq(terms[rows] / size, y[rows], rcond=None)[0] / size)[0])
-
-    without = np.array([fitted(piece != k) for k in range(_PIECES)])
-    sd = float(np.sqrt((_PIECES - 1) * np.mean((without - without.mean()) ** 2)))
-    return CommandDelay(fitted(piece >= 0), sd, interval)
+        columns.append(np.stack([later, np.ones_like(q), speed, dry], axis=1)[inner])
+    return np.concatenate(left), np.concatenate(columns)
 
 
 def interval_of(time: Array, values: Array) -> float:
@@ -164,6 +177,17 @@ def usual_delay(delays: Collection[CommandDelay]) -> CommandDelay | None:
         key=lambda each: each.seconds / each.interval,
     )
     return known[(len(known) - 1) // 2] if known else None
+
+
+def early_by(model: mujoco.MjModel, runs: Sequence[Run]) -> float:
+    """Time by which drives act before the commands as the runs have them [s]; 0 if within doubt."""
+    delays = command_delays(model, runs)
+    usual = usual_delay(delays.values())
+    if usual is None or usual.seconds < -_MOST_SHIFT * usual.interval:
+        return 0.0
+    name = next(name for name, delay in delays.items() if delay is usual)
+    early = runs[0].timing(name).delay(usual.interval) - usual.seconds
+    return early if early > _LINEAR * usual.interval else 0.0
 
 
 def timed(
