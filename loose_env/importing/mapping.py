@@ -250,7 +250,8 @@ class ColumnKeys:
     offset: _Number = 0.0
     """Added last [SI unit]."""
     method: Method | None = None
-    """"hold" for ``ctrl.`` columns and "band" for the others by default."""
+    """"hold" for ``ctrl.`` columns and "band" for the others by default. Of commands it also says
+    whether they act held or along lines, which the motion decides by default."""
     delay_s: Annotated[float, Ge(-1e4), Le(1e4)] = 0.0
     """Latency of the channel [s]."""
     period: Annotated[float, Ge(1e-9), Le(1e18)] | None = None

@@ -20,14 +20,16 @@ from loose_env.gap import (
     GapSolution,
     Identifiability,
     NamedEffect,
+    Overlay,
+    Played,
     VisibleEffect,
     effect_words,
     how_to_see,
     how_to_separate,
     kind_words,
-    pulled_words,
 )
 from loose_env.io import begun, write_text
+from loose_env.recording import joint_sensors
 from loose_env.report.figures import DASHED, labels, legend, panels, plain_log_ticks
 from loose_env.report.page import (
     Brief,
@@ -53,7 +55,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _HEADLINE = 140  # letters of the effects in the headline
-_RESPONSES = 4  # frequency responses drawn
+_OVERLAYS, _RESPONSES = 4, 4  # figures of measured against model, and of frequency responses
+_STRETCH_S = 4.0  # length of simulated motion that is drawn
 _SAMPLES = 500  # of an overlay
 _PAIRS = 2  # effects, or pairs of them, that one advice lists
 _CORRELATED = 0.5  # correlation of two parameters from which it is listed
@@ -140,7 +143,7 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
             ("", "  ", [_EFFECTS, *effects] if effects else []),
             ("", "  ", [_CHANNELS, *_channel_rows(result)]),
             ("Residual", "  ", [_UNIT, *_quantities(result)]),
-            (_PULLED, f"{_PULLED.lower()}: ", pulled_words(result)[:RIVALS]),
+            (_PULLED, f"{_PULLED.lower()}: ", [each.words for each in result.pulled[:RIVALS]]),
             *(graded_parts(result.graded_warnings) if warnings else []),
         ],
     )
@@ -201,6 +204,8 @@ def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     # less the directions that the motion does not excite
     pairs = {p: (v, effect.interval_95.get(p)) for p, v in effect.parameters.items()}
     moved = {p: pair for p, pair in pairs.items() if pair != (0.0, (0.0, 0.0))}
+    if f"{effect.parameters.get('static_ratio', 0.0):.3g}" == "1":  # of no peak no speed
+        moved.pop("speed", None)
     for parameter, (value, ends) in (moved or pairs).items():
         between = "" if ends is None else f"({ends[0]:.3g} to {ends[1]:.3g}) "
         words, unit = parameter.replace("_", " "), effect.units.get(parameter, "")
@@ -423,7 +428,7 @@ def gap_steps(result: GapResult) -> list[str]:
     if result.pulled:
         steps.append(
             "Check these parameters of the model, which the data pull beyond their tolerances: "
-            f"{'; '.join(pulled_words(result)[:RIVALS])}"
+            f"{'; '.join([each.words for each in result.pulled[:RIVALS]])}"
         )
     if result.verdict == "no_gap":
         steps.append(
@@ -459,8 +464,10 @@ def _effects_section(solution: GapSolution) -> Section:
 
     note = (
         "Probability: that the machine has the effect or, in its place, one of those under 'or "
-        "instead', if the catalogue has all that is missing; alone: this very one. Interval: as "
-        "wide as the fit is uncertain, or as the stretches of the recording disagree."
+        "instead', if the catalogue has all that is missing there; alone: this very one. Where a "
+        "joint stays far above the noise (after, in the next table), something else is missing "
+        "too, and probabilities and intervals say less. Interval: as wide as the fit is uncertain, "
+        "or as the stretches of the recording disagree."
     )
     coefficients, values = solution.parameters
     names = [effect_words(*each.split(" ", 1)) for each in coefficients]
@@ -498,11 +505,37 @@ def _channels_section(result: GapResult) -> Section:
     return Section(heading="Joint by joint", tables=[Table(rows=rows, note=note)])
 
 
+def _played_overlays(played: Played) -> list[Overlay]:
+    """Positions of each joint where the simulated nominal model misses most."""
+    columns, sensors = [c.column for c in played.channels], joint_sensors(played.machine.model)
+    found = []
+    for joint in played.machine.joints:
+        own = next(k for k, c in enumerate(columns) if c[7:] in sensors[joint].position)
+        pieces = []
+        for trial, *models in zip(played.trials, played.nominal, played.corrected, strict=True):
+            length = max(int(_STRETCH_S * trial.rate), 1)
+            for first in range(0, len(trial.time), length):
+                rows = slice(first, first + length)
+                measured, nominal, corrected = (x[rows, own] for x in (trial.measured, *models))
+                pieces.append(
+                    Overlay(
+                        channel=joint, run=trial.name, unit=played.machine.units(joint)[0],
+                        time=trial.time[rows] - trial.time[first], measured=measured,
+                        nominal=nominal, corrected=corrected,
+                    )
+                )  # fmt: skip
+        off = [float(np.mean(np.nan_to_num(o.measured - o.nominal) ** 2)) for o in pieces]
+        found.append(pieces[int(np.argmax(off))])
+    return found
+
+
 def _overlay_section(solution: GapSolution) -> Section:
     """Measured against model where most is left, joint by joint."""
+    played = solution.played if solution.answer.decision.simulated else None
+    shown = solution.overlays if played is None else _played_overlays(played)
     fine = [c.channel for c in solution.result.channels if c.verdict == "not needed"]
     cards = []
-    for each in solution.overlays:
+    for each in shown[:_OVERLAYS]:
         compared = np.isfinite(each.corrected)
         if each.channel in fine or not compared.any():
             continue
@@ -510,18 +543,21 @@ def _overlay_section(solution: GapSolution) -> Section:
         models = [np.where(compared, x, np.nan) for x in (each.nominal, each.corrected)]
         lines = (each.time, each.measured, *models)
         figure = overlay_figure(*(x[thin] for x in lines), unit=each.unit)
-        off = [float(np.nanstd(each.measured - x)) for x in models]
+        off = [float(np.sqrt(np.nanmean((each.measured - x) ** 2))) for x in models]
         unit = "" if each.unit == "as recorded" else f" {each.unit}"
         cards.append(
             FigureCard(
                 title=f"{_reading(each.channel)} in {each.run}",
                 image=figure,
                 caption=f"The nominal model is off by {off[0]:.3g}{unit}, the corrected one by "
-                f"{off[1]:.3g}{unit} (standard deviation).",
+                f"{off[1]:.3g}{unit} (root mean square).",
             )
         )
-    intro = (
-        "The few seconds in which the nominal model is most wrong. Of a joint: the force of its "
+    intro = "The few seconds in which the nominal model is most wrong. " + (
+        "Both models follow the recorded commands from the beginning of the run. The corrected one "
+        "has the named effects alone."
+        if played is not None
+        else "Of a joint: the force of its "
         "drive (measured, or computed from commands and motion) against the force that each model "
         "needs for the same motion, each within its tolerances and fitted to other data. The "
         "corrected model has the named effects alone. Lines break where nothing is compared: at "
@@ -532,6 +568,8 @@ def _overlay_section(solution: GapSolution) -> Section:
 
 def _residual_section(solution: GapSolution) -> Section:
     """Correlation of the residuals in time and with the motion."""
+    if solution.answer.decision.simulated:  # of forces, which did not decide
+        return Section()
     white = [test.channel for test in solution.result.residual_tests if test.white]
     cards = [
         FigureCard(
@@ -596,8 +634,8 @@ def overlay_figure(
     figure, (top, low) = panels(2, 1.8)
     top.plot(time, measured, ".", color=MUTED, markersize=3.2, label="measured")
     for values, label, colour, line in (
-        (nominal, "nominal model", BEFORE, DASHED),
-        (corrected, "corrected model", AFTER, "-"),
+        (nominal, "nominal", BEFORE, DASHED),
+        (corrected, "corrected", AFTER, "-"),
     ):
         look: dict[str, Any] = {"color": colour, "linestyle": line, "linewidth": 1.4}
         top.plot(time, values, label=label, **look)

@@ -166,5 +166,6 @@ def test_what_is_written_reads_back_and_carries_the_effects(
     assert found == GapResult.from_json(solution.result.to_json())
     assert found.settings["kinds"] == list(solution.answer.settings.kinds)
     best, *others = found.ranking
+    assert best.source == "force balance"
     assert best.behind == 0.0 and all(other.behind >= 0.0 for other in others)
     assert set(found.gap.by_channel) == {each.channel for each in found.channels}

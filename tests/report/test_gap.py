@@ -206,6 +206,38 @@ def test_an_effect_whose_every_parameter_is_zero_is_told() -> None:
     assert "mass 0 (0 to 0)" in gap_text(result("named", effects=(effect,)))
 
 
+def test_friction_without_a_peak_has_no_speed_of_it() -> None:
+    given = {"share": 0.5, "static_ratio": 1.0004, "speed": 5.08}
+    effect = NamedEffect(kind="load_friction", where="elbow", parameters=given)
+    assert "static ratio 1\n" in (text := gap_text(result("named", effects=(effect,))))
+    assert "speed" not in text.replace("grows with the load", "")
+    peak = replace(effect, parameters=given | {"static_ratio": 1.4})
+    assert "speed 5.08" in gap_text(result("named", effects=(peak,)))
+
+
+def test_the_probability_is_of_a_group_and_that_of_the_named_one_stands_beside_it() -> None:
+    effect = NamedEffect(
+        kind="coulomb_friction", where="elbow", parameters={"torque": 1.0}, probability=0.9996,
+        probability_alone=0.68, ambiguous_with=(LAG,),
+    )  # fmt: skip
+    assert re.search(
+        r"over 99.9 % \(alone 68 %\) +torque 1 +a lag \(motor2\)",
+        gap_text(result("named", effects=(effect,))),
+    )
+
+
+def test_where_simulation_decided_positions_are_drawn(solution: GapSolution) -> None:
+    decision = replace(solution.answer.decision, simulated=True)
+    page = render_gap_page(replace(solution, answer=replace(solution.answer, decision=decision)))
+    assert "Both models follow the recorded commands" in page and "[rad]" in page
+    assert "Correlation of the residual" not in checked(page).headings
+
+
+def test_samples_that_are_not_compared_are_not_drawn(solution: GapSolution) -> None:
+    (elbow,) = (o for o in solution.overlays if o.channel == "elbow")
+    assert 0.2 < np.mean(np.isfinite(elbow.corrected)) < 1.0
+
+
 def test_the_check_lists_what_is_seen_and_what_is_not() -> None:
     text = check_text(SHOWN)
     assert "elbow  1.2" in text and "80 %" in text

@@ -137,6 +137,12 @@ class TolerancePull:
     deviations: float
     """Pull in standard deviations of the tolerance."""
 
+    @property
+    def words(self) -> str:
+        """What the data say of it."""
+        side = "above" if self.deviations > 0 else "below"
+        return f"{self.name}: {abs(self.deviations):.1f} standard deviations {side} nominal"
+
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualTest:
