@@ -1,7 +1,7 @@
 """Import of measured data: ROS bags, tables, files of arrays, LeRobot datasets and others.
 
-Data flow: samples -> clocks -> readers (text_tables, array_files, lerobot, messages, uff_file) ->
-reading -> describe, evidence -> targets, scalings -> roles -> proposal; join_runs -> pipeline.
+Data flow: samples -> clocks -> readers (text_tables, array_files, lerobot, messages) -> reading ->
+describe, evidence -> targets, scalings -> roles -> proposal; join_runs, pipeline.
 """
 
 from loose_env.importing.command_timing import command_delays, early_by

@@ -163,8 +163,7 @@ class CsvLayout:
     header: bool = True
     """True if there is a line of names; else columns are called "1", "2" and so on."""
     names: _Names = ()
-    """Names of the columns where ``header`` is false; a vector of UR's RTDE counts as its
-    entries, so that the list is the recipe of the recorder."""
+    """Names of the columns where ``header`` is false."""
     skip_after_header: Annotated[int, Ge(0), Le(100)] = 0
     """Lines between the names and the numbers, such as a line of units."""
     missing: _Names = ()

@@ -30,7 +30,7 @@ from loose_env.importing.evidence import (
     speed_in,
     torque_in,
 )
-from loose_env.importing.names import Role
+from loose_env.importing.names import Meaning, Role
 from loose_env.importing.scalings import (
     Scaling,
     admits,
@@ -131,6 +131,8 @@ class Roles:
 
     def __post_init__(self) -> None:
         self.joints = {each.name: each for each in joint_targets(self.model)}
+        for s in self.signals:
+            s.meaning = self._as_named(s)
         self.lines: dict[str, Line] = {}
         self.open: list[Line] = []
         self.why: dict[int, str] = {}
@@ -161,30 +163,26 @@ class Roles:
 
     # --------------------------------------------------------------------- names
 
-    def _named(self, s: Signal) -> tuple[Role, str]:
-        """Role and joint of a channel that is named as a sensor or actuator of the model."""
+    def _as_named(self, s: Signal) -> Meaning:
+        """Meaning of a channel; of one that is named as a sensor or actuator, its own."""
         text = s.key.channel
         for t in self.joints.values():
-            columns: tuple[tuple[Role, str], ...] = (
-                ("position", t.position), ("velocity", t.velocity), ("torque", t.torque),
-                ("command", t.command),
-            )  # fmt: skip
-            for role, column in columns:
+            columns: dict[Role, str] = {
+                "position": t.position, "velocity": t.velocity, "command": t.command,
+                "torque": t.torque,
+            }  # fmt: skip
+            for role, column in columns.items():
                 bare = column.split(".", 1)[-1]
                 alone = bare if role != "torque" and bare != t.name else column
-                if column and text in (column, alone, f"{bare}_ctrl" * (role == "command")):
-                    return role, t.name
-            if text in (f"{t.name}_qpos", f"{t.name}_qvel"):
-                return ("position" if text.endswith("pos") else "velocity"), t.name
-        return "", ""
-
-    def _role(self, s: Signal) -> Role:
-        return self._named(s)[0] or s.meaning.role
+                state = {"position": f"{t.name}_qpos", "velocity": f"{t.name}_qvel"}.get(role, "")
+                if text and text in (column, alone, f"{bare}_ctrl" * (role == "command"), state):
+                    return replace(s.meaning, role=role, of=role, joint=t.name, vector=(role,))
+        return s.meaning
 
     def _label(self, s: Signal) -> str:
         """Joint that a channel names; the only one where it names none."""
         only = next(iter(self.joints)) if len(self.joints) == 1 else ""
-        return self._named(s)[1] or s.meaning.joint or only
+        return s.meaning.joint or only
 
     def _vectors(self) -> list[Vector]:
         """Channels that belong together by their names, by brackets, or by their order."""
@@ -194,10 +192,7 @@ class Roles:
         names = [*self.joints]
         driven = [t.name for t in self.joints.values() if t.command]
         for s in (s for s in self.signals if s.sort not in self.used):
-            role, joint = self._named(s)
-            if joint:
-                groups.setdefault(("named", s.source, role), []).append(s)
-            elif s.meaning.joint:
+            if s.meaning.joint:
                 groups.setdefault(("label", s.source, s.meaning.vector), []).append(s)
             elif len(names) == 1:
                 groups.setdefault(("only", s.source, s.sort), []).append(s)
@@ -256,7 +251,7 @@ class Roles:
         if s is other or not is_rate(other.unit, s.unit):
             return 0.0
         value = abs(speed_in(s, other).evidence)
-        return value if value >= (ALIKE if self._role(other) == "velocity" else _RATE) else 0.0
+        return value if value >= (ALIKE if other.meaning.role == "velocity" else _RATE) else 0.0
 
     def _relation(self, s: Signal, others: Sequence[Signal]) -> tuple[float, str]:
         """What a channel does among the others, for a position, and the words for it."""
@@ -273,10 +268,10 @@ class Roles:
         follows, leads = 0.0, 0.0
         for d in others:
             same = {quantity_of(d.unit), quantity_of(s.unit)} - {""}
-            if d is s or len(same) > 1 or self._role(d) not in ("", "position", "command"):
+            if d is s or len(same) > 1 or d.meaning.role not in ("", "position", "command"):
                 continue
             like = self._alike(d, s)
-            told = self._role(d) == "command"
+            told = d.meaning.role == "command"
             if like.correlation < (_TRUSTED if told else ALIKE):
                 continue
             several = len(self.joints) > 1 and not told and not d.unit
@@ -298,7 +293,7 @@ class Roles:
             for joint, s in vector.members.items():
                 if not s.moves or not admits(s.unit, "position", slide=self.joints[joint].slide):
                     continue
-                score = _PRIOR[self._role(s)] + 2.0 * (self._named(s)[0] == "position")
+                score = _PRIOR[s.meaning.role]
                 if score > _PRIOR["velocity"]:
                     if s.sort not in relations:
                         relations[s.sort] = self._relation(s, moving)
@@ -316,8 +311,8 @@ class Roles:
                 fitting = admits(s.unit, "position", slide=self.joints[joint].slide)
                 if joint in self.positions or not s.moves or not fitting:
                     continue
-                if _PRIOR[self._role(s)] >= _PRIOR["command"]:
-                    name = "position" if self._role(s) == "position" else "taken as position"
+                if _PRIOR[s.meaning.role] >= _PRIOR["command"]:
+                    name = "position" if s.meaning.role == "position" else "taken as position"
                     told = relations.get(s.sort, (0.0, ""))[1]
                     reason = "; ".join(filter(None, [f"{name} {vector.words}", told]))
                     self.positions[joint] = (s, Scaling(""), reason)
@@ -337,7 +332,7 @@ class Roles:
                 self._move({j: Scaling(unit).si(s.runs) for j, s in vector.members.items()}, _ROWS)
                 for other in [each[2] for each in full if self.needed]:
                     pairs = [(j, s, vector.members[j]) for j, s in other.members.items()]
-                    roles = {self._role(s) for _, s, _ in pairs}
+                    roles = {s.meaning.role for _, s, _ in pairs}
                     shared = {s for _, s, _ in pairs} & {p for _, _, p in pairs}
                     if shared or roles - {"", "torque"}:
                         continue
@@ -429,7 +424,7 @@ class Roles:
     def _leave(self, s: Signal, scored: Sequence[tuple[float, Match]]) -> None:
         """Tell why a channel has no role, and what it is most like."""
         best = sorted(scored, key=lambda each: -each[0])[:2]
-        named = [m for _, m in best if m.role == self._role(s) and m.joint]
+        named = [m for _, m in best if m.role == s.meaning.role and m.joint]
         against = next((m for m in named if m.why and m.sign < 0), None)
         if against is not None:
             column = self.joints[against.joint].command
@@ -453,13 +448,13 @@ class Roles:
         if match.evidence <= 0.0:
             return match.evidence
         label = self._label(s) or self.places.get(s.sort, "")
-        role = "torque" if self._role(s) == "current" else self._role(s)
+        role = "torque" if s.meaning.role == "current" else s.meaning.role
         own = (label == match.joint) - (label not in ("", match.joint))
         return match.evidence + _NAME * ((role == match.role) + 0.5 * own)
 
     def _match(self, joint: str, role: Role, s: Signal) -> Match:
         """Evidence of a channel in a role at a joint; none where name or unit contradict."""
-        target, own = self.joints[joint], self._role(s)
+        target, own = self.joints[joint], s.meaning.role
         none = Match(joint, role)
         if not admits(s.unit, role, slide=target.slide):
             return none
@@ -524,12 +519,12 @@ class Roles:
             why = "the joint moves against it, so it is none, unless its sign is reversed"
         elif like.lag < -_LAGS * self.step and drive != "torque":
             why = f"it lags by {-like.lag:.3g} s: no command"
-        elif self._role(s) == "position" and like.lag < self.step:
+        elif s.meaning.role == "position" and like.lag < self.step:
             why = "a second sensor of it"
         words += "" if why else f", the joint follows it by {like.lag:.3g} s"
         # Joints that all follow the same course differ in where they are.
         evidence = value * (1 + 0.5 * _NAME * near) if value > 0 else 0.5 * abs(value)
-        if drive == "torque" and self._role(s) == "":
+        if drive == "torque" and s.meaning.role == "":
             evidence = min(evidence, 0.99 * self._as_torque(joint, s, False).evidence)
         return Match(joint, "command", evidence, words, why, 1 if value >= 0 else -1)
 
@@ -552,10 +547,10 @@ class Roles:
         target = self.joints[match.joint]
         unit = "N" if target.slide else "N*m"
         quantity = quantity_of(s.unit)
-        defined = bool(self.defined.get(s.source)) and self._role(s) == "torque" and not quantity
+        defined = bool(self.defined.get(s.source)) and s.meaning.role == "torque" and not quantity
         near = 1 / _SAME_UNIT < per < _SAME_UNIT and not quantity
         scaling = Scaling(unit, per or 1.0)
-        if quantity == "current" or self._role(s) == "current":
+        if quantity == "current" or s.meaning.role == "current":
             scaling = Scaling(s.unit, per * match.evidence)
             why = "a current [A]: give the torque constant and gear as scale [N·m/A]; "
             why += f"{scaling.scale:.4g} fits the torque that the model needs"
