@@ -314,6 +314,7 @@ def _signals(
                 step=step,
                 period=coded[key][0],
                 sign_bit=coded[key][1],
+                whole=all(_is_whole(own[key].values) for own in read if key in own),
                 sort=i,
             )
         )
@@ -323,6 +324,10 @@ def _signals(
         raise InvalidData(f"{names}: no channels of numbers that have 10 samples in common; {why}")
     used = {(s.source, s.key) for s in signals}
     return signals, step, [each for key, each in left.items() if key not in used]
+
+
+def _is_whole(values: np.ndarray) -> bool:
+    return bool(np.all(values == np.round(values)))
 
 
 def _chosen(count: int, most: int = _MOST_RUNS) -> list[int]:

@@ -17,7 +17,7 @@ import numpy as np
 from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change, Forces
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
-from loose_env.gap.model.effects.drives import DriveLimit
+from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.typing import Array
 
 _MOVING = 20.0  # range of motion over its noise from which a joint moves
@@ -113,6 +113,9 @@ def shows(balance: Balance, effect: Effect) -> bool:
     """
     if effect.part == "sensor":
         return effect.where in balance.encoders or balance.readings.has(effect.where)
+    if isinstance(effect, CommandInterpolation):  # the commands may be known to be lines
+        motion = balance.motion
+        return not np.array_equal(motion.stacked("straight"), motion.stacked("commands"))
     senses = effect.overrides("sensed_torque")
     if effect.has_stops or not (effect.moves or senses):
         return False

@@ -128,7 +128,7 @@ def _simulated(
     else:
         say("decision on held-out data")
         decision = decide(selection, best, fits[0])
-        if all(each.verdict != "unexplained" for each in decision.joints):
+        if all(each.verdict != "unexplained" for each in decision.channels):
             return decision, tuple(fits)
     say("decision on held-out runs in simulation")
     return decide_simulated(selection, exact, fits, nominal), tuple(fits)

@@ -7,7 +7,7 @@ by their noise in the frequency domain and is flat to the end of the band, which
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -15,8 +15,8 @@ from scipy.signal import resample
 
 from loose_env.errors import InvalidData
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.runs import filled, measured_runs
-from loose_env.recording import Recording, Run, joint_sensors
+from loose_env.gap.runs import measured_runs
+from loose_env.recording import CommandTiming, Recording, Run, joint_sensors
 from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
 
@@ -50,8 +50,8 @@ class RunMotion:
     derived: Array  # Joint speeds from the positions alone (T, joints)
     readings: Array  # Readings of `Motion.sensors` in the same band (T, R)
     commands: Array
-    """Commands as held from sample to sample, in the band of the motion (T, actuators)."""
-    sampled: Array  # Commands as sampled, not held, in the same band (T, actuators)
+    """Commands as they act between samples, in the band of the motion (T, actuators)."""
+    sampled: Array  # Commands as sampled, in the same band (T, actuators)
     straight: Array  # Commands along straight lines from sample to sample (T, actuators)
     torques: Array  # Measured joint torques, NaN of joints without (T, joints)
     limited: Array  # Share of a sample in which the nominal drive is at its limit (T, joints)
@@ -158,9 +158,10 @@ class _Log:
                 f"{run.name}: joint {missing[0]!r} has no position reading; the motion of every "
                 "joint is needed to say which force was missing along it"
             )
-        rows = np.clip(np.searchsorted(run.time, grid + 1e-9, "right") - 1, 0, run.samples - 1)
-        held = [
-            filled(run.controls[a])[rows] if a in run.controls else 0 * grid
+        sampled = [
+            replace(run.timing(a), shift_s=0.0).acting(run.time, run.controls[a], grid + 1e-9)
+            if a in run.controls
+            else 0 * grid
             for a in machine.actuators
         ]
         return cls(
@@ -169,7 +170,7 @@ class _Log:
             position=np.stack([_without_jumps(q) for q in position], axis=1),
             speed=np.stack([read(run.sensors, sensors[j].velocity) for j in machine.joints], 1),
             torque=np.stack([read(run.torques, [j]) for j in machine.joints], axis=1),
-            commands=np.stack(held, axis=1) if held else np.zeros((len(grid), 0)),
+            commands=np.stack(sampled, axis=1) if sampled else np.zeros((len(grid), 0)),
             readings=np.stack([whole(name, axis) for name, axis in seen], axis=1)
             if seen
             else np.zeros((len(grid), 0)),
@@ -233,6 +234,8 @@ def _run_motion(
             if _agrees(v, own[1], noise[:, joint], band, log.step):
                 own = _smoothed(q, v, noise[:, joint], band, log.step)
         parts.append(own)
+    timings = [log.run.timing(name) for name in machine.actuators]
+    lines = [replace(timing, mode="linear") for timing in timings]
     whole = np.stack(parts, axis=2)
     count = len(log.position) // thin
     first = max(count - most, 0) // 2
@@ -252,9 +255,9 @@ def _run_motion(
         derived=kept(np.stack(derived, axis=1)),
         readings=kept(low_passed(log.readings, band, log.step)),
         # through the same filter: a stiff servo acts on a small difference of large signals
-        commands=kept(low_passed(log.commands, band, log.step, held=log.step)),
+        commands=kept(low_passed(log.commands, band, log.step, timings)),
         sampled=kept(low_passed(log.commands, band, log.step)),
-        straight=kept(low_passed(log.commands, band, log.step, drawn=log.step)),
+        straight=kept(low_passed(log.commands, band, log.step, lines)),
         torques=kept(low_passed(log.torque, band, log.step)),
         limited=_blocks(_limited(log, whole[0], whole[1], machine), thin)[taken],
         log_step=log.step,
@@ -326,11 +329,9 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
 
 
 def low_passed(
-    values: Array, band: float, step: float, *, held: float = 0.0, drawn: float = 0.0
+    values: Array, band: float, step: float, timings: Sequence[CommandTiming] = ()
 ) -> Array:
-    """Columns (T, K) through the low-pass of the motion, each sample held for some time [s].
-
-    Or drawn to the next one in a straight line of some length [s].
+    """Columns (T, K) through the low-pass of the motion, those of commands as they act.
 
     A column with gaps stays as it is.
     """
@@ -341,11 +342,11 @@ def low_passed(
         ends, pad = _reflected(column, band, step)
         line = np.linspace(ends[0], ends[-1], len(ends))
         turn: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(ends), step), float)
-        hold = np.sinc(turn * held / (2 * np.pi)) * np.exp(-0.5j * turn * held)
-        hold = hold * np.sinc(turn * drawn / (2 * np.pi)) ** 2
-        shape = np.fft.rfft(ends - line) * _passed(turn, band) * hold
-        slope = (ends[-1] - ends[0]) / (len(ends) - 1) / step
-        whole = np.fft.irfft(shape, len(ends)) + line - 0.5 * held * slope
+        shape = np.fft.rfft(ends - line) * _passed(turn, band)
+        if timings:
+            shape = shape * timings[k].response(turn, step)
+            line = line - timings[k].delay(step) * (ends[-1] - ends[0]) / (len(ends) - 1) / step
+        whole = np.fft.irfft(shape, len(ends)) + line
         found[:, k] = whole[pad : pad + len(column)]
     return found
 
