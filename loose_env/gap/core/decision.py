@@ -177,6 +177,7 @@ def decide_simulated(
     for other, weight in zip(visited, weights / weights.sum(), strict=True):
         for term in other.terms:
             chances[term.name] = chances.get(term.name, 0.0) + float(weight)
+    wide = _left_to_cells(selection, fit)
     gains, left = _simulated_gains(selection, exact, best)
     before, after = _before(selection), held_out_rms(selection, fit)
     simulated = exact.by_joint()
@@ -188,7 +189,8 @@ def decide_simulated(
     shown = {term.name: open_[_main(selection, fit, term)] for term in fit.terms}
     findings = []
     for number, (term, values) in enumerate(zip(best.terms, best.values, strict=True)):
-        ends = np.stack(_simulated_ends(best, number))
+        off = np.stack(_simulated_ends(best, number)) - values
+        ends = values + np.sign(off) * np.hypot(off, wide[number])
         sure = not term.effect.interval_includes_null(ends.min(axis=0), ends.max(axis=0))
         gain, chance = float(gains[number]), min(chances[term.name], 1.0)
         findings.append(
@@ -335,6 +337,21 @@ def _confusable(
     }
 
 
+def _left_to_cells(selection: Selection, fit: SetFit) -> list[Array]:
+    """Half widths of intervals by what a simulation holds: tolerances, and what laws miss (P,)."""
+    _, sized = selection.sized(fit)
+    own = np.arange(len(sized.numbers)) >= selection.evidence.tolerances
+    covariance, effects = _missed(selection, sized), np.ix_(own, own)
+    covariance[effects] += np.linalg.inv(sized.normal)[effects]
+    covariance[effects] -= np.linalg.inv(sized.normal[effects])
+    found = []
+    for term in fit.terms:
+        at = sized.places(selection.evidence.columns_of(term))
+        low, high = _ends(term, sized.values[at], covariance[np.ix_(at, at)])
+        found.append(np.abs(high - low) / 2)
+    return found
+
+
 def _ends(term: Term, x: Array, covariance: Array) -> Array:
     """Ends of the 95 % intervals of an effect's parameters (2, P), by the delta method."""
     sd = np.sqrt(np.diag(covariance))
@@ -391,9 +408,30 @@ def _covariance(selection: Selection, fit: SetFit) -> Array:
     count = len(stretches)
     jackknife = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, 0))
     wider = np.maximum(jackknife / np.sqrt(np.diag(laplace)), 1.0)
-    # of what a law misses about half looks like more or less of it
-    missed = 0.5 * selection.evidence.inexact[fit.numbers] * fit.values
-    return np.asarray(laplace * np.outer(wider, wider) + np.diag(missed**2))
+    return np.asarray(laplace * np.outer(wider, wider) + _missed(selection, fit))
+
+
+def _missed(selection: Selection, fit: SetFit) -> Array:
+    """Covariance by what the columns of tolerances and laws miss.
+
+    Of what a law misses about half looks like more or less of the effect; and a torque constant
+    scales what the effects take, not only what the nominal model needs.
+    """
+    evidence = selection.evidence
+    found = np.diag((0.5 * evidence.inexact[fit.numbers] * fit.values) ** 2)
+    effects = np.where(fit.numbers < evidence.tolerances, 0.0, fit.values)
+    widths = dict(n.scaled for n in evidence.nuisances if n.scaled)
+    for k, channel in enumerate(evidence.channels):
+        own, at, local = np.intersect1d(fit.numbers, channel.columns, return_indices=True)
+        if channel.joint not in widths or not len(own):
+            continue
+        rows = channel.rows[:, local]
+        weight = selection.weights(k, fit.powers[k])[channel.cell]
+        slope = np.zeros(len(fit.numbers))
+        slope[at] = rows.T @ (weight * (rows @ effects[at]))
+        moved = widths[channel.joint] * np.linalg.solve(fit.normal, slope)
+        found += np.outer(moved, moved)
+    return found
 
 
 def _before(selection: Selection) -> Array:
