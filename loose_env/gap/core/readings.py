@@ -79,11 +79,6 @@ class Readings:
             )
         return found - self.foretold
 
-    def accelerated(self, more: Array) -> Array:
-        """Change of the readings by more acceleration of the joints (T, R)."""
-        position, speed, acceleration = self._states
-        return self.of(self.model, position, speed, acceleration + more) - self.foretold
-
     def of(self, model: mujoco.MjModel, q: Array, v: Array, a: Array) -> Array:
         """Readings of a model along a motion of all its joints (T, R)."""
         data = mujoco.MjData(model)

@@ -300,12 +300,15 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     motion, joints = balance.motion, len(balance.machine.joints)
     foretold = balance.readings.foretold
     if motion.sensors and not balance.released.all():
-        # a reading is of an instant, and commands step or bend there
+        # a reading is of an instant, and commands step or bend there; each joint gives way by an
+        # inertia of its own, which an effect may change
         for number, name in enumerate(balance.machine.actuators):
             for what, between in (("steps", "commands"), ("bends", "straight")):
-                seen = balance.readings.accelerated(balance.at_samples(number, between))
-                change = np.hstack([np.zeros((len(seen), joints)), seen])
-                yield _shift(f"{what} of the commands of {name} in readings", change, balance)
+                beyond = balance.at_samples(number, between)
+                for joint, moved in enumerate(beyond.T):
+                    seen = balance.readings.turned(joint, [0 * moved, 0 * moved, moved])
+                    change = np.hstack([np.zeros((len(seen), joints)), seen])
+                    yield _shift(f"{what} of {name} in readings", change, balance)
     step = motion.runs[0].log_step
     for name in balance.encoders:
         forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
