@@ -300,11 +300,16 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     motion, joints = balance.motion, len(balance.machine.joints)
     foretold = balance.readings.foretold
     if motion.sensors and not balance.released.all():
-        # a reading is of an instant, and commands step or bend there; each joint gives way by an
-        # inertia of its own, which an effect may change
+        # a reading is of an instant, and commands step or bend there or nearby; each joint gives
+        # way by an inertia of its own, which an effect may change
         for number, name in enumerate(balance.machine.actuators):
-            for what, between in (("steps", "commands"), ("bends", "straight")):
-                beyond = balance.at_samples(number, between)
+            bends = balance.at_samples(number, "straight")
+            slopes = [rates(own, motion.step) for own in motion.split(bends)]
+            for what, beyond in (
+                ("steps", balance.at_samples(number, "commands")),
+                ("bends", bends),
+                ("shift of bends", motion.runs[0].log_step * np.concatenate(slopes)),
+            ):
                 for joint, moved in enumerate(beyond.T):
                     seen = balance.readings.turned(joint, [0 * moved, 0 * moved, moved])
                     change = np.hstack([np.zeros((len(seen), joints)), seen])
