@@ -260,7 +260,7 @@ def check_text(found: Identifiability) -> str:
         places = "any" if len(unseen) == len(own) else ", ".join(unseen)
         seen.append([kind_words(kind), _sizes([e for e in own if e.visible]), places])
     wanted = [textwrap.fill(line, 100, subsequent_indent="  ") for line in _wanted(found.effects)]
-    parts = [aligned(_excitation(found)), aligned(seen), ["to record next:", *wanted]]
+    parts = [aligned(_excitation(found), 100), aligned(seen, 100), ["to record next:", *wanted]]
     return "\n\n".join("\n".join(part) for part in parts if len(part) > 1)
 
 
@@ -469,8 +469,12 @@ def _effects_section(solution: GapSolution) -> Section:
         "too, and probabilities and intervals say less. Interval: as wide as the fit is uncertain, "
         "or as the stretches of the recording disagree."
     )
-    coefficients, values = solution.parameters
-    names = [effect_words(*each.split(" ", 1)) for each in coefficients]
+    names, (_, values) = list[str](), solution.parameters
+    for term in solution.answer.decision.fit.terms:
+        own = [p.name.replace("_", " ") for p in term.effect.parameters]
+        if len(own) != len(term.columns):  # directions that the motion tells apart
+            own = [f"direction {k + 1}" for k in range(len(term.columns))]
+        names += [f"{effect_words(*term.name)}{f', {each}' * (len(own) > 1)}" for each in own]
     pairs = [(values[i, k], names[i], names[k]) for i in range(len(names)) for k in range(i)]
     strong = sorted((p for p in pairs if abs(p[0]) >= _CORRELATED), key=lambda p: -abs(p[0]))
     if pairs and not strong:

@@ -427,7 +427,7 @@ def bar(share: float) -> str:
     return f'<svg width="120" height="10" role="presentation">{ground}{filled}</svg>'
 
 
-def aligned(rows: Sequence[Sequence[str]], most: int = 100) -> list[str]:
+def aligned(rows: Sequence[Sequence[str]], most: int = _WIDTH) -> list[str]:
     """Format rows as lines of at most so many letters, with aligned columns; cells are wrapped.
 
     Examples
