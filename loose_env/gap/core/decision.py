@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +21,9 @@ from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
 from loose_env.gap.core.selection import KIND, Form, Selection, Set, SetFit, at_joint, neighbours
 from loose_env.gap.model.effect import Mountings, free_of, values_of
 from loose_env.gap.model.effects.inertia import MountedPayload, Payload
+from loose_env.gap.output.result import ChannelVerdict, ChannelWord, EffectLocation
 from loose_env.inference import log_determinant
 from loose_env.typing import Array
-
-Verdict = Literal["named", "not needed", "cannot tell", "unexplained"]
 
 NAMED = 0.5
 """Probability from which an effect is named: as likely as not."""
@@ -49,6 +47,7 @@ class Finding:
     low: Array  # Lower ends of their 95 % intervals (P,)
     high: Array  # Upper ends (P,)
     probability: float  # Probability that the machine has it, or one of `confusable` in its place
+    alone: float  # Probability that the machine has it
     confusable: tuple[tuple[str, str], ...]
     """Other effects beside its place that explain the data nearly as well."""
     z: float  # Largest coefficient over its standard deviation
@@ -63,25 +62,15 @@ class Finding:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class JointVerdict:
-    """What is said of one joint."""
-
-    joint: str  # Name of the joint
-    verdict: Verdict  # The word
-    effects: tuple[str, ...]  # Effects that are named, or that cannot be told apart
-    before: float  # Held-out residual of the nominal model [noise standard deviations]
-    after: float  # Held-out residual of the corrected model
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Decision:
     """Effects and verdicts."""
 
     findings: tuple[Finding, ...]  # All members of the set, named or not
-    joints: tuple[JointVerdict, ...]  # Verdicts, joint by joint
+    channels: tuple[ChannelVerdict, ...]  # Verdicts by joint and reading, of the whole set
     fit: SetFit  # The set
     rivals: tuple[tuple[float, str, str], ...]
     """Probability, kind and location of effects outside the set."""
+    simulated: bool = False  # Whether full simulation decided of joints
 
 
 def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> Decision:
@@ -117,7 +106,8 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
-                probability=chance, confusable=tuple(sorted(alike - {term.name})),
+                probability=chance, alone=min(chances[term.name], chance),
+                confusable=tuple(sorted(alike - {term.name})),
                 z=z, by_run=by_run, by_stretch=by_stretch,
                 doubt=_doubt(chance, z > _Z, held, bool(open_[_main(selection, fit, term)])),
             )
@@ -135,10 +125,10 @@ def _decision(
 ) -> Decision:
     """Findings with the rivals beside them, and the verdict of each channel."""
     members = {term.name for term in fit.terms}
-    likely = {name: p for name, p in chances.items() if name not in members and p > _RIVAL}
-    rivals = tuple(sorted(((p, *name) for name, p in likely.items()), reverse=True))
-    joints = tuple(_verdicts(selection, findings, rivals, before, after))
-    return Decision(findings=tuple(findings), joints=joints, fit=fit, rivals=rivals)
+    likely = ((p, *name) for name, p in chances.items() if name not in members and p > _RIVAL)
+    rivals = tuple(sorted(likely, reverse=True))
+    channels = tuple(_verdicts(selection, findings, rivals, before, after))
+    return Decision(findings=tuple(findings), channels=channels, fit=fit, rivals=rivals)
 
 
 def _doubt(chance: float, sure: bool, gain: float, left: bool) -> str:
@@ -196,12 +186,12 @@ def decide_simulated(
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
-                probability=chance, confusable=(), z=np.inf if sure else 0.0, by_run=gain,
-                by_stretch=gain,
+                probability=chance, alone=chance, confusable=(), z=np.inf if sure else 0.0,
+                by_run=gain, by_stretch=gain,
                 doubt=_doubt(chance, sure, gain, bool(shown.get(term.name))),
             )
         )  # fmt: skip
-    return _decision(selection, fit, findings, chances, before, after)
+    return replace(_decision(selection, fit, findings, chances, before, after), simulated=True)
 
 
 def _in_cells(selection: Selection, fit: ExactFit) -> SetFit:
@@ -472,27 +462,26 @@ def _verdicts(
     rivals: Sequence[tuple[float, str, str]],
     before: Array,
     after: Array,
-) -> Iterable[JointVerdict]:
-    """One verdict for each joint that the evidence has a channel of."""
+) -> Iterable[ChannelVerdict]:
+    """One verdict for each channel of the evidence."""
     unexplained = _unexplained(before, after)
     for k, channel in enumerate(selection.evidence.channels):
-        joint = selection.evidence.balance.channels[channel.joint]
         places = places_of(selection.evidence.balance, channel.joint)
-        named = [f.term.effect.kind for f in findings if f.named and f.term.effect.where in places]
-        open_ = [kind for _, kind, where in rivals if where in places]
-        open_ += [
-            f.term.effect.kind for f in findings if not f.named and f.term.effect.where in places
-        ]
+        own = [f for f in findings if f.term.effect.where in places]
+        named = [f.term.name for f in own if f.named]
+        open_ = [f.term.name for f in own if not f.named]
+        open_ += [(kind, where) for _, kind, where in rivals if where in places]
         if unexplained[k]:
-            verdict: Verdict = "unexplained"
+            verdict: ChannelWord = "unexplained"
         elif named:
             verdict = "named"
         elif after[k] < _NOISE or (not open_ and after[k] <= LARGE):
             verdict = "not needed"
         else:
             verdict = "cannot tell"
-        yield JointVerdict(
-            joint=joint, verdict=verdict, effects=tuple(named or open_),
+        yield ChannelVerdict(
+            channel=selection.evidence.balance.channels[channel.joint], verdict=verdict,
+            effects=tuple(EffectLocation(kind=kind, where=where) for kind, where in named or open_),
             before=float(before[k]), after=float(after[k]),
         )  # fmt: skip
 
