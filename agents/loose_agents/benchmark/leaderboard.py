@@ -21,7 +21,9 @@ from loose_env.typing import Array
 RESULTS = Path(__file__).resolve().parents[3] / "docs" / "benchmark_results"
 """Results files of the repository."""
 ADAPTIVE = "greedy"
-"""Entry with which the others are compared, and whose choice of records V values."""
+"""Entry with which the others are compared."""
+CLOSED_LOOP = (ADAPTIVE, "look_ahead")
+"""Entries that choose records by results on the task's posterior; V values the better one."""
 
 _HEAD = (
     "| entry | arms | return | over greedy | right % (95 %) | unsure % | false alarms % | missed % "
@@ -54,22 +56,25 @@ def stored_results(folder: Path) -> list[Results]:
 def value_tables(results: Sequence[Results]) -> str:
     """Value of stopping, of feedback and of choice on every task, paired, as Markdown."""
     lines = [
-        "| task | arms | greedy | V-stop | V-feedback | V over fixed sequence |",
-        "|---|---:|---:|---:|---:|---:|",
+        "| task | arms | closed loop | return | V-stop | V-feedback | V over fixed sequence |",
+        "|---|---:|---|---:|---:|---:|---:|",
     ]
     for task in TASKS:
         own = _entries(results, task, "test")
         if ADAPTIVE not in own:
             continue
-        greedy = own[ADAPTIVE].returns
+        closed = max(
+            (own[name] for name in CLOSED_LOOP if name in own),
+            key=lambda each: float(each.returns.mean()),
+        )
         lengths = [each.returns for name, each in own.items() if name.startswith("fixed_")]
         best = max(lengths, key=lambda returns: float(returns.mean()), default=None)
         stopping, open_loop = (
             own[name].returns if name in own else None for name in ("fixed", "open_loop")
         )
-        pairs = ((stopping, best), (greedy, open_loop), (greedy, stopping))
-        differences = (_difference(first, second) for first, second in pairs)
-        lines.append(_line([_short(task), str(len(greedy)), _signed(greedy), *differences]))
+        pairs = ((stopping, best), (closed.returns, open_loop), (closed.returns, stopping))
+        played = [_short(task), str(len(closed.truth)), closed.entry, _signed(closed.returns)]
+        lines.append(_line([*played, *(_difference(*pair) for pair in pairs)]))
     return "\n".join(lines)
 
 

@@ -138,12 +138,27 @@ class Balance:
         measured = np.isfinite(self.torques)
         inverse = (self.forms == "inverse")[:, None]
         self.seen = np.where(inverse, measured, True)
+        self.seen[:, list(motion.followers)] = False
         self.drive = np.where(inverse & measured, self.torques, self.given)
         left = self.drive - self.needed - self.dry * self.directions[USUAL]
         self.readings = Readings(compiled(machine.fresh()), motion)
         off = motion.stacked("readings") - self.readings.foretold
-        self.residual = np.hstack([left, off])
+        self.residual = self.folded(np.hstack([left, off]))
         self.channels = (*machine.joints, *self.readings.names)
+
+    def folded(self, whole: Array, rows: Array | slice = slice(None)) -> Array:
+        """Balance (..., T, channels) in which what acts on followers acts at the other joints."""
+        own = list(self.motion.followers)
+        if not own:
+            return whole
+        whole, paths = whole.copy(), self.motion.stacked("followed")[rows]
+        whole[..., : paths.shape[2]] += np.einsum("...tp,tpj->...tj", whole[..., own], paths)
+        whole[..., own] = 0.0
+        return whole
+
+    def change(self, whole: Array) -> Change:
+        """Change of the balance by the forces of some effect (T, channels)."""
+        return Change(self.folded(whole))
 
     def forces(self, effect: Effect, values: Array) -> Forces:
         """Change of the balance by an effect at some values of its parameters."""
@@ -422,6 +437,7 @@ class Balance:
         a, v, q = (np.concatenate([s[k] for s in states]) for k in range(3))
         needed, given = self._forces(model, np.tile(commands, (len(states), 1)), (q, v, a))
         force = (-given if drives else needed - given).reshape(len(states), len(rows), joints)
+        force = self.folded(force, rows)
         for order in range(3):
             for joint in range(joints):
                 change = force[1 + order * joints + joint] - force[0]

@@ -140,14 +140,14 @@ def _edited(name: str, edit: Edit, balance: Balance) -> Nuisance:
     spec = balance.machine.fresh()
     edit(spec, _STEP)
     forces = balance.edited(spec)
-    change = Change(forces.with_contact(balance.directions[USUAL]) / _STEP)
+    change = balance.change(forces.with_contact(balance.directions[USUAL]) / _STEP)
     return Nuisance(name=name, change=change, operator=forces.operator / _STEP, edit=edit)
 
 
 def _shift(name: str, change: Array, balance: Balance, **more: Any) -> Nuisance:
     """Tolerance that leaves the mean inertia, damping and stiffness as they are."""
     nothing = np.zeros_like(balance.operator)
-    return Nuisance(name=name, change=Change(change), operator=nothing, **more)
+    return Nuisance(name=name, change=balance.change(change), operator=nothing, **more)
 
 
 def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
@@ -221,7 +221,7 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             gain = np.where(inverse, balance.needed[:, joint], 0.0)[:, None] * one
             yield Nuisance(
                 name=f"torque constant of {name}",
-                change=Change(tolerances.torque * gain),
+                change=balance.change(tolerances.torque * gain),
                 operator=tolerances.torque * balance.operator * one[:, None],
             )
             log_step = balance.motion.runs[0].log_step
@@ -280,7 +280,7 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         if machine.affine_actuators[number]:
             gain = _scaled("all_gains", name, tolerances.torque)
             yield _edited(f"gain of {name}", gain, balance)
-            if machine.model.actuator_biasprm[number, 2] != 0:
+            if machine.model.actuator_biasprm[number, 2] != 0 and name in machine.actuated_joint:
                 rate = _scaled("velocity_gain", name, tolerances.velocity_gain)
                 yield _edited(f"velocity gain of {name}", rate, balance)
                 late = _late_speed(machine, name, tolerances.speed_feedback_s)
