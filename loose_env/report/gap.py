@@ -177,7 +177,7 @@ def _channel_rows(result: GapResult) -> list[list[str]]:
 
 def _sides(before: float, after: float) -> list[str]:
     """Share of a residual's power that is explained, and the residual before and after."""
-    share = f"{100 * max(0.0, 1 - (after / before) ** 2):.0f} %" if before > _AT_NOISE else ""
+    share = (percent(1 - (after / before) ** 2) if after < before else "0 %") * (before > _AT_NOISE)
     ends = (f"{v:.0f}" if abs(v) >= 1e3 else f"{v:.3g}" for v in (before, after))
     return [share, *(end.replace("nan", "-") for end in ends)]
 

@@ -612,7 +612,7 @@ class Balance:
         total = np.sum(self.noise_of(joint, frequency, operator), axis=1) + 1e-300
         if floor:
             total = total + (_MODEL * self.machine.load_scales[joint]) ** 2
-        if np.isfinite(torque[joint]):
+        if np.isfinite(torque[joint]) and (self.forms == "inverse").any():
             total = total + torque[joint] ** 2
         return np.asarray(np.sqrt(total))
 

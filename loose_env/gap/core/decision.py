@@ -49,7 +49,7 @@ class Finding:
     probability: float  # Probability that the machine has it, or one of `confusable` in its place
     alone: float  # Probability that the machine has it
     confusable: tuple[tuple[str, str], ...]
-    """Other effects beside its place that explain the data nearly as well."""
+    """Other effects near its place that may be there without it."""
     z: float  # Largest coefficient over its standard deviation
     by_run: float  # Rise of twice the log likelihood of held-out runs
     by_stretch: float  # The same of held-out stretches of all runs
@@ -76,11 +76,11 @@ class Decision:
 def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> Decision:
     """Say what of a pruned set is named, with the values of an exact fit if there is one."""
     gains = _gains(selection, fit)
-    near, weights = _near(selection, fit)
+    near = _near(selection, fit)
     chances: dict[tuple[str, str], float] = {}
-    for names, weight in zip(near, weights, strict=True):
+    for names, weight in near:
         for name in names:
-            chances[name] = chances.get(name, 0.0) + float(weight)
+            chances[name] = chances.get(name, 0.0) + weight
     after = held_out_rms(selection, fit)
     before = _before(selection)
     open_ = _unexplained(before, after)
@@ -101,13 +101,15 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
         z = float(np.max(np.abs(x) / sd))
         by_run, by_stretch = (float(g[number]) for g in gains)
         alike = _confusable(selection, term, chances)
-        chance = float(sum(w for names, w in zip(near, weights, strict=True) if names & alike))
+        chance = sum(weight for names, weight in near if names & alike)
+        without = [(names, weight) for names, weight in near if term.name not in names]
+        instead = [n for n in alike if sum(w for names, w in without if n in names) > _RIVAL]
         held = max(by_run, by_stretch) if min(by_run, by_stretch) > CONTRADICTED else -np.inf
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
                 probability=chance, alone=min(chances[term.name], chance),
-                confusable=tuple(sorted(alike - {term.name})),
+                confusable=tuple(sorted(instead)),
                 z=z, by_run=by_run, by_stretch=by_stretch,
                 doubt=_doubt(chance, z > _Z, held, bool(open_[_main(selection, fit, term)])),
             )
@@ -296,7 +298,7 @@ def _gains(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
     return one[1:] - one[0], other[1:] - other[0]
 
 
-def _near(selection: Selection, fit: SetFit) -> tuple[list[set[tuple[str, str]]], Array]:
+def _near(selection: Selection, fit: SetFit) -> list[tuple[set[tuple[str, str]], float]]:
     """Effects and probability of the sets near the answer."""
     form = Form(selection, fit.powers, fit)
     forms = {t.form for t in fit.terms}
@@ -311,7 +313,8 @@ def _near(selection: Selection, fit: SetFit) -> tuple[list[set[tuple[str, str]]]
     near = [f for f in (*selection.fits.values(), fit) if f.allowed]
     least = min(f.total for f in near)
     weights = np.exp(-0.5 * np.array([f.total - least for f in near]))
-    return [{t.name for t in f.terms} for f in near], weights / weights.sum()
+    weights /= weights.sum()
+    return [({t.name for t in f.terms}, float(w)) for f, w in zip(near, weights, strict=True)]
 
 
 def _confusable(
