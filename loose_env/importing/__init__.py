@@ -5,16 +5,16 @@ describe, evidence -> targets, scalings -> roles -> proposal; join_runs, pipelin
 """
 
 from loose_env.importing.command_timing import command_delays, early_by
-from loose_env.importing.describe import FileList, describe_sources, list_sources
+from loose_env.importing.describe import LogSource, describe_sources, list_sources
 from loose_env.importing.mapping import ImportMapping, read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
 from loose_env.importing.proposal import Proposal, proposal_text, propose
 from loose_env.importing.resampling import median_step
 
 __all__ = [
-    "FileList",
     "ImportMapping",
     "ImportSettings",
+    "LogSource",
     "Proposal",
     "command_delays",
     "describe_sources",

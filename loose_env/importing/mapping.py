@@ -480,10 +480,3 @@ def quoted(words: str) -> str:
 def printable(words: str) -> str:
     """Words for a comment of a mapping."""
     return "".join(c if c.isprintable() else " " for c in words)
-
-
-def channel_keys(source: str, key: ChannelKey) -> list[str]:
-    """Keys of a mapping's column that name a channel; without a source where it is ""."""
-    parts = [f"source = {quoted(source)}"] if source else []
-    parts += [f"topic = {quoted(key.topic)}"] if key.topic else []
-    return [*parts, f"channel = {quoted(key.channel)}"]

@@ -73,6 +73,8 @@ _UNIT = 0.2
 """Most that its size speaks against a torque whose name tells nothing [1]."""
 _ROWS = 2000
 """Rows of which torques are computed where several motions are tried."""
+_CLEARER = 0.1
+"""Score of explained torques by which exchanged states have to do better than named ones [1]."""
 _MOST = 80
 """Channels that are compared with each other."""
 _STRIDES = 12
@@ -521,6 +523,10 @@ class Roles:
             why = f"it lags by {-like.lag:.3g} s: no command"
         elif s.meaning.role == "position" and like.lag < self.step:
             why = "a second sensor of it"
+        elif not s.meaning.role and drive != "torque":
+            load = max((self._explained(j, s).whole for j in self.needed), key=abs, default=0.0)
+            if abs(load) > value > 0:
+                why = f"it is more like a torque ({load:.2f})"
         words += "" if why else f", the joint follows it by {like.lag:.3g} s"
         # Joints that all follow the same course differ in where they are.
         evidence = value * (1 + 0.5 * _NAME * near) if value > 0 else 0.5 * abs(value)
@@ -607,15 +613,51 @@ class Roles:
         return scaling
 
     def _exchanged(self, commands: Mapping[str, Signal]) -> None:
-        """Note joints that follow each other's commands; the torques tell which are exchanged."""
+        """Exchange the states of joints that follow each other's commands if the torques say so."""
         label = {j: s.meaning.joint for j, s in commands.items()}
         for a, b in itertools.combinations(label, 2):
-            if (label[a], label[b]) == (b, a):
-                self.notes.append(
-                    f"{a!r} and {b!r} follow each other's commands: the names of the commands are "
-                    "exchanged, as assumed here, or those of the states; loose doctor judges by "
-                    "the torques"
-                )
+            if (label[a], label[b]) != (b, a):
+                continue
+            other, why = {a: b, b: a}, "the torques do not tell"
+            torques = {
+                j: self.lines[t.torque].candidate
+                for j, t in self.joints.items() if t.torque in self.lines
+            }  # fmt: skip
+            if torques and self.needed:
+                motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
+                turned = {other.get(j, j): own for j, own in torques.items()}
+                as_named = self._told_by(torques)
+                self._move({other.get(j, j): own for j, own in motion.items()}, _ROWS)
+                exchanged = self._told_by(turned)
+                self._move(motion)
+                why = f"torques are explained by {as_named:.2f}, exchanged by {exchanged:.2f}"
+                if exchanged > as_named + _CLEARER:
+                    self._exchange(a, b)
+                    self.notes.append(
+                        f"the states of {a!r} and {b!r} are exchanged: each follows the other's "
+                        f"command, and {why}"
+                    )
+                    continue
+            self.notes.append(
+                f"{a!r} and {b!r} follow each other's commands: the names of the commands are "
+                f"exchanged, as assumed here, or those of the states; {why}"
+            )
+
+    def _told_by(self, torques: Mapping[str, Signal]) -> float:
+        """How well the model explains torques: correlation, less what their size is off."""
+        told = [self._explained(j, s) for j, s in torques.items()]
+        return float(np.mean([
+            abs(t.alone) - min(_UNIT, 0.5 * _UNIT * abs(math.log(max(t.per, 1e-9)))) for t in told
+        ]))  # fmt: skip
+
+    def _exchange(self, a: str, b: str) -> None:
+        """Exchange all columns of two joints, commands included."""
+        for one, other in zip(self.joints[a].columns, self.joints[b].columns, strict=True):
+            first, second = self.lines.pop(one, None), self.lines.pop(other, None)
+            for column, line in ((other, first), (one, second)):
+                if line is not None and column:
+                    self.lines[column] = replace(line, column=column)
+        self.positions[a], self.positions[b] = self.positions[b], self.positions[a]
 
     def _take_still(self) -> None:
         """Joints at rest: constant positions and commands beside others of their vector."""

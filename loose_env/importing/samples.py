@@ -102,6 +102,11 @@ class Table:
         held = [*self.columns.values(), *self.texts.values(), *self.stamps.values()]
         return len(held[0]) if held else 0
 
+    @property
+    def has_times(self) -> bool:
+        """True if its times follow from the format."""
+        return self.times is not None or self.rate_hz is not None
+
     def row(self, i: int) -> str:
         """Place of a row, as errors say it."""
         return f"{self.place}: {self.row_word} {i + 1 if self.rows is None else self.rows[i]}"

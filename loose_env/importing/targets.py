@@ -36,6 +36,11 @@ class JointTarget:
     command: str
     drive: Drive
 
+    @property
+    def columns(self) -> tuple[str, str, str, str]:
+        """All of its columns."""
+        return self.position, self.velocity, self.torque, self.command
+
 
 def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
     """List the joints with one coordinate and a name, in the model's order."""
@@ -73,7 +78,7 @@ def named_sensors(
     model: mujoco.MjModel, joints: Mapping[str, JointTarget], free: Sequence[Signal]
 ) -> Iterator[tuple[str, Signal, str]]:
     """Channels that are named as sensors of the model other than those of joints."""
-    own = {c for t in joints.values() for c in (t.position, t.velocity, t.torque, t.command)}
+    own = {c for t in joints.values() for c in t.columns}
     known = set(ModelColumns.of(model).known) - own
     for s in free:
         text = s.key.channel

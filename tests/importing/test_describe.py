@@ -104,8 +104,8 @@ def test_tables_are_recognised(
     path = tmp_path / "log.csv"
     path.write_text(text)
     (found,) = list_sources([str(path)]).values()
-    assert found.options[:-1] == options
-    assert [each.key.channel for each in found.streams[0].channels] == names
+    assert tuple(found.lines[1:-1]) == options
+    assert list(found.streams[0].channels) == names
 
 
 def test_files_of_one_stem_are_all_listed(tmp_path: Path) -> None:

@@ -157,6 +157,8 @@ def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
         joint = balance.machine.joint_number(effect.where)
         rows = np.flatnonzero(balance.seen[:, joint])
         rows = rows[:: max(1, len(rows) // _LOOKED_AT)]
+        if not len(rows):  # a follower: its forces are those of other joints
+            return () if effect.needs_data_starts else effect.starts
         proposed = effect.propose(
             balance.position[rows, joint],
             balance.speed[rows, joint],
@@ -277,7 +279,7 @@ def _column(
         width, joint = LAW_WIDTH, balance.encoders.get(effect.where)
         late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
         return Column(
-            change=Change(change), operator=forces.operator, centre=1.0, spread=width,
+            change=balance.change(change), operator=forces.operator, centre=1.0, spread=width,
             low=1 - 2.3 * width, high=1 + 2.3 * width, eased=forces.eased, late=late,
         )  # fmt: skip
     readings = np.sqrt(np.mean(balance.readings.foretold**2, axis=0))
@@ -301,6 +303,6 @@ def _column(
             )
             spread = min(spread, abs(parameter.unsurprising / step))
     return Column(
-        change=Change(change), operator=forces.operator, centre=0.0, spread=spread, low=low,
+        change=balance.change(change), operator=forces.operator, centre=0.0, spread=spread, low=low,
         high=high, eased=forces.eased,
     )  # fmt: skip

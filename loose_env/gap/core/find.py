@@ -142,6 +142,9 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
     machine = NominalModel(recording.spec())
     say(f"motion of {len(recording.runs)} run{'s' * (len(recording.runs) > 1)}")
     motion = smooth(recording, machine)
+    if motion.followers:
+        carried = ", ".join(machine.joints[k] for k in motion.followers)
+        say(f"carried along by equality constraints of the model: {carried}")
     say(f"force balance up to {motion.band:.3g} Hz")
     balance = Balance(scaled(Balance(machine, motion)), motion)
     terms = catalogue(balance, settings.kinds or None)

@@ -7,13 +7,13 @@ by their noise in the frequency domain and is flat to the end of the band, which
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 from scipy.signal import resample
 
-from loose_env.errors import InvalidData
+from loose_env.gap.core.followers import Followers
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import measured_runs
 from loose_env.recording import CommandTiming, Recording, Run, joint_sensors
@@ -57,6 +57,8 @@ class RunMotion:
     limited: Array  # Share of a sample in which the nominal drive is at its limit (T, joints)
     log_step: float  # Interval of the log [s]
     begin: float  # Time of the first sample after the log's first one [s]
+    followed: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    """Speed of each follower per speed of each joint (T, P, joints)."""
 
     @property
     def time(self) -> Array:
@@ -75,6 +77,7 @@ class Motion:
     sensors: tuple[tuple[str, int], ...]
     """Velocity and inertial sensors read in every run, with the axis, -1 of a scalar."""
     sensor_noise: Array  # Noise of a thinned sample of each of these readings (R,)
+    followers: tuple[int, ...] = ()  # Joints that equality constraints carry along
 
     @property
     def step(self) -> float:
@@ -103,7 +106,10 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     runs_ = [run for each in pieces for run in each]
     common = set.intersection(*(set(run.sensors) for run in runs_))
     sensors = sensors_of(model, common)
-    logs = [_Log.of(run, machine, sensors) for run in runs_]
+    encoders = joint_sensors(model)
+    read = {j for j in machine.joints if set(encoders[j].position) & common}
+    followers = Followers.of(machine, read)
+    logs = [_Log.of(run, machine, sensors, followers) for run in runs_]
     step = float(np.median([log.step for log in logs]))
     floors = np.stack([log.floors for log in logs])
     noise = np.median(floors, axis=0)
@@ -112,10 +118,13 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
     most = _most_of_each([len(log.position) // thin for log in logs])
     runs = tuple(_run_motion(log, noise, band, thin, most, machine) for log in logs)
+    if followers.numbers:
+        runs = tuple(replace(run, followed=followers.paths(run.position)) for run in runs)
     seen = [[noise_floor(c) for c in log.readings.T] for log in logs]
     return Motion(
         runs=runs, band=band, noise=noise / np.sqrt(thin), sensors=sensors,
         sensor_noise=np.median(np.array(seen).reshape(len(logs), -1), axis=0) / np.sqrt(thin),
+        followers=followers.numbers,
     )  # fmt: skip
 
 
@@ -132,7 +141,9 @@ class _Log:
     readings: Array
 
     @classmethod
-    def of(cls, run: Run, machine: NominalModel, seen: Sequence[tuple[str, int]]) -> _Log:
+    def of(
+        cls, run: Run, machine: NominalModel, seen: Sequence[tuple[str, int]], followers: Followers
+    ) -> _Log:
         step = float(np.median(np.diff(run.time)))
         grid = np.arange(run.time[0], run.time[-1] + 1e-9, step)
         sensors = joint_sensors(machine.model)
@@ -149,15 +160,10 @@ class _Log:
             values = run.sensors[name] if axis < 0 else run.sensors[name][:, axis]
             return read({name: values}, [name])
 
-        position = [read(run.sensors, sensors[j].position) for j in machine.joints]
-        missing = [
-            j for j, q in zip(machine.joints, position, strict=True) if not np.isfinite(q).all()
-        ]
-        if missing:
-            raise InvalidData(
-                f"{run.name}: joint {missing[0]!r} has no position reading; the motion of every "
-                "joint is needed to say which force was missing along it"
-            )
+        readings = [read(run.sensors, sensors[j].position) for j in machine.joints]
+        position = np.stack([_without_jumps(q) for q in readings], axis=1)
+        unread = np.flatnonzero(~np.isfinite(position).all(axis=0)).tolist()
+        followers.fill(run.name, position, unread)
         sampled = [
             replace(run.timing(a), shift_s=0.0).acting(run.time, run.controls[a], grid + 1e-9)
             if a in run.controls
@@ -167,7 +173,7 @@ class _Log:
         return cls(
             run=run,
             step=step,
-            position=np.stack([_without_jumps(q) for q in position], axis=1),
+            position=position,
             speed=np.stack([read(run.sensors, sensors[j].velocity) for j in machine.joints], 1),
             torque=np.stack([read(run.torques, [j]) for j in machine.joints], axis=1),
             commands=np.stack(sampled, axis=1) if sampled else np.zeros((len(grid), 0)),
