@@ -4,7 +4,8 @@ The simulator is imported when an environment is made: `import loose_env` stays 
 
 Every id takes ``hold``: "brake", "servo" or "compliant"; see `loose_env.arms.holding`;
 ``levels``, the excitation levels, ``gravity``, a vector in the world's axes [m/s²], and
-``link_accelerometers``, short for sensors that have them.
+``link_accelerometers``, short for sensors that have them. ``prices`` and ``difficulty`` may be
+mappings of their fields.
 """
 
 from __future__ import annotations
@@ -62,6 +63,18 @@ TIERS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
         "loose_env/WeakDriveTier-v0": (
             "loose_env/SixAxis-v0",
             {"levels": (1.0, 2.0), **_ONE_EXCITER},
+        ),
+        "loose_env/SearchTier-v0": (
+            "loose_env/Planar-v0",
+            {
+                "n_links": 7,
+                "vertical": True,
+                "difficulty": {"kinds": {"healthy": 0.125, "structural_looseness": 0.875}},
+                "kinds": ("healthy", "structural_looseness"),
+                "prices": {"record": 0.15},
+                "max_moved": 1,
+                **_ONE_EXCITER,
+            },
         ),
     }
 )
@@ -200,13 +213,20 @@ def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[st
 
 
 def _settings(arguments: dict[str, Any], others: tuple[str, ...]) -> Any:
-    from loose_env.envs import DiagnosisSettings
+    from loose_env.envs import DiagnosisSettings, Difficulty, Prices
+    from loose_env.io import restored
     from loose_env.sensors import SensorSuite
 
-    known = [f.name for f in fields(DiagnosisSettings)]
-    unknown = sorted(set(arguments) - {*known, _ON_LINKS})
-    if unknown:
-        raise UnknownName(f"unknown arguments {unknown}; known are {[*others, *known, _ON_LINKS]}")
+    def check(what: str, given: Mapping[str, Any], kind: Any, *others: str) -> None:
+        known = [*others, *(f.name for f in fields(kind))]
+        if unknown := sorted(set(given) - set(known)):
+            raise UnknownName(f"unknown {what} {unknown}; known are {known}")
+
+    check("arguments", arguments, DiagnosisSettings, *others, _ON_LINKS)
+    for name, kind in (("prices", Prices), ("difficulty", Difficulty)):
+        if isinstance(given := arguments.get(name), Mapping):
+            check(name, given, kind)
+            arguments[name] = restored(kind, dict(given), name)
     links = arguments.pop(_ON_LINKS, None)
     if links is not None:  # one of the sensors' settings: given as JSON, these cannot be
         sensors = arguments.get("sensors", SensorSuite())

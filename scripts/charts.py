@@ -99,7 +99,7 @@ def chart(
             axes.set_axis_off()
             continue
         if not bare:
-            quiet_axes(axes, grid="both", width=0.6, pad=4)
+            quiet_axes(axes, grid="both", width=0.6, pad=4, size=8.5)
         for one in panel.curves:
             if not isinstance(one, Curve):
                 one(axes)

@@ -66,7 +66,6 @@ HEAVY = {
     "odrpack",
     "pandas",
     "pyarrow",
-    "pyuff",
     "sb3_contrib",
     "stable_baselines3",
     "tensorboard",

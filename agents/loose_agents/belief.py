@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from loose_agents.base import Agent, EpisodeAgent, Problem
-from loose_env.diagnosis import Belief, LinkReadings, link_axes
+from loose_env.diagnosis import Belief, LinkReadings, link_axes, misfit, read_network
 from loose_env.envs import DiagnosisSettings, EpisodeBatch, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import UNSURE
@@ -317,15 +317,21 @@ def tuned_stopping(problem: Problem, agent: str) -> Sure:
 
 def usual_estimator(problem: Problem) -> str:
     """Name of the learned posterior where one is trained for a problem, else the analytic one."""
-    trained = weights_path(f"posterior-{setting_name(problem)}").is_dir()
+    folder = weights_path(f"posterior-{setting_name(problem)}")
+    rules = (problem.arm, problem.settings.durations)
+    trained = folder.is_dir() and not misfit(read_network(folder)[0], *rules)
     return "amortised" if trained else "posterior"
 
 
 def setting_name(problem: Problem) -> str:
     """Name of the tuned or trained item for an arm at a difficulty."""
     difficulty = problem.settings.difficulty
-    name = difficulty if isinstance(difficulty, str) else "own"
+    name = difficulty if isinstance(difficulty, str) else f"own{_digest(difficulty)}"
     return f"{problem.arm.name}-{name}"
+
+
+def _digest(settings: object) -> str:
+    return hashlib.sha256(repr(settings).encode()).hexdigest()[:8]
 
 
 def links_from(
@@ -383,7 +389,7 @@ def tuning_name(problem: Problem) -> str:
     if settings.kinds != usual.kinds:
         parts.append("kinds_" + "_".join(settings.kinds))
     if settings.sensors != usual.sensors:
-        parts.append("sensors" + hashlib.sha256(repr(settings.sensors).encode()).hexdigest()[:8])
+        parts.append(f"sensors{_digest(settings.sensors)}")
     return "-".join(parts)
 
 
@@ -484,6 +490,7 @@ def _amortised(problem: Problem) -> Tracker:
         problem.settings.sensors,
         difficulty.mismatch,
         kinds=difficulty.probabilities(problem.settings.kinds),
+        durations=problem.settings.durations,
     )
     return Tracker(problem, posterior)
 

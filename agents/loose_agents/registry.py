@@ -81,7 +81,7 @@ def classical_settings(problem: Problem) -> ClassicalSettings:
 
 
 def _of(policy: str, estimator: str = "") -> Callable[[Problem, int], Agent]:
-    """A policy with an estimator, by default the usual one of the problem."""
+    """A policy with an estimator, by default the usual one of the problem: rivals share it."""
     return lambda problem, seed: belief_agent(
         estimator or usual_estimator(problem), policy, problem, seed=seed
     )
@@ -184,15 +184,15 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
         "predicted directions of every hypothesis, all joints at once",
     ),
     "constant": (
-        _of("constant", "amortised"),
-        "the learned posterior, always the best single joint, random poses",
+        _of("constant"),
+        "the task's posterior, always the best single joint, random poses",
     ),
     "together": (
-        _of("together", "amortised"),
-        "the learned posterior, always all joints, random poses",
+        _of("together"),
+        "the task's posterior, always all joints, random poses",
     ),
-    "greedy": (_of("greedy", "amortised"), "the learned posterior, the most telling record next"),
-    "look_ahead": (_of("look_ahead", "amortised"), "the same, two records ahead"),
+    "greedy": (_of("greedy"), "the task's posterior, the most telling record next"),
+    "look_ahead": (_of("look_ahead"), "the same, two records ahead"),
     **{
         f"fixed_{k}": (_fixed(k), f"the same {k} record{'s' * (k > 1)} on every arm, then a name")
         for k in range(1, FIXED_RECORDS + 1)

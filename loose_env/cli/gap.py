@@ -213,7 +213,9 @@ class Export(Output):
       mjlab     mjlab_actuators.py: actuator configurations
       isaaclab  isaaclab_actuators.py: actuator configurations
       urdf      copy of --urdf with <dynamics> tags, or dynamics.urdf.xml to paste from
+      usd       joints.usda: layer with the attributes of drives and joints
       bam       bam_JOINT.json: parameters of BAM (Better Actuator Models) for each servo
+      drivebam  drivebam_actuators.py: the same as Isaac Lab's DriveBam of Newton
       ranges    ranges.json: ranges for domain randomisation, from 95 % intervals
 
     Effects that a target cannot express are listed, in its files and on the standard output.

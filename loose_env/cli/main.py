@@ -27,7 +27,7 @@ COMMANDS = {
     "trend": "change of an arm over sessions of several months, and since when",
     "gap": "effects that a simulation model lacks, from measured runs",
     "export": "identified effects for mujoco.sysid, mjlab, Isaac Lab, URDF, BAM, randomisation",
-    "import": "recording from files of loggers: MCAP, CSV, universal files (UFF 58)",
+    "import": "recording from files of loggers: ROS bags, tables, arrays, LeRobot",
 }
 """Subcommand -> what it finds or makes."""
 

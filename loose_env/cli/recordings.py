@@ -15,8 +15,8 @@ from loose_env.cli.console import Console, OnRecording, Outcome, Output
 from loose_env.doctor import DoctorSettings, Finding, examine, write_corrected
 from loose_env.errors import InvalidSetting
 from loose_env.importing import (
-    FileList,
     ImportSettings,
+    LogSource,
     Proposal,
     describe_sources,
     import_recording,
@@ -226,7 +226,7 @@ def proposed(proposal: Proposal, target: Path) -> dict[str, Any]:
     return {"mapping": target, "columns": columns, "notes": list(proposal.notes)}
 
 
-def listed(source: FileList) -> dict[str, Any]:
+def listed(source: LogSource) -> dict[str, Any]:
     """Streams and channels of a file; what its kind does not say is null."""
     streams = [
         {
@@ -235,8 +235,8 @@ def listed(source: FileList) -> dict[str, Any]:
             "seconds": stream.seconds,
             "rate_hz": stream.rate_hz,
             "channels": [
-                {"channel": each.key.channel, "unit": each.unit, "first_values": each.first}
-                for each in stream.channels
+                {"channel": each, "unit": stream.table.units.get(each, ""), "first_values": first}
+                for each, first in stream.channels.items()
             ],
         }
         for stream in source.streams

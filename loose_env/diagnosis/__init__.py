@@ -37,8 +37,10 @@ from loose_env.diagnosis.learned import (
     AmortisedBelief,
     AmortisedPosterior,
     SeatNetwork,
+    misfit,
     read_network,
     seen_in,
+    trained_for,
     write_network,
 )
 from loose_env.diagnosis.link_finding import (
@@ -167,6 +169,7 @@ __all__ = [
     "link_readings_of_all",
     "log_mean_bingham",
     "looks_healthy",
+    "misfit",
     "next_joint",
     "precision_of",
     "predict",
@@ -183,6 +186,7 @@ __all__ = [
     "statistics_of",
     "statistics_of_all",
     "stiffness_errors",
+    "trained_for",
     "used_columns",
     "variants",
     "write_network",

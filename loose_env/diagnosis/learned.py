@@ -21,7 +21,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 from scipy.special import expit, logsumexp
 
-from loose_env.arms import LinearArm, Mismatch
+from loose_env.arms import Arm, LinearArm, Mismatch
 from loose_env.diagnosis.features import LOCATION_FEATURES, RECORD_FEATURES, SeatFeatures
 from loose_env.diagnosis.novelty import NOVELTY_STATISTICS, NoveltyReference, Seen, sights
 from loose_env.diagnosis.posterior import Belief, alike, friction_nodes, location_prior, log_prior
@@ -139,8 +139,31 @@ class _Configuration:
     """What a stored network was trained for."""
 
     arm: str
+    levels: tuple[float, ...]
+    gravity: tuple[float, float, float]
+    durations: tuple[float, ...]
     directions: Annotated[int, Ge(1), Le(10_000)]
     friction: tuple[Annotated[float, Gt(0), Lt(1e6)], Annotated[float, Gt(0), Lt(1e6)]]
+
+
+def trained_for(arm: Arm, durations: Sequence[float]) -> dict[str, Any]:
+    """Arm and rules that the likelihood of a record depends on; a configuration holds them."""
+    gravity = tuple(float(g) for g in arm.model.opt.gravity)
+    own = {"arm": arm.name, "levels": arm.levels, "gravity": gravity}
+    return own | {"durations": tuple(durations)}
+
+
+def misfit(configuration: Mapping[str, Any], arm: Arm, durations: Sequence[float] = ()) -> str:
+    """First difference between an arm under its rules and those of training; "" if none.
+
+    Of the durations trained on, some may be left out.
+    """
+    trained = restored(_Configuration, configuration, f"{CONFIGURATION}:")
+    for name, here in trained_for(arm, durations).items():
+        there = getattr(trained, name)
+        if not set(here) <= set(there) if name == "durations" else here != there:
+            return f"{name} {there!r:.60}, not {here!r:.60}"
+    return ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -318,14 +341,15 @@ class AmortisedPosterior:
         mismatch: Mismatch,
         *,
         kinds: Mapping[str, float] | None = None,
+        durations: Sequence[float] = (),
     ) -> AmortisedPosterior:
-        """Load a trained network; nothing is unpickled. InvalidData if none fits the arm."""
+        """Load a trained network; nothing is unpickled. InvalidData if none fits arm and rules."""
         whole, tensors = read_network(folder)
         configuration = restored(_Configuration, whole, f"{Path(folder) / CONFIGURATION}:")
-        if configuration.arm != linear.arm.name:
+        if unlike := misfit(whole, linear.arm, durations):
             raise InvalidData(
-                f"the posterior in {folder} was trained for arm {configuration.arm!r:.60}, not "
-                f"{linear.arm.name!r}; train one with {_TRAINER}"
+                f"the posterior in {folder} was trained for {unlike}; train one with {_TRAINER}, "
+                "or take the analytic posterior"
             )
         start = len(REFERENCE)
         known = {k[start:]: v for k, v in tensors.items() if k.startswith(REFERENCE)}

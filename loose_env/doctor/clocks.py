@@ -19,6 +19,7 @@ from loose_env.doctor.findings import Defect, Finding
 from loose_env.doctor.machine import Machine, Motion, filled, forces_of, positions_of, servos_of
 from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.signals import implied_readings
+from loose_env.importing import early_by
 from loose_env.statistics import phase_delay
 from loose_env.typing import Array
 
@@ -83,6 +84,12 @@ _LEAD = Defect(
     "no joint moves before its command: the commands were logged late, or sampled from references "
     "that the controller had interpolated already",
     "import the commands with delay_s = the time by which they are late",
+)  # fmt: skip
+_EARLY = Defect(
+    "clock", "warning",
+    "commands taken as held leave residuals at every joint where the controller interpolates them",
+    'import again, or add "commands": {"ACTUATOR": {"mode": "linear"}} to the runs of '
+    "recording.json",
 )  # fmt: skip
 
 
@@ -161,6 +168,10 @@ def check_clocks(
                 groups.setdefault(kind, []).append(seen)
     for kind, group in groups.items():
         yield from _offset(kind, group, settings)
+    runs = [each.run for each in motions if not each.run.excited]  # noise is not simulated
+    if early := early_by(machine.model, runs):
+        found = f"the drives act {1e3 * early:.3g} ms before the commands as the runs have them"
+        yield _EARLY.at("ctrl", found, -early, unit="s")
 
 
 def _seen(machine: Machine, motion: Motion) -> Iterator[tuple[str, _Seen]]:

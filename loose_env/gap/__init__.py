@@ -7,13 +7,12 @@ Data flow: model -> runs -> simulator -> core -> output -> servo_arm -> motions 
 from loose_env.gap.bank import VISIBLE, MotionBank, Shape, motion_bank
 from loose_env.gap.belief import Belief, BeliefSettings, HypothesisSet, Outlook, outlook
 from loose_env.gap.core.find import Answer, find_gap
-from loose_env.gap.core.residual import Correlation, Played
+from loose_env.gap.core.residual import Correlation, Overlay, Played
 from loose_env.gap.core.tolerances import GapSettings, Tolerances
 from loose_env.gap.explain import (
     GapSolution,
     check_gap,
     explain_gap,
-    pulled_words,
     solve_gap,
     write_gap,
 )
@@ -96,6 +95,7 @@ __all__ = [
     "NextMotion",
     "NextMotionSettings",
     "Outlook",
+    "Overlay",
     "Parameter",
     "Played",
     "RankedSet",
@@ -124,7 +124,6 @@ __all__ = [
     "next_motion_lines",
     "note_source",
     "outlook",
-    "pulled_words",
     "read_effects",
     "read_result",
     "read_servo_arm",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import nan
 from pathlib import Path
 
@@ -12,7 +12,8 @@ import numpy as np
 from scipy.special import softmax
 
 from loose_env.doctor import Finding as Preflight
-from loose_env.gap.core.decision import Finding, JointVerdict, held_out_rms, places_of
+from loose_env.gap.core.decision import Finding, held_out_rms
+from loose_env.gap.core.evidence import weight_of
 from loose_env.gap.core.exact import LARGE
 from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
@@ -69,7 +70,8 @@ class GapSolution:
     corrected: Hypothesis
     """The named effects at their values, as ``model.xml`` has them."""
     overlays: tuple[Overlay, ...]
-    """Measured against both models where most is missing."""
+    """Measured against both models where most is missing; NaN of the corrected one where samples
+    are not compared: at rest, knocked, or at a limit of the drive."""
     correlations: tuple[Correlation, ...]
     """Correlations in time of the largest residuals that are left."""
     parameters: tuple[tuple[str, ...], Array]
@@ -167,19 +169,25 @@ def solve_gap(
         corrected = Hypothesis(
             effects=tuple(f.term.effect for f in named), values=tuple(f.values for f in named)
         )
+        # of what is in model.xml or the code, not of what was fitted and is not named
+        terms = tuple(t for t in fit.terms if t.name in {f.term.name for f in named})
+        corrected_fit = fit if terms == fit.terms else selection.solve(terms, fit.powers)
         nominal = selection.solve(())
-        before, after = left_by(selection, nominal), left_by(selection, fit)
+        before, after = left_by(selection, nominal), left_by(selection, corrected_fit)
         tests, correlations = residual_tests(selection, after)
         errors, played = simulated(answer, corrected)
-        evidence = selection.evidence
-        channels = [evidence.balance.channels[c.joint] for c in evidence.channels]
-        sides = [held_out_rms(selection, each) for each in (nominal, fit)]
-        pairs = np.stack(sides, axis=1).tolist()
+        evidence, machine = selection.evidence, selection.evidence.balance.machine
+        own = answer.decision.channels
+        sides = np.stack([held_out_rms(selection, each) for each in (nominal, corrected_fit)])
+        if by_simulation := answer.decision.simulated:  # what a balance leaves says little there
+            of = [k for k, c in enumerate(evidence.channels) if c.joint < len(machine.joints)]
+            sides[:, of] = np.transpose([(own[k].before, own[k].after) for k in of])
+        pairs = map(tuple, sides.T.tolist())
         gap = Gap(
             before=pooled_rms(selection, sides[0]),
             after=pooled_rms(selection, sides[1]),
-            by_channel=dict(zip(channels, map(tuple, pairs), strict=True)),
-            by_quantity=force_errors(answer, before, after) | errors,
+            by_channel=dict(zip((each.channel for each in own), pairs, strict=True)),
+            by_quantity=errors if by_simulation else force_errors(answer, before, after) | errors,
         )
         result = GapResult(
             verdict=_verdict(answer),
@@ -198,12 +206,14 @@ def solve_gap(
             settings=asdict(answer.settings),
         )
         largest = np.argsort([test.rms for test in tests])[::-1][: FIGURES - 1]
-        band = evidence.balance.motion.band
+        shown = after.copy()
+        for channel in evidence.channels:
+            shown[weight_of(evidence.balance, channel.joint) < 0.5, channel.joint] = nan
     return GapSolution(
-        answer=answer, corrected=corrected, overlays=overlays(selection, before, after, FIGURES),
+        answer=answer, corrected=corrected, overlays=overlays(selection, before, shown, FIGURES),
         correlations=tuple(correlations[k] for k in largest), played=played,
         parameters=parameter_correlation(selection, fit),
-        responses=() if played is None else responses(played, band),
+        responses=() if played is None else responses(played, evidence.balance.motion.band),
         result=result, seconds=time.monotonic() - begun,
     )  # fmt: skip
 
@@ -272,7 +282,7 @@ def write_gap(
         machine,
         solution.corrected,
         source=solution.answer.recording.model_path,
-        notes=model_notes(result.effects, pulled_words(result)),
+        notes=model_notes(result),
     )
     page = report(place, solution)
     motions = [] if next_motion is None else write_next_motion(place, *next_motion)
@@ -280,33 +290,25 @@ def write_gap(
     return [*models, *([] if page is None else [page]), *motions, file]
 
 
-def pulled_words(result: GapResult) -> list[str]:
-    """Sentences on the tolerances that the data pull."""
-    return [
-        f"{each.name}: {abs(each.deviations):.1f} standard deviations "
-        f"{'above' if each.deviations > 0 else 'below'} the nominal value"
-        for each in result.pulled
-    ]
-
-
 def _verdict(answer: Answer) -> Verdict:
     if any(finding.named for finding in answer.decision.findings):
         return "named"
     # where two or three noise standard deviations are left, there is little to look for
-    left = [j for j in answer.decision.joints if j.verdict in ("unexplained", "cannot tell")]
-    return "unexplained" if any(joint.after > LARGE for joint in left) else "no_gap"
+    left = [c for c in answer.decision.channels if c.verdict in ("unexplained", "cannot tell")]
+    return "unexplained" if any(channel.after > LARGE for channel in left) else "no_gap"
 
 
 def pooled_rms(selection: Selection, rms: Array) -> float:
     """Residual over the values of all channels, of that of each one (C,)."""
     counts = np.array([c.count.sum() for c in selection.evidence.channels])
-    return float(np.sqrt(np.sum(counts * rms**2) / counts.sum()))
+    return float(np.sqrt(np.average(rms**2, weights=counts)))
 
 
 def named_effect(found: Finding) -> NamedEffect:
     """An effect of the answer in the form of a result."""
     effect, names = found.term.effect, [p.name for p in found.term.effect.parameters]
-    ends = zip(found.low.tolist(), found.high.tolist(), strict=True)
+    bounds = np.transpose([(p.low, p.high) for p in effect.parameters])
+    ends = map(tuple, np.clip([found.low, found.high], *bounds).T.tolist())
     return NamedEffect(
         kind=effect.kind,
         where=effect.where,
@@ -318,6 +320,7 @@ def named_effect(found: Finding) -> NamedEffect:
         mountings=effect.mountings,
         in_model=effect.in_model,
         probability=found.probability,
+        probability_alone=found.alone,
         z=found.z,
         held_out_gain={"run": found.by_run, "stretch": found.by_stretch},
         doubt=found.doubt,
@@ -326,40 +329,28 @@ def named_effect(found: Finding) -> NamedEffect:
 
 def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
     """Verdict of every joint and reading; joints that stand still cannot tell."""
-    decision, evidence = answer.decision, answer.selection.evidence
-    machine = evidence.balance.machine
-    known = [f.term.name for f in decision.findings] + [(k, w) for _, k, w in decision.rivals]
     found = []
-    for number, (own, channel) in enumerate(zip(decision.joints, evidence.channels, strict=True)):
-        places = places_of(evidence.balance, channel.joint)
-        effects = [n for n in known if n[0] in own.effects and n[1] in places]
-        before, after = gap.by_channel[own.joint]
-        found.append(
-            ChannelVerdict(
-                channel=own.joint, verdict=own.verdict, before=before, after=after,
-                effects=tuple(EffectLocation(kind=k, where=w) for k, w in dict.fromkeys(effects)),
-                advice=_advice(answer, number, own, effects),
-            )
-        )  # fmt: skip
+    for number, own in enumerate(answer.decision.channels):
+        before, after = gap.by_channel[own.channel]
+        found.append(replace(own, before=before, after=after, advice=_advice(answer, number, own)))
     found += [
         ChannelVerdict(
             channel=joint, verdict="cannot tell", before=nan, after=nan,
             advice="it hardly moves, or its torque was not read: record runs in which it moves",
         )
-        for joint in machine.joints
+        for joint in answer.selection.evidence.balance.machine.joints
         if joint not in gap.by_channel
     ]  # fmt: skip
     return tuple(found)
 
 
-def _advice(
-    answer: Answer, number: int, own: JointVerdict, effects: Sequence[tuple[str, str]]
-) -> str:
-    """Motion that would tell, or where most is left."""
+def _advice(answer: Answer, number: int, own: ChannelVerdict) -> str:
+    """Motion that would tell, or where most of the residual is."""
     if own.verdict == "cannot tell":
-        if len(effects) > 1:
-            return how_to_separate(*effects[0], *effects[1])
-        return how_to_see(effects[0][0]) if effects else "record more of its motion"
+        if len(own.effects) > 1:
+            one, other = own.effects[:2]
+            return how_to_separate(one.kind, one.where, other.kind, other.where)
+        return how_to_see(own.effects[0].kind) if own.effects else "record more of its motion"
     if own.verdict == "not needed" or own.after <= LARGE:
         return ""
     channel = answer.selection.evidence.channels[number]
@@ -369,10 +360,11 @@ def _advice(
     turns, at = np.unique(channel.turn, return_inverse=True)
     loudest = turns[int(np.argmax(np.bincount(at, excess)))] / (2 * np.pi)
     share = max(1 - (own.after / max(own.before, 1e-300)) ** 2, 0.0)
-    return (
-        f"{100 * share:.0f} % explained; most is left in {runs[int(np.argmax(by_run))].name}, "
-        f"around {loudest:.2g} Hz"
-    )
+    said = [f"all that was tried explains {100 * share:.0f} %"] * (own.verdict == "unexplained")
+    if not answer.decision.simulated:
+        run = runs[int(np.argmax(by_run))].name
+        said.append(f"most is left in {run}, around {loudest:.2g} Hz")
+    return "; ".join(said)
 
 
 def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
@@ -385,21 +377,21 @@ def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
 
 
 def _ranking(answer: Answer) -> tuple[RankedSet, ...]:
-    """Best sets of effects that were visited, each set of kinds and locations once."""
-    simulated = {frozenset(t.name for t in e.terms): e.total for e in answer.exact}
+    """Best sets that were visited, by what chose among them; each of kinds and locations once."""
+    searched = len(answer.exact) > 1  # in simulation, from the set of the cells
+    cells = [f for f in (*answer.selection.fits.values(), answer.decision.fit) if f.allowed]
     totals: dict[frozenset[tuple[str, str]], float] = {}
-    for fit in (*answer.selection.fits.values(), answer.decision.fit):
+    for fit in answer.exact if searched else cells:
         names = frozenset(term.name for term in fit.terms)
-        if fit.allowed:
-            totals[names] = min(fit.total, totals.get(names, np.inf))
-    ranked, quickest = sorted(totals, key=totals.__getitem__), min(simulated.values(), default=0.0)
+        totals[names] = min(fit.total, totals.get(names, np.inf))
+    ranked = sorted(totals, key=totals.__getitem__)
     behind = np.array([totals[names] for names in ranked]) - totals[ranked[0]]
     return tuple(
         RankedSet(
             effects=tuple(EffectLocation(kind=k, where=w) for k, w in sorted(names)),
             behind=float(above),
             probability=float(probability),
-            simulated=simulated[names] - quickest if names in simulated else None,
+            source="simulation" if searched else "force balance",
         )
         for names, above, probability in zip(ranked, behind, softmax(-behind / 2), strict=True)
     )[:_RANKED]
@@ -407,14 +399,21 @@ def _ranking(answer: Answer) -> tuple[RankedSet, ...]:
 
 def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
     """Cautions: samples left out, one run alone, effects that no file carries."""
-    machine = answer.selection.evidence.balance.machine
-    found = [*measured_runs(recording.runs, machine.model)[1], *naming_notes(recording.spec())]
+    balance = answer.selection.evidence.balance
+    model, named = balance.machine.model, [f.term.name for f in answer.decision.findings if f.named]
+    found = [*measured_runs(recording.runs, model)[1], *naming_notes(recording.spec())]
     if any(each.term.effect.kind == "payload" for each in answer.decision.findings):
-        found += payload_notes(machine)
-    if len(answer.selection.evidence.balance.motion.runs) == 1:
+        found += payload_notes(balance.machine)
+    if len(balance.motion.runs) == 1:
         found.append(
             "one run alone: alternate stretches of it are held out, so that what every stretch of "
             "it has in common is not tested; record a second run with another motion"
+        )
+    late = any(("sensor_delay", encoder) in named for encoder in balance.encoders)
+    if late and (balance.forms == "inverse").any():
+        found.append(
+            "late encoders: a torque log shows only the time between torques and positions, so "
+            "that torques which are logged early, or before a drive gives them, look the same"
         )
     for each in answer.decision.findings:
         effect = each.term.effect

@@ -207,9 +207,8 @@ def align_run(
 ) -> Trial:
     """Align a run with simulation steps.
 
-    Commands are held from the step nearest to their sample to that of the next. A missing command
-    keeps the one before. Stamps that are even but for their rounding become even. The initial state
-    is for the caller to set.
+    Commands are the means over each step of what acts. Stamps that are even but for their rounding
+    become even. The initial state is for the caller to set.
     """
     time, interval = run.time - run.time[0], _even_interval(run.time)
     if interval is not None:
@@ -219,27 +218,15 @@ def align_run(
     table, unread = table_of(run), np.full(len(time), np.nan)
     measured = np.column_stack([table.get(channel.name, unread) for channel in channels])
     controls = np.zeros((steps, len(machine.actuators)))
-    held = np.searchsorted(time, (np.arange(steps) + 0.5) * step, side="right") - 1
+    middle = (np.arange(steps, dtype=float) + 0.5) * step
     for k, name in enumerate(machine.actuators):
         if name in run.controls:
-            controls[:, k] = filled(run.controls[name])[held]
+            controls[:, k] = run.timing(name).acting(time, run.controls[name], middle)
     return Trial(
         name=run.name, form=run.comparison, time=time, measured=measured, step=step, steps=steps,
         controls=controls, position=machine.model.qpos0.copy(), speed=np.zeros(machine.model.nv),
         resting=False,
     )  # fmt: skip
-
-
-def filled(values: Array) -> Array:
-    """Commands with each missing one as the last before it: a drive keeps its set point.
-
-    Those at the start take the first one; zeros where none is known.
-    """
-    known = np.flatnonzero(np.isfinite(values))
-    if not len(known):
-        return np.zeros_like(values)
-    at = np.clip(np.searchsorted(known, np.arange(len(values)), "right") - 1, 0, None)
-    return np.asarray(values[known[at]])
 
 
 # Recordings of one machine joined as one, those of earlier outputs included

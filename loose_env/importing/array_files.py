@@ -32,8 +32,10 @@ _FEWEST = 10
 """Samples from which an array is a signal and no constant of the set-up."""
 _WIDEST = 4096
 """Entries from which a vector is an image or a matrix of weights."""
-_RATES = re.compile(r"(^|_|/)(\w*_?hz|rate|freq|frequency|fs|fps|control_freq|sample_rate)$", re.I)
-_STEPS = re.compile(r"(^|_|/)(dt|ts|sample_time|timestep|time_step|sampling_time)$", re.I)
+_RATES = re.compile(
+    r"(^|_|/|@)(\w*_?hz|rate|freq|frequency|fs|fps|control_freq|sample_rate)$", re.I
+)
+_STEPS = re.compile(r"(^|_|/|@)(dt|ts|sample_time|timestep|time_step|sampling_time)$", re.I)
 _NAMES = ("columns", "names", "labels", "header", "headers", "fields", "joint_names", "joints",
           "channels", "dof_names", "data_columns")  # fmt: skip
 _NUMBER = re.compile(r"(\d+)")
@@ -50,10 +52,11 @@ def open_arrays(path: Path, name: str, kind: FileKind) -> Log:
         lambda: _tree(path, name)
     )  # an episode of many is asked for at a time
     tree = read()
-    if isinstance(tree, dict) and _is_series(tree):
+    parts = _series_parts(tree) if isinstance(tree, dict) else ()
+    if parts:
         return Log(
             name=name, kind="sysid", words="time series of mujoco.sysid",
-            tables=lambda _, __: _series_tables(read(), name),
+            tables=lambda _, __: [_series(read(), part, name) for part in parts],
         )  # fmt: skip
     places = _episodes(tree)
     rate = _rate_of(tree)
@@ -132,17 +135,10 @@ def _table(tree: Tree, place: str, rate: float | None, whole: Tree) -> Table:
             continue
         labels = _labels(tree, whole, key, array.shape[1], _NAMES)
         told = _labels(tree, whole, key, array.shape[1], ("units", "unit"))
-        if array.shape[1] == 1:
-            columns[key] = array[:, 0]
-            aliases[f"{key}[0]"] = key
-            continue
-        for i in range(array.shape[1]):
-            own = f"{key}[{labels[i] if labels else i}]"
-            columns[own] = array[:, i]
-            if told and unit_in(f"[{told[i]}]"):
-                units[own] = told[i]
-            if labels:
-                aliases[f"{key}[{i}]"] = f"{key}[{labels[i]}]"
+        own, others = vector_columns(key, array, labels if array.shape[1] > 1 else ())
+        columns |= own
+        aliases |= others
+        units |= {n: u for n, u in zip(own, told, strict=False) if unit_in(f"[{u}]")}
     size = length * len(columns)
     if size > MOST_VALUES:
         raise InvalidData(f"{place}: {size} values; at most {MOST_VALUES} are read")
@@ -152,6 +148,16 @@ def _table(tree: Tree, place: str, rate: float | None, whole: Tree) -> Table:
             "time" in key.lower() or key in ("t", "ts") for key in columns) else None,
         kind=f"{len(columns)} columns of {length}",
     )  # fmt: skip
+
+
+def vector_columns(
+    key: str, matrix: NDArray[Any], labels: Sequence[str]
+) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Columns of a matrix by its name and its entries' labels or numbers, and their aliases."""
+    width = matrix.shape[1]
+    names = [f"{key}[{each}]" for each in labels or range(width)] if width > 1 or labels else [key]
+    columns = {name: matrix[:, i] for i, name in enumerate(names)}
+    return columns, {f"{key}[{i}]": name for i, name in enumerate(names)}
 
 
 def _leaves(tree: Tree, key: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -204,6 +210,7 @@ def _texts(tree: Tree, key: str = "", depth: int = 0) -> Iterator[tuple[str, lis
             yield from _texts(value, f"{key}/{name}" if key else str(name), depth + 1)
     elif (
         isinstance(tree, (list, np.ndarray))
+        and np.ndim(tree)
         and len(tree)
         and all(isinstance(each, (str, np.str_)) for each in list(tree)[:_WIDEST])
     ):
@@ -218,7 +225,7 @@ def _rate_of(tree: Tree, key: str = "", depth: int = 0) -> float | None:
             if found:
                 return found
         return None
-    if np.ndim(tree) or isinstance(tree, (str, bytes, bool)) or not _is_plain(tree):
+    if isinstance(tree, bool) or not (_is_plain(tree) or (np.ndim(tree) == 0 and _is_array(tree))):
         return None
     value = float(tree)
     rate = value if _RATES.search(key) else 1 / value if value and _STEPS.search(key) else 0.0
@@ -227,6 +234,10 @@ def _rate_of(tree: Tree, key: str = "", depth: int = 0) -> float | None:
 
 def _is_plain(value: Any) -> bool:
     return isinstance(value, (int, float, np.number))
+
+
+def _is_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
 
 
 def _is_signal(value: Any) -> bool:
@@ -351,18 +362,29 @@ def _of_json(path: Path, name: str) -> Tree:
 
 
 def _of_parquet(path: Path, _: str) -> Tree:
+    return parquet_columns(path)
+
+
+def parquet_columns(path: Path, columns: Sequence[str] | None = None) -> dict[str, NDArray[Any]]:
+    """Columns of numbers of a Parquet table, those of vectors as matrices."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
-    table = pq.read_table(path, use_threads=False)
-    found: dict[str, Any] = {}
+    with pq.ParquetFile(path) as file:
+        table = file.read(columns=columns, use_threads=False)
+    found: dict[str, NDArray[Any]] = {}
     for key in table.column_names:
-        column = table.column(key)
+        column, width = table.column(key), 1
         if hasattr(column.type, "value_type"):
-            found[key] = column.to_pylist()
-        elif str(column.type).startswith("timestamp"):
-            found[key] = column.cast("int64").to_numpy()
-        else:
-            found[key] = column.to_numpy()
+            widths = pc.list_value_length(column).unique().to_pylist()
+            width, column = widths[0] if len(widths) == 1 else 0, pc.list_flatten(column)
+        if pa.types.is_timestamp(column.type):
+            column = column.cast("int64")
+        plain = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+        if (plain or pa.types.is_boolean(column.type)) and width:
+            values = np.asarray(column.to_numpy())
+            found[key] = values.reshape(table.num_rows, width) if width > 1 else values
     return found
 
 
@@ -404,23 +426,16 @@ def _of_hdf5(path: Path, name: str) -> Tree:
 # ------------------------------------------------------------------------- mujoco.sysid
 
 
-def _is_series(tree: Mapping[str, Any]) -> bool:
-    return {"times", "data"} <= set(tree) or any(f"{p}_times" in tree for p in _PARTS)
-
-
-def _series_tables(arrays: Mapping[str, Any], name: str) -> list[Table]:
-    """Tables of a ``TimeSeries``, or of the parts of a ``SystemTrajectory``."""
-    if {"times", "data"} <= set(arrays):
-        return [_series(arrays, "", name)]
-    return [_series(arrays, p, name) for p in _PARTS if f"{p}_times" in arrays]
+def _series_parts(arrays: Mapping[str, Any]) -> tuple[str, ...]:
+    """Parts of a ``SystemTrajectory``, or "" for a ``TimeSeries``; none of another file."""
+    whole = ("",) if {"times", "data"} <= set(arrays) else ()
+    return whole or tuple(p for p in _PARTS if f"{p}_times" in arrays)
 
 
 def _series(arrays: Mapping[str, Any], part: str, name: str) -> Table:
     prefix = f"{part}_" if part else ""
     place = f"{name}: {prefix}data"
-    times, data = arrays[f"{prefix}times"], arrays.get(f"{prefix}data")
-    if data is None:
-        raise InvalidData(f"{place} is missing")
+    times, data = np.asarray(arrays[f"{prefix}times"]), np.asarray(arrays.get(f"{prefix}data"))
     data = data[:, None] if data.ndim == 1 else data
     if times.dtype.kind not in "fiu" or data.dtype.kind not in "fiub":
         raise InvalidData(f"{place}: {data.dtype} at times of {times.dtype}; both are numbers")
@@ -429,21 +444,18 @@ def _series(arrays: Mapping[str, Any], part: str, name: str) -> Table:
             f"{place}: shape {data.shape} at times of shape {times.shape}; a series has one row "
             "for each time, and two at least"
         )
-    columns = {f"#{i + 1}": data[:, i].astype(np.float64) for i in range(data.shape[1])}
+    names = [f"#{i + 1}" for i in range(data.shape[1])]
     words: dict[str, str] = {}
-    aliases: dict[str, str] = {}
-    encoded = arrays.get(f"{prefix}signal_mapping")
-    if encoded is not None:
-        try:
-            for signal, (kind, own) in json.loads(str(encoded)).items():
-                for i, column in enumerate(own):
-                    key = f"{signal}[{i}]" if len(own) > 1 else signal
-                    columns[key] = columns.pop(f"#{int(column) + 1}")
-                    words[key] = _SIGNALS[kind]
-                    aliases[f"#{int(column) + 1}"] = key
-        except (ValueError, TypeError, IndexError, AttributeError, KeyError, RecursionError):
-            raise InvalidData(f"{name}: {prefix}signal_mapping is damaged") from None
+    encoded = str(arrays.get(f"{prefix}signal_mapping", "{}"))
+    try:
+        for signal, (kind, own) in json.loads(encoded).items():
+            for i, column in enumerate(own):
+                key = names[int(column)] = f"{signal}[{i}]" if len(own) > 1 else signal
+                words[key] = _SIGNALS[kind]
+    except (ValueError, TypeError, IndexError, AttributeError, KeyError, RecursionError):
+        raise InvalidData(f"{name}: {prefix}signal_mapping is damaged") from None
     return Table(
-        place=name, topic=part, columns=columns, words=words, aliases=aliases,
-        times=times.astype(np.float64), row_word="sample", kind=f"{data.shape[1]} columns",
+        place=name, topic=part, words=words, times=times.astype(np.float64), row_word="sample",
+        columns={key: data[:, i].astype(np.float64) for i, key in enumerate(names)},
+        aliases={f"#{i + 1}": key for i, key in enumerate(names)}, kind=f"{len(names)} columns",
     )  # fmt: skip

@@ -1,11 +1,17 @@
-"""Offset between two clocks, from two channels of the same motion."""
+"""Offset between two clocks by two channels of one motion, and jittered stamps put on a line.
+
+A stamp is its sample's number times the step, and an error that comes and goes. A sample that is
+missing moves all stamps behind it by one step for good. Numbers are given first, then the line is
+fitted; a line through stamps of wrong numbers would be bent by every missing sample.
+"""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft, signal
+from scipy import signal
 
 from loose_env.errors import InvalidData
 from loose_env.importing.resampling import bridged, median_step, resampled
@@ -16,6 +22,22 @@ _LEAST_OVERLAP = 0.3
 """Share of the shorter channel that has to lie beside the other."""
 _RIVAL = 0.95
 """A second peak this high leaves the shift open."""
+
+
+_OFF = 3.0
+"""Steps that a stamp may be off the straight line through them."""
+_PLAIN = 0.3
+"""Share of a step by which pauses between stamps may be off whole steps to be plain."""
+_SHIFT = 0.5
+"""Steps by which stamps have to move for good for samples to be missing."""
+_SURE = 0.3
+"""Share of a step by which such a move may be off whole steps."""
+_BESIDE = 50
+"""Most samples on either side of a place by which a move is judged."""
+_LEAST = 10
+"""Least samples there."""
+_MOST = 200
+"""Most places at which samples may be missing where stamps jitter."""
 
 
 class Shift(NamedTuple):
@@ -66,8 +88,13 @@ def shift_between(
     mine, mine_there = _on_grid(own, step, (low, high))
     theirs, theirs_there = _on_grid(other, step, (low, high))
     begin = (other[0][0] - own[0][0]) / step  # shift that puts both first samples together
-    scores, lags, overlap = _correlations(mine, mine_there, theirs, theirs_there)
-    seconds = (begin + lags) * step
+    correlate = partial(signal.correlate, method="fft")  # over the overlap at each lag alone
+    overlap = correlate(theirs_there, mine_there)
+    powers = correlate(theirs_there, mine**2), correlate(theirs**2, mine_there)
+    size = np.sqrt(np.maximum(powers[0], 0) * np.maximum(powers[1], 0))
+    floor = 1e-9 * (np.sum(mine**2) * np.sum(theirs**2)) ** 0.5 + 1e-300
+    scores = correlate(theirs, mine) / np.maximum(size, floor)
+    seconds = (begin + signal.correlation_lags(len(theirs), len(mine))) * step
     least_overlap = _LEAST_OVERLAP * min(mine_there.sum(), theirs_there.sum())
     allowed = (np.abs(seconds) <= most_s) & (overlap >= least_overlap)
     if not allowed.any():
@@ -113,26 +140,6 @@ def _on_grid(
     return np.where(there, filled, 0.0), there.astype(np.float64)
 
 
-def _correlations(
-    mine: Array, mine_there: Array, theirs: Array, theirs_there: Array
-) -> tuple[Array, Array, Array]:
-    """Correlation at each lag over the overlap, the lags, and the overlap in samples."""
-    size = fft.next_fast_len(len(mine) + len(theirs) - 1, real=True)
-
-    def products(a: Array, b: Array) -> Array:
-        spectrum = fft.rfft(b, size) * np.conj(fft.rfft(a, size))
-        full = fft.irfft(spectrum, size)
-        return np.concatenate([full[size - len(a) + 1 :], full[: len(b)]])
-
-    lags = np.arange(-(len(mine) - 1), len(theirs))
-    own_power = products(mine**2, theirs_there)
-    other_power = products(mine_there, theirs**2)
-    overlap = products(mine_there, theirs_there)
-    floor = 1e-9 * (np.sum(mine**2) * np.sum(theirs**2)) ** 0.5 + 1e-300
-    power = np.sqrt(np.maximum(own_power, 0) * np.maximum(other_power, 0))
-    return products(mine, theirs) / np.maximum(power, floor), lags.astype(np.float64), overlap
-
-
 def _refuse_rival(place: str, scores: Array, seconds: Array, best: int) -> None:
     """Refuse a shift beside which another does as well, as in a motion that repeats itself."""
     peak = scores[best]
@@ -149,3 +156,94 @@ def _refuse_rival(place: str, scores: Array, seconds: Array, best: int) -> None:
             f"about as well ({peak:.3f} and {others.max():.3f}); the motion repeats itself. Lower "
             "most_s, or use channels with random motion"
         )
+
+
+# ------------------------------------------------------------------------- even stamps
+
+
+def straightened(place: str, time: Array) -> Array:
+    """Stamps on the straight line through them, in the place of those that jitter about it.
+
+    Examples
+    --------
+    >>> stamps = np.array([0.0, 0.011, 0.019, 0.03, 0.051, 0.059, 0.07, 0.081])
+    >>> straightened("log.csv: x", stamps).round(3).tolist()
+    [0.0, 0.01, 0.02, 0.03, 0.05, 0.06, 0.07, 0.08]
+    """
+    number = _plainly(time)
+    if number is None:
+        number = np.arange(len(time), dtype=float)
+        for _ in range(_MOST):
+            where, steps = _moved(number, time)
+            if where == 0:
+                break
+            number[where:] += steps
+        else:
+            raise InvalidData(
+                f"{place}: even = true, but at more than {_MOST} places stamps move by a step and "
+                "more for good; leave even out"
+            )
+        where, steps = _moved(number, time, whole=False)
+        if where:
+            raise InvalidData(
+                f"{place}: even = true, but at sample {where + 1} the stamps move by {steps:+.2f} "
+                "steps for good: whether samples are missing there cannot be told; leave even out"
+            )
+    line = _line(number, time)
+    off = np.abs(time - line)
+    step = median_step(time)
+    if off.max() > _OFF * step:
+        i = int(np.argmax(off))
+        raise InvalidData(
+            f"{place}: even = true, but sample {i + 1} is {off[i]:.4g} s off the straight line "
+            f"through the stamps, {off[i] / step:.0f} steps; leave even out"
+        )
+    return line
+
+
+def _line(number: Array, time: Array) -> Array:
+    slope, start = np.polyfit(number, time, 1)
+    return np.asarray(start + slope * number)
+
+
+def _plainly(time: Array) -> Array | None:
+    """Numbers of the samples where every pause is plainly a whole number of steps; else None."""
+    pauses = np.diff(time) / median_step(time)
+    whole = np.round(pauses)
+    if whole.min() < 1 or np.abs(pauses - whole).max() > _PLAIN:
+        return None
+    number = np.concatenate([[0.0], np.cumsum(whole)])
+    # Clocks that wander add up: the numbers have to lie along the line too.
+    off = time - _line(number, time)
+    return number if np.abs(off).max() < _SHIFT * median_step(time) else None
+
+
+def _moved(number: Array, time: Array, *, whole: bool = True) -> tuple[int, float]:
+    """Sample from which stamps are later for good by the most, and by how many steps.
+
+    0 where none are. Means of the stamps before and behind each place are compared, so that single
+    late ones do not count. With ``whole``, moves that are no whole number of steps onwards are
+    passed over.
+    """
+    count = len(time)
+    slope = float(np.polyfit(number, time, 1)[0])
+    off = (time - slope * number) / slope
+    total = np.concatenate([[0.0], np.cumsum(off - off[0])])
+    at = np.arange(count)
+    before, behind = np.minimum(at, _BESIDE), np.minimum(count - at, _BESIDE)
+    judged = at[(before >= _LEAST) & (behind >= _LEAST)]
+    if not len(judged):
+        return 0, 0.0
+    low, high = judged - before[judged], judged + behind[judged]
+    later = (total[high] - total[judged]) / behind[judged]
+    earlier = (total[judged] - total[low]) / before[judged]
+    move = later - earlier
+    wanted = np.abs(move) > _SHIFT
+    if whole:
+        wanted &= (np.round(move) >= 1) & (np.abs(move - np.round(move)) <= _SURE)
+    if not wanted.any():
+        return 0, 0.0
+    best = int(np.argmax(np.where(wanted, np.abs(move), -1.0)))
+    if whole:
+        return int(judged[best]), float(np.round(move[best]))
+    return int(judged[best]), float(move[best])

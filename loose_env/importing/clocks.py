@@ -115,7 +115,7 @@ def chosen_time(table: Table) -> tuple[TimeSource, str]:
     InvalidData
         If no column can be one; the message has the best candidate's row and values.
     """
-    if table.times is not None or table.rate_hz is not None:
+    if table.has_times:
         return TimeSource(), "by the format"
     candidates = named_times(table) or _nameless(table)
     refused: list[str] = []

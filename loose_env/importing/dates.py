@@ -77,8 +77,8 @@ def looks_like_a_date(words: str) -> bool:
 def date_format_of(cells: Iterable[str], place: str) -> str:
     """Recognise the format of a column of dates by all of its cells.
 
-    The order of day and month follows from a number above 12, or from dots, which stand in
-    dates with the day first. Dates that advance by days within the file tell it too.
+    The order of day and month is the one in which all cells are dates and the log is shortest;
+    of equals, dots stand in dates with the day first.
 
     Examples
     --------
@@ -89,50 +89,38 @@ def date_format_of(cells: Iterable[str], place: str) -> str:
     >>> date_format_of(["04/03/2025 10:11:12"], "log.csv")
     Traceback (most recent call last):
     ...
-    loose_env.errors.InvalidData: log.csv: '04/03/2025 10:11:12' may be day 4 of month 3 or ...
+    loose_env.errors.InvalidData: log.csv: '04/03/2025 10:11:12' may be '%d/%m/%Y %H:%M:%S' or ...
     """
-    found: re.Match[str] | None = None
-    example, first, second = "", set[int](), set[int]()
-    fraction, seconds = "", False
-    for cell in cells:
-        given = cell.strip()
-        if not given:
-            continue
-        match = _NUMERIC.fullmatch(given)
-        example = example or given
-        if match is None:
-            if found is None:
-                return _plain_format(given, place)
-            raise InvalidData(
-                f"{place}: {given[:60]!r} is no date of the form of {example!r}; give date_format"
-            )
-        found = found or match
-        first.add(int(match["a"]))
-        second.add(int(match["b"]))
-        clock = match["clock"]
-        seconds |= clock.count(":") == 2
-        fraction = fraction or next((f"{c}%f" for c in ".," if c in clock), "")
-    if found is None:
+    given = [cell.strip() for cell in cells if cell.strip()]
+    if not given:
         raise InvalidData(f"{place}: the column of the time is empty")
-    by = found["by"]
-    hour = "%I" if found["half"] else "%H"
-    tail = f"{found['gap']}{hour}:%M{':%S' if seconds else ''}{fraction}"
-    tail += "".join([" " if found["half"].startswith(" ") else "", "%p"]) if found["half"] else ""
+    found = _NUMERIC.fullmatch(given[0])
+    if found is None:
+        return _plain_format(given[0], place)
+    fraction = next((f"{m[0][0]}%f" for cell in given if (m := _FRACTION.search(cell))), "")
+    half, by = found["half"] or "", found["by"]
+    tail = f"{found['gap']}{'%I' if half else '%H'}:%M"
+    tail += f"{':%S' if found['clock'].count(':') == 2 else ''}{fraction}"
+    tail += f"{' ' * half.startswith(' ')}%p" if half else ""
     if len(found["a"]) == 4:
         return by.join(("%Y", "%m", "%d")) + tail
     year = "%Y" if len(found["c"]) == 4 else "%y"
-    day_first = by.join(("%d", "%m", year)) + tail
-    month_first = by.join(("%m", "%d", year)) + tail
-    if max(first) > 12 or (len(first) > 1 and len(second) == 1):
-        return day_first
-    if max(second) > 12 or (len(second) > 1 and len(first) == 1):
-        return month_first
-    if by == ".":
-        return day_first
+    days = {cell.partition(found["gap"])[0]: cell for cell in given}.values()
+    spans: dict[str, int] = {}
+    for order in (("%d", "%m", year), ("%m", "%d", year)):
+        try:
+            own = [date_ns(cell, by.join(order) + tail, place) for cell in days]
+        except InvalidData:
+            continue
+        spans[by.join(order) + tail] = max(own) - min(own)
+    if not spans:
+        raise InvalidData(f"{place}: {given[0]!r} and others are no dates of one form")
+    best = [each for each, span in spans.items() if span == min(spans.values())]
+    if len(best) == 1 or by == ".":
+        return best[0]
     raise InvalidData(
-        f"{place}: {example!r} may be day {min(first)} of month {min(second)} or day "
-        f"{min(second)} of month {min(first)}; give date_format = {day_first!r} or "
-        f"{month_first!r} in the source's time"
+        f"{place}: {given[0]!r} may be {best[0]!r} or {best[1]!r}; give date_format of them in the "
+        "source's time"
     )
 
 

@@ -1,26 +1,19 @@
-"""Channels of files listed, and written as a mapping file to fill in."""
+"""Sources of a mapping: files of one kind, their times, and their channels as lines to fill in."""
 
 from __future__ import annotations
 
 import re
-import time
-from collections.abc import Container, Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from time import gmtime, strftime
 
 import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.importing.clocks import chosen_time, named_times, samples_of, time_line
-from loose_env.importing.mapping import (
-    MAPPING_FORMAT,
-    TimeSource,
-    channel_keys,
-    printable,
-    quoted,
-)
+from loose_env.importing.mapping import MAPPING_FORMAT, TimeSource, printable, quoted
 from loose_env.importing.reading import given_files, open_log
 from loose_env.importing.samples import ChannelKey, Log, Table
 from loose_env.importing.units import column_quantity
@@ -29,21 +22,29 @@ from loose_env.recording import ModelColumns, joint_sensors
 _WIDE = 300
 _UNKNOWN = "sensor.?"
 _OF_JOINT = re.compile(r"(position|velocity|effort)\[(.+)\]")
-_DOWN = re.compile(r"\d+-R?[XYZ]")
 _MOST_LISTED = 500
 """Channels listed of one topic."""
+_NO_TIME = (
+    "# no column of time was found; name it, or give the recorder's rate: time = { rate_hz = ... } "
+    "[Hz]"
+)
+_HEAD = (
+    "# Columns of all runs; a run's own [runs.columns] come on top. Take the mark off",
+    "# the lines that are wanted, and put the model's column in the place of sensor.?",
+    "[columns]",
+)
+_RUNS = (
+    "", "[[runs]]", 'file = "run-01"',
+    'condition = "suspect"  # or "healthy", a reference taken before the fault',
+    '# excited = ["joint1"]',
+    '# pose = "measured"  # or { joint1 = 0.1, joint2 = "30 deg" }',
+    "# start = 0.0  # [s] after the first time that all columns have, or a date",
+    "# stop = 10.0",
+    "# rate_hz = 1000  # rows as the samples of the fastest channel without it",
+)  # fmt: skip
 
-
-class Channel(NamedTuple):
-    """One channel."""
-
-    key: ChannelKey
-    first: tuple[float, ...]
-    """First values, as the file holds them."""
-    unit: str
-    """Unit that the file itself gives."""
-    words: str
-    """Further description in the file."""
+LogFile = tuple[str, Path, Log, list[Table]]
+"""Name on the command line, path, log, and tables of its first episode."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,28 +68,100 @@ class Stream:
         return (self.samples - 1) / self.seconds if self.seconds and self.samples > 1 else None
 
     @property
-    def channels(self) -> list[Channel]:
-        """Channels of the table."""
+    def channels(self) -> dict[str, tuple[float, ...]]:
+        """Channels of the table, with their first values as the file holds them."""
         own = self.table
-        return [
-            Channel(
-                ChannelKey(name, own.topic),
-                tuple(np.asarray(own.columns.get(name, ())[:3], dtype=float).tolist()),
-                own.units.get(name, ""),
-                own.words.get(name, ""),
-            )
+        return {
+            name: tuple(np.asarray(own.columns.get(name, ())[:3], dtype=float).tolist())
             for name in [*own.columns, *own.texts][:_MOST_LISTED]
-        ]
+        }
 
 
-@dataclass(frozen=True, kw_only=True)
-class FileList:
-    """One file."""
+@dataclass(eq=False, kw_only=True)
+class LogSource:
+    """A source of the mapping: files of one kind, one in each run, and how they are read."""
 
-    log: Log
-    streams: tuple[Stream, ...]
-    options: tuple[str, ...]
-    """Lines of a mapping that say how to read it."""
+    files: list[LogFile]
+    lines: list[str] = field(default_factory=list)
+    """Lines of the mapping that say how to read it."""
+    times: dict[str, TimeSource] = field(default_factory=dict)
+    """Time of each topic."""
+
+    @property
+    def log(self) -> Log:
+        """The first of its files."""
+        return self.files[0][2]
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes of all files."""
+        return sum(len(log.episodes) for _, _, log, _ in self.files)
+
+    @property
+    def streams(self) -> list[Stream]:
+        """Tables of the first file, with beginning and length where their times can be read."""
+        return [_stream(table, self.times.get(table.topic)) for table in self.files[0][3]]
+
+    def take_times(self, rate_hz: float | None = None, *, strict: bool = True) -> None:
+        """Choose the time of each topic by all files, and write how they are read.
+
+        A file of one table without a time is refused, unless ``strict`` is false.
+        """
+        options = [o for o in self.log.options if rate_hz is None or not o.startswith("time =")]
+        lines = [f'kind = "{self.log.kind}"', *options]
+        chosen: dict[str, tuple[TimeSource, str]] = {}
+        for call, _, _, tables in self.files:
+            for table in tables:
+                told = TimeSource(rate_hz=rate_hz), ""
+                try:
+                    if rate_hz is None and (strict or table.has_times or named_times(table)):
+                        told = chosen_time(table)
+                    elif rate_hz is None:
+                        raise InvalidData("no name tells a time")
+                except InvalidData as error:
+                    if strict and len(tables) == 1:
+                        raise
+                    offered = named_times(table)
+                    if not strict and not table.topic:
+                        lines.append(time_line(offered[0], str(error)) if offered else _NO_TIME)
+                    continue
+                before = chosen.setdefault(table.topic, told)
+                if before[0] != told[0]:
+                    both = (before[0], told[0])
+                    chosen[table.topic] = (self._time_of_all(table.topic, both, call), before[1])
+        self.times = {topic: time for topic, (time, _) in chosen.items()}
+        for topic, (time, words) in chosen.items():
+            line = time_line(time, words)
+            if time != TimeSource():
+                body = f"topics.{quoted(topic)} = {line.removeprefix('time = ')}"
+                lines.append(body if topic and rate_hz is None else line)
+        self.lines = list(dict.fromkeys(lines))
+
+    def _time_of_all(self, topic: str, times: Sequence[TimeSource], call: str) -> TimeSource:
+        """Time that orders the rows of all files."""
+        tables = [t for *_, own in self.files for t in own if t.topic == topic]
+        for time in times:
+            try:
+                for table in tables:
+                    samples_of(table, next(iter(table.columns)), time)
+            except InvalidData:
+                continue
+            return time
+        raise InvalidData(
+            f"{call}: its rows are ordered by another time than those of {self.files[0][0]}; "
+            "import the files apart"
+        )
+
+
+def _stream(table: Table, time: TimeSource | None) -> Stream:
+    for name in [n for n in table.columns if time is not None and n != time.column][:1]:
+        try:
+            own = samples_of(table, name, time or TimeSource())
+        except InvalidData:
+            continue
+        start = own.origin_ns if own.origin_ns > 10**17 else None
+        return Stream(table=table, start_ns=start, seconds=float(own.time[-1] - own.time[0]))
+    return Stream(table=table)
 
 
 def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None) -> str:
@@ -119,41 +192,26 @@ def describe_sources(sources: Sequence[str], model: mujoco.MjModel | None = None
     ...     "elbow" in describe_sources([str(log)])
     True
     """
-    lists = list_sources(sources)
-    lines = [f"format = {quoted(MAPPING_FORMAT)}", 'model = "model.xml"  # MJCF, beside this file']
-    if model is not None:
-        lines += ["", "# Columns that the model allows:"]
-        for column in ModelColumns.of(model).known:
-            quantity = column_quantity(model, column)
-            lines.append(f"#   {quoted(column)}{f'  {quantity}' if quantity else ''}")
-    for name, each in lists.items():
-        lines += ["", f"[sources.{name}]", f"file = {quoted(each.log.name)}"]
-        lines.append(f'kind = "{each.log.kind}"')
-        lines += each.options
-    lines += [
-        "",
-        "# Columns of all runs; a run's own [runs.columns] come on top. Take the mark off",
-    ]
-    lines += ["# the lines that are wanted, and put the model's column in the place of sensor.?"]
-    lines += ["[columns]"]
-    for name, each in lists.items():
-        for stream in each.streams:
-            lines += _stream_lines(name, each, stream, model)
-    lines += [
-        "",
-        "[[runs]]",
-        'file = "run-01"',
-        'condition = "suspect"  # or "healthy", a reference taken before the fault',
-        '# excited = ["joint1"]',
-        '# pose = "measured"  # or { joint1 = 0.1, joint2 = "30 deg" }',
-        "# start = 0.0  # [s] after the first time that all columns have, or a date",
-        "# stop = 10.0",
-        "# rate_hz = 1000  # rows as the samples of the fastest channel without it",
-    ]
-    return "\n".join(lines) + "\n"
+    listed = list_sources(sources)
+    known = [] if model is None else ["", "# Columns that the model allows:"]
+    for column in () if model is None else ModelColumns.of(model).known:
+        quantity = column_quantity(model, column)
+        known.append(f"#   {quoted(column)}{f'  {quantity}' if quantity else ''}")
+    body = ["", *_HEAD]
+    for name, source in listed.items():
+        for stream in source.streams:
+            body += ["", f"# {source.log.words}: {_about(stream)}"[:_WIDE]]
+            for channel, first in stream.channels.items():
+                own, key = stream.table, ChannelKey(channel, stream.table.topic)
+                seen = ", ".join(f"{value:.6g}" for value in first)
+                note = "; ".join(filter(None, (seen, own.words.get(channel, ""))))
+                line = column_line(_likely(channel, model), name, key, own.units.get(channel, ""))
+                body.append(f"# {line}{f'  # {printable(note)}' if note else ''}")
+    head = ['model = "model.xml"  # MJCF, beside this file', *known]
+    return mapping_text(head, listed, [*body, *_RUNS])
 
 
-def list_sources(sources: Sequence[str]) -> dict[str, FileList]:
+def list_sources(sources: Sequence[str]) -> dict[str, LogSource]:
     """List the channels of files, by the names that a mapping may give the files.
 
     Parameters
@@ -163,7 +221,7 @@ def list_sources(sources: Sequence[str]) -> dict[str, FileList]:
 
     Returns
     -------
-    dict of str to FileList
+    dict of str to LogSource
         Name of the source -> its streams and channels.
 
     Raises
@@ -171,89 +229,58 @@ def list_sources(sources: Sequence[str]) -> dict[str, FileList]:
     InvalidData
         If a file cannot be read.
     """
-    lists: dict[str, FileList] = {}
-    for given, path in given_files(sources).items():
-        lists[source_name(given, lists)] = _listed(open_log(path))
-    return lists
+    found: dict[str, LogSource] = {}
+    for call, path in given_files(sources).items():
+        log = open_log(path)
+        source = LogSource(files=[(log.name, path, log, log.first())])
+        source.take_times(strict=False)
+        found[source_name(call, found)] = source
+    return found
 
 
-def _listed(log: Log) -> FileList:
-    streams, options = [], list(log.options)
-    for table in log.first():
-        offered = named_times(table)
-        time, words = offered[0] if offered else TimeSource(), ""
-        try:
-            if offered:
-                time, words = chosen_time(table)
-        except InvalidData as error:
-            words = str(error)
-        if log.kind in ("csv", "arrays", "hdf5") and not any("time =" in line for line in options):
-            none = (
-                "# no column of time was found; name it, or give the recorder's rate: "
-                "time = { rate_hz = ... } [Hz]"
-            )
-            options.append(time_line(time, printable(words)) if offered else none)
-        streams.append(_stream(table, time))
-    return FileList(log=log, streams=tuple(streams), options=tuple(options))
+def mapping_text(head: Sequence[str], sources: Mapping[str, LogSource], rest: Sequence[str]) -> str:
+    """Mapping file of sources, between its first lines and its columns and runs."""
+    lines = [f"format = {quoted(MAPPING_FORMAT)}", *head]
+    for name, source in sources.items():
+        lines += ["", f"[sources.{name}]", f"file = {quoted(source.files[0][0])}", *source.lines]
+    return "\n".join([*lines, *rest]) + "\n"
 
 
-def _stream(table: Table, time: TimeSource) -> Stream:
-    """Table with its beginning and length, where its time can be read."""
-    for name in [n for n in table.columns if n != time.column][:1]:
-        try:
-            own = samples_of(table, name, time)
-        except InvalidData:
-            continue
-        start = own.origin_ns if own.origin_ns > 10**17 else None
-        return Stream(table=table, start_ns=start, seconds=float(own.time[-1] - own.time[0]))
-    return Stream(table=table)
+def column_line(column: str, source: str, key: ChannelKey, unit: str, *more: str) -> str:
+    """Line of a mapping for the channel of a column; without a source where it is ""."""
+    parts = [f"source = {quoted(source)}"] if source else []
+    parts += [f"topic = {quoted(key.topic)}"] if key.topic else []
+    parts += [f"channel = {quoted(key.channel)}"]
+    parts += [f"unit = {quoted(unit)}"] if unit else []
+    return f"{quoted(column or _UNKNOWN)} = {{ {', '.join([*parts, *more])} }}"
 
 
-def _stream_lines(
-    name: str, file: FileList, stream: Stream, model: mujoco.MjModel | None
-) -> list[str]:
-    about = [printable(stream.table.topic), printable(stream.table.kind)]
-    if stream.samples:
-        about.append(f"{stream.samples} samples")
-    if stream.rate_hz is not None:
-        about.append(f"{stream.rate_hz:.6g} Hz over {stream.seconds:.3f} s")
-    if stream.start_ns is not None:
-        about.append(f"from {_date(stream.start_ns)}")
-    about.append(printable(stream.table.note))
-    lines = ["", f"# {file.log.words}: {', '.join(filter(None, about))}"[:_WIDE]]
-    for channel in stream.channels:
-        lines.append("# " + _channel_line(name, channel, _likely(channel, model)))
-    return lines
+def _about(stream: Stream) -> str:
+    """Topic, kind, length, rate and date of a stream, in words."""
+
+    def parts() -> Iterator[str]:
+        yield from (printable(stream.table.topic), printable(stream.table.kind))
+        if stream.samples:
+            yield f"{stream.samples} samples"
+        if stream.rate_hz is not None:
+            yield f"{stream.rate_hz:.6g} Hz over {stream.seconds:.3f} s"
+        if stream.start_ns is not None:
+            yield f"from {_date(stream.start_ns)}"
+        yield printable(stream.table.note)
+
+    return ", ".join(filter(None, parts()))
 
 
-def _likely(channel: Channel, model: mujoco.MjModel | None) -> str:
-    """Column of the model that a channel means by its name, or one to be replaced."""
-    if model is None:
-        return _UNKNOWN
-    words = channel.key.channel
-    if words in ModelColumns.of(model).known:
-        return words
-    found = _OF_JOINT.fullmatch(words)
-    joints = joint_sensors(model)
-    if found is None or found.group(2) not in joints:
-        return _UNKNOWN
-    kind, joint = found.groups()
-    own = joints[joint]
-    if kind == "effort":
-        return f"torque.{joint}"
-    sensors = own.position if kind == "position" else own.velocity
-    return f"sensor.{sensors[0]}" if sensors else _UNKNOWN
-
-
-def _channel_line(name: str, channel: Channel, column: str) -> str:
-    parts = channel_keys(name, channel.key)
-    if channel.unit:
-        parts.append(f"unit = {quoted(channel.unit)}")
-    if _DOWN.fullmatch(channel.key.channel):
-        parts.append("sign = -1")  # the recorder counts it against the axis
-    seen = ", ".join(f"{value:.6g}" for value in channel.first)
-    note = "; ".join(filter(None, (seen, printable(channel.words))))
-    return f"{quoted(column)} = {{ {', '.join(parts)} }}{f'  # {note}' if note else ''}"
+def _likely(channel: str, model: mujoco.MjModel | None) -> str:
+    """Column of the model that a channel means by its name; "" for none."""
+    if model is None or channel in ModelColumns.of(model).known:
+        return "" if model is None else channel
+    found = _OF_JOINT.fullmatch(channel)
+    own = joint_sensors(model).get(found[2]) if found else None
+    if found is None or own is None or found[1] == "effort":
+        return f"torque.{found[2]}" if found and own else ""
+    sensors = own.position if found[1] == "position" else own.velocity
+    return f"sensor.{sensors[0]}" if sensors else ""
 
 
 def source_name(given: str, taken: Container[str]) -> str:
@@ -269,7 +296,7 @@ def source_name(given: str, taken: Container[str]) -> str:
 
 def _date(ns: int) -> str:
     try:
-        whole = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(ns // 10**9))
+        whole = strftime("%Y-%m-%dT%H:%M:%S", gmtime(ns // 10**9))
     except (OverflowError, ValueError, OSError):
         return f"{ns} ns"
     return f"{whole}.{ns % 10**9:09d}Z"

@@ -26,6 +26,12 @@ _FALLS = 5.0
 """Factor by which the largest jump falls where values were wrapped around or had a sign bit."""
 _PERIODS = (2 * np.pi, 360.0, *(float(2**b) for b in (8, 10, 12, 13, 14, 16, 17, 20, 24, 32)))
 _SIGN_BITS = (10, 11, 15, 31)
+_SIZES = (1.0, 180 / math.pi, math.pi / 180, 30 / math.pi, 1 / 6, 60.0)
+"""Ratios of a velocity to the derivative of a position, in all their units."""
+_TOLD = 0.2
+"""Most that a size in no unit speaks against a velocity, and least correlation of one [1]."""
+_LEADS, _CLEARER = 1.5, 0.02
+"""Steps, and correlation beside that at no delay, from which a channel leads a derivative."""
 
 
 @dataclass(eq=False, kw_only=True)
@@ -211,10 +217,29 @@ def closeness(first: Sequence[Array], second: Sequence[Array]) -> float:
     return float(np.exp(-apart / spread)) if spread > 0 else 0.0
 
 
-def rate_likeness(position: Signal, other: Signal) -> float:
-    """Correlation of a channel with the derivative of another, at the best smoothing."""
-    pairs = zip(position.rates, other.smooth, strict=True)
-    return max((correlation(rates, own) for rates, own in pairs), key=abs)
+class Speed(NamedTuple):
+    """What there is of the derivative of a position in a channel."""
+
+    evidence: float
+    """Correlation, less what the size is off those of all units where none is stated [1]."""
+    correlation: float
+    """At the best smoothing; negative if reversed [1]."""
+    lead: float
+    """Time by which it leads the derivative, 0 where it does not [s]."""
+
+
+def speed_in(position: Signal, s: Signal) -> Speed:
+    """Compare a channel with the derivative of a position."""
+    pairs = zip(position.rates, s.smooth, strict=True)
+    value = max((correlation(rates, own) for rates, own in pairs), key=abs)
+    ratio = max(abs(slope(position.rates[1], s.smooth[1])), 1e-12)
+    off = 0.0 if s.unit else min(abs(math.log(ratio / each)) for each in _SIZES)
+    lead = 0.0
+    if abs(value) > _TOLD:
+        like, here = likeness(s.smooth[1], position.rates[1], s.step), abs(value)
+        ahead = like.lag > _LEADS * s.step and abs(like.correlation) > here + _CLEARER
+        lead = like.lag if ahead else 0.0
+    return Speed(math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value), value, lead)
 
 
 def coding_of(values: Array) -> tuple[float | None, int | None]:

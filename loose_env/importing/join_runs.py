@@ -19,6 +19,7 @@ from loose_env.recording import (
     FEWEST_SAMPLES,
     MOST_MISSING,
     MOST_VALUES,
+    CommandTiming,
     ModelColumns,
     Run,
     joint_sensors,
@@ -114,6 +115,11 @@ def joined_run(
         excited=plan.excited,
         pose=_pose(plan, model, groups["sensors"]),
         condition=plan.condition,
+        commands={
+            each.column[5:]: CommandTiming(mode="linear")
+            for each in plan.columns
+            if each.column.startswith("ctrl.") and each.method == "band"
+        },
     )
     seconds = run.time[-1]
     rate = 1 / median_step(run.time)

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
+from loose_env.importing.array_files import parquet_columns, vector_columns
 from loose_env.importing.samples import ChannelKey, Log, Table
-from loose_env.recording import MOST_VALUES, read_text
+from loose_env.recording import read_text
 from loose_env.typing import Array
 
 INFO = "meta/info.json"
@@ -116,12 +117,10 @@ def _table(whole: dict[str, Array], number: int, place: str, info: dict[str, Any
         labels = _labels(
             feature.get("names") if isinstance(feature, dict) else None, values.shape[1]
         )
-        for i in range(values.shape[1]):
-            entry = f"[{labels[i] if labels else i}]" if values.shape[1] > 1 or labels else ""
-            columns[f"{key}{entry}"] = values[rows, i]
-            aliases[f"{key}[{i}]"] = f"{key}{entry}"
-            if any(word in entry.lower() for word in _NORMALISED):
-                units[f"{key}{entry}"] = "%"
+        own, others = vector_columns(key, values[rows], labels)
+        columns |= own
+        aliases |= others
+        units |= {name: "%" for name in own if any(w in name.lower() for w in _NORMALISED)}
     fps = float(info["fps"])
     times = np.arange(len(rows)) / fps
     if "timestamp" in columns:
@@ -178,39 +177,16 @@ def _labels(names: Any, width: int) -> tuple[str, ...]:
 
 def _read(path: Path, place: str, columns: Sequence[str] | None) -> dict[str, Array]:
     """Columns of numbers of a Parquet table, each of shape (T, N)."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-    import pyarrow.parquet as pq
-
     try:
-        with pq.ParquetFile(path) as file:
-            there, rows = file.schema_arrow.names, file.metadata.num_rows
-            missing = "episode_index" not in there
-            table = None if missing else file.read(columns=columns, use_threads=False)
+        found = parquet_columns(path, columns)
     except Exception as error:  # pyarrow raises OSError, ValueError and its own
         words = " ".join(str(error).split())[:100]
         raise InvalidData(
             f"{place}: no whole Parquet file, cut short or damaged ({words}); download it again"
         ) from None
-    if table is None:
+    if "episode_index" not in found:
         raise InvalidData(f"{place}: there is no column 'episode_index'; it is no LeRobot table")
-    found = {}
-    for each in table.column_names:
-        column, width = table.column(each), 1
-        kind = column.type
-        if hasattr(kind, "value_type"):
-            widths = set(pc.list_value_length(column).unique().to_pylist())
-            if len(widths) != 1 or None in widths or hasattr(kind.value_type, "value_type"):
-                continue
-            width, column = next(iter(widths)), pc.list_flatten(column)
-            kind = kind.value_type
-        if not (
-            pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
-        ):
-            continue
-        if len(column) > MOST_VALUES:
-            raise InvalidData(f"{place}: column {each!r}: more than {MOST_VALUES} values")
-        values = np.asarray(column.cast(pa.float64()).to_numpy(), dtype=np.float64)
-        if values.size == rows * width and width:
-            found[each] = values.reshape(rows, width)
-    return found
+    return {
+        key: np.asarray(values.reshape(len(values), -1), dtype=np.float64)
+        for key, values in found.items()
+    }

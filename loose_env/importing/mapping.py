@@ -163,8 +163,7 @@ class CsvLayout:
     header: bool = True
     """True if there is a line of names; else columns are called "1", "2" and so on."""
     names: _Names = ()
-    """Names of the columns where ``header`` is false; a vector of UR's RTDE counts as its
-    entries, so that the list is the recipe of the recorder."""
+    """Names of the columns where ``header`` is false."""
     skip_after_header: Annotated[int, Ge(0), Le(100)] = 0
     """Lines between the names and the numbers, such as a line of units."""
     missing: _Names = ()
@@ -251,7 +250,8 @@ class ColumnKeys:
     offset: _Number = 0.0
     """Added last [SI unit]."""
     method: Method | None = None
-    """"hold" for ``ctrl.`` columns and "band" for the others by default."""
+    """"hold" for ``ctrl.`` columns and "band" for the others by default. Of commands it also says
+    whether they act held or along lines, which the motion decides by default."""
     delay_s: Annotated[float, Ge(-1e4), Le(1e4)] = 0.0
     """Latency of the channel [s]."""
     period: Annotated[float, Ge(1e-9), Le(1e18)] | None = None
@@ -480,10 +480,3 @@ def quoted(words: str) -> str:
 def printable(words: str) -> str:
     """Words for a comment of a mapping."""
     return "".join(c if c.isprintable() else " " for c in words)
-
-
-def channel_keys(source: str, key: ChannelKey) -> list[str]:
-    """Keys of a mapping's column that name a channel; without a source where it is ""."""
-    parts = [f"source = {quoted(source)}"] if source else []
-    parts += [f"topic = {quoted(key.topic)}"] if key.topic else []
-    return [*parts, f"channel = {quoted(key.channel)}"]

@@ -14,14 +14,14 @@ Role = Literal["position", "velocity", "torque", "current", "command", "accelera
 
 _WORD = re.compile(r"[A-ZÄÖÜ]?[a-zäöüß]+|[A-ZÄÖÜ]+(?![a-zäöüß])|\d+")
 _UNIT = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
-_ENTRY = re.compile(r"(.*?)\[([^\[\]]+)\]$")
-_NUMBERED = re.compile(r"(.*?\D)(\d+)$")
+_ENTRY = re.compile(r"(.*)\[([^\[\]]+)\]$")
+_NUMBERED = re.compile(r"(.*\D)?(\d+)(\D*)$")
 _TABLE = """
 other: tcp temp temperature temperatures volt volts voltage mode bits momentum pose quat eef wrench
 other: fraction scaling sin cos image reward done index task frame next orientation twist
 other: error err seq count counter id status state_machine enable kp kd gain mass
 command: target target command commands cmd action actions desired des ref reference setpoint goal
-command: ctrl control controls soll sollwert demand tgt sp
+command: ctrl control controls soll sollwert demand tgt sp set cmds
 acceleration: qdd ddq acc accel acceleration accelerometer qacc gyro gyroscope imu
 velocity: velocity velocities vel qd dq qvel speed rate omega
 torque: effort torque torques tau moment force forces frc load
@@ -51,8 +51,8 @@ class Meaning:
     """What is left of the name without joint and number: equal for the channels of a vector."""
     index: int | None
     """Place in that vector, where the name has a number."""
-    entry: bool
-    """True for an entry of an array, in brackets, of which the file itself makes a vector."""
+    array: str
+    """Array of which it is an entry, in brackets, so that the file makes a vector; else ""."""
     words: tuple[str, ...]
     """Words of the whole name, in lower case."""
 
@@ -78,15 +78,14 @@ def meaning_of(key: ChannelKey, joints: Sequence[str] = (), beside: str = "") ->
     >>> found.role, found.joint
     ('position', 'elbow')
     """
-    entry = key.channel.endswith("]") and " " not in key.channel
+    entry = _ENTRY.fullmatch(key.channel) if " " not in key.channel else None
     plain = key.channel if entry else _UNIT.sub("", key.channel).strip()
+    numbered = _NUMBERED.fullmatch(plain)
     base, index = plain, None
-    found, numbered = _ENTRY.fullmatch(plain), _NUMBERED.fullmatch(plain)
-    if found is not None:
-        base = found.group(1) if found.group(2).isdigit() else plain
-        index = int(found.group(2)) if found.group(2).isdigit() else None
+    if entry is not None and entry[2].isdigit():
+        base, index = entry[1], int(entry[2])
     elif numbered is not None:
-        base, index = numbered.group(1), int(numbered.group(2))
+        base, index = f"{numbered[1] or ''} {numbered[3]}", int(numbered[2])
     words = tuple(words_of(plain))
     joint, own = _joint_of(words, joints)
     rest = tuple(w for w in words_of(base) if w not in own)
@@ -101,7 +100,8 @@ def meaning_of(key: ChannelKey, joints: Sequence[str] = (), beside: str = "") ->
         if role == "command" and of == "":
             of = "command"
     vector = (key.topic, beside, *rest)
-    return Meaning(role, of, joint, vector, index, entry, words)  # type: ignore[arg-type]
+    array = f"{key.topic} {entry[1]}" if entry else ""
+    return Meaning(role, of, joint, vector, index, array, words)  # type: ignore[arg-type]
 
 
 def quantities(name: str) -> list[str]:

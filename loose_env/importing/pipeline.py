@@ -10,6 +10,7 @@ from typing import get_args
 import mujoco
 
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.importing.command_timing import timed
 from loose_env.importing.join_runs import Joined, joined_run, shifts_of
 from loose_env.importing.mapping import ImportMapping, RunPlan, read_mapping
 from loose_env.importing.reading import (
@@ -141,10 +142,16 @@ def import_recording(
             say(line)
     if session is not None:
         return write_measured(out, [each.run for each in joined], overwrite=settings.overwrite)
+    free = {
+        column.column[5:]
+        for run in plan.runs
+        for column in run.columns
+        if column.column.startswith("ctrl.") and column.method is None
+    }
     return write_recording(
         out,
         model_xml=model_file,
-        runs=[each.run for each in joined],
+        runs=timed(compiled, [each.run for each in joined], free, say),
         file_format=settings.file_format,
         overwrite=settings.overwrite,
     )

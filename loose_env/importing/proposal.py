@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,21 +13,21 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidData, LooseEnvError
-from loose_env.importing.clocks import chosen_time, samples_of, time_line
-from loose_env.importing.describe import source_name
+from loose_env.importing.clocks import samples_of
+from loose_env.importing.describe import (
+    LogFile,
+    LogSource,
+    column_line,
+    mapping_text,
+    source_name,
+)
 from loose_env.importing.evidence import Signal, coding_of, on_one_base
 from loose_env.importing.join_runs import decoded
-from loose_env.importing.mapping import (
-    MAPPING_FORMAT,
-    TimeSource,
-    channel_keys,
-    printable,
-    quoted,
-)
+from loose_env.importing.mapping import printable, quoted
 from loose_env.importing.names import meaning_of, quantities
 from loose_env.importing.reading import given_files, open_log
 from loose_env.importing.roles import Line, Roles
-from loose_env.importing.samples import ChannelKey, Log, Samples, Table, natural
+from loose_env.importing.samples import ChannelKey, Samples, natural
 from loose_env.importing.targets import joint_targets
 
 _MOST_RUNS = 4
@@ -46,23 +46,6 @@ class Left(NamedTuple):
     key: ChannelKey
     unit: str
     reason: str
-
-
-@dataclass(eq=False, kw_only=True)
-class LogSource:
-    """A source of the mapping: files of one kind, one in each run, and how they are read."""
-
-    files: list[tuple[str, Path, Log, list[Table]]]
-    """Name on the command line, path, log, and tables of its first episode."""
-    lines: list[str] = field(default_factory=list)
-    """Lines of the mapping that say how to read it."""
-    times: dict[str, TimeSource] = field(default_factory=dict)
-    """Time of each topic."""
-
-    @property
-    def episodes(self) -> int:
-        """Number of episodes of all files."""
-        return sum(len(log.episodes) for _, _, log, _ in self.files)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,13 +151,12 @@ def _sources(
     named: dict[str, LogSource] = {}
     for group in groups:
         name = source_name(group.files[0][0], named)
-        _take_times(group, rate_hz)
+        group.take_times(rate_hz)
         named[name] = group
     return named, notes, unused
 
 
-def _of_one_kind(one: tuple[str, Path, Log, list[Table]],
-                 other: tuple[str, Path, Log, list[Table]]) -> bool:  # fmt: skip
+def _of_one_kind(one: LogFile, other: LogFile) -> bool:
     """Whether two files are runs of one log: the same channels, and no other quantity by name."""
     keys = [{(t.topic, c) for t in each[3] for c in t.columns} for each in (one, other)]
     if one[2].kind != other[2].kind or len(keys[0] & keys[1]) < _SAME * len(keys[0] | keys[1]):
@@ -182,59 +164,6 @@ def _of_one_kind(one: tuple[str, Path, Log, list[Table]],
     told = [quantities(Path(each[0]).stem) for each in (one, other)]
     own = {q for t in one[3] for c in t.columns for q in quantities(c)} - {"other"}
     return told[0] == told[1] or len(own) > 1
-
-
-def _take_times(source: LogSource, rate_hz: float | None) -> None:
-    """Choose the time of each topic by all files, and write how they are read."""
-    _, _, log, _ = source.files[0]
-    lines = [f'kind = "{log.kind}"', *log.options]
-    if rate_hz is not None:
-        lines = [line for line in lines if not line.startswith("time =")]
-        lines.append(time_line(TimeSource(rate_hz=rate_hz)))
-    chosen: dict[str, tuple[TimeSource, str]] = {}
-    for call, _, _, tables in source.files:
-        for table in tables:
-            time, words = TimeSource(rate_hz=rate_hz), ""
-            if rate_hz is None:
-                try:
-                    time, words = chosen_time(table)
-                except InvalidData:
-                    if len(tables) == 1:
-                        raise
-                    continue
-            before = chosen.setdefault(table.topic, (time, words))
-            if before[0] != time:
-                time = _time_of_all(source, table.topic, (before[0], time), call)
-                chosen[table.topic] = (time, before[1])
-    source.times = {topic: time for topic, (time, _) in chosen.items()}
-    if rate_hz is None:
-        for topic, (time, words) in chosen.items():
-            plain = time == TimeSource()
-            if not topic and not plain:
-                lines.append(time_line(time, words))
-            elif topic and not plain:
-                body = time_line(time, words).removeprefix("time = ")
-                lines.append(f"topics.{quoted(topic)} = {body}")
-    source.lines = lines
-
-
-def _time_of_all(
-    source: LogSource, topic: str, times: tuple[TimeSource, ...], call: str
-) -> TimeSource:
-    """Time that orders the rows of all files of a source."""
-    for time in times:
-        try:
-            for _, _, _, tables in source.files:
-                for table in tables:
-                    if table.topic == topic:
-                        samples_of(table, next(iter(table.columns)), time)
-        except InvalidData:
-            continue
-        return time
-    raise InvalidData(
-        f"{call}: its rows are ordered by another time than those of {source.files[0][0]}; import "
-        "the files apart"
-    )
 
 
 def _runs(logs: Mapping[str, LogSource]) -> list[dict[str, str]]:
@@ -314,6 +243,7 @@ def _signals(
                 step=step,
                 period=coded[key][0],
                 sign_bit=coded[key][1],
+                whole=all(_is_whole(own[key].values) for own in read if key in own),
                 sort=i,
             )
         )
@@ -323,6 +253,10 @@ def _signals(
         raise InvalidData(f"{names}: no channels of numbers that have 10 samples in common; {why}")
     used = {(s.source, s.key) for s in signals}
     return signals, step, [each for key, each in left.items() if key not in used]
+
+
+def _is_whole(values: np.ndarray) -> bool:
+    return bool(np.all(values == np.round(values)))
 
 
 def _chosen(count: int, most: int = _MOST_RUNS) -> list[int]:
@@ -364,15 +298,11 @@ def proposal_text(proposal: Proposal, model: str) -> str:
         TOML; a line that lacks something is a comment.
     """
     several = len(proposal.logs) > 1
-    lines = [f"format = {quoted(MAPPING_FORMAT)}"]
-    lines.append(f"model = {quoted(model)}" if model else "# model: give it by --model")
+    head = [f"model = {quoted(model)}" if model else "# model: give it by --model"]
     if proposal.unused:
-        lines.append(
-            f"unused = [{', '.join(map(quoted, proposal.unused))}]  # none of their signals is used"
-        )
-    for name, log in proposal.logs.items():
-        lines += ["", f"[sources.{name}]", f"file = {quoted(log.files[0][0])}", *log.lines]
-    lines += [
+        names = ", ".join(map(quoted, proposal.unused))
+        head.append(f"unused = [{names}]  # none of their signals is used")
+    lines = [
         "",
         "# Proposed by what the channels do, names and ranges besides: check every line.",
         "[columns]",
@@ -381,12 +311,10 @@ def proposal_text(proposal: Proposal, model: str) -> str:
         lines.append(f"# {printable(each.reason)}")
         lines.append(f"{'# ' if each.open else ''}{_line(each, several)}")
     lines += [f"# {printable(note)}" for note in proposal.notes]
-    if proposal.unassigned:
-        lines.append("# Not used:")
+    lines += ["# Not used:"] if proposal.unassigned else []
     for left in proposal.unassigned[:_MOST_LEFT]:
-        parts = channel_keys(left.source if several else "", left.key)
-        parts += [f"unit = {quoted(left.unit)}"] if left.unit else []
-        lines.append(f'# "sensor.?" = {{ {", ".join(parts)} }}  # {printable(left.reason)}')
+        line = column_line("", left.source if several else "", left.key, left.unit)
+        lines.append(f"# {line}  # {printable(left.reason)}")
     if len(proposal.unassigned) > _MOST_LEFT:
         more = len(proposal.unassigned) - _MOST_LEFT
         lines.append(f"# and {more} more: loose import --describe lists them")
@@ -400,7 +328,7 @@ def proposal_text(proposal: Proposal, model: str) -> str:
         episodes = max(len(log.files[i][2].episodes) for log in proposal.logs.values())
         if episodes:
             lines.append(f'episodes = "all"  # of {episodes}; or such as "0, 3-5"')
-    return "\n".join(lines) + "\n"
+    return mapping_text(head, proposal.logs, lines)
 
 
 def _run_names(proposal: Proposal) -> list[str]:
@@ -430,13 +358,10 @@ def _shared(runs: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _line(each: Line, several: bool) -> str:
-    s = each.candidate
-    parts = channel_keys(s.source if several else "", s.key)
-    scaling = each.scaling
-    parts += [f"unit = {quoted(scaling.unit)}"] if scaling.unit else []
-    parts += [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
-    parts += [f"sign = {each.sign}"] if each.sign != 1 else []
-    parts += [f"offset = {scaling.offset:.9g}"] if scaling.offset else []
-    parts += [f"period = {s.period:.9g}  "[:-2]] if s.period is not None else []
-    parts += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None else []
-    return f"{quoted(each.column or 'sensor.?')} = {{ {', '.join(parts)} }}"
+    s, scaling = each.candidate, each.scaling
+    more = [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
+    more += [f"sign = {each.sign}"] if each.sign != 1 else []
+    more += [f"offset = {scaling.offset:.9g}"] if scaling.offset else []
+    more += [f"period = {s.period:.9g}"] if s.period is not None else []
+    more += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None else []
+    return column_line(each.column, s.source if several else "", s.key, scaling.unit, *more)

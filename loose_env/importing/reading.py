@@ -12,8 +12,8 @@ import numpy as np
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing.array_files import ENDINGS as ARRAYS
 from loose_env.importing.array_files import open_arrays
+from loose_env.importing.clock_alignment import straightened
 from loose_env.importing.clocks import samples_of
-from loose_env.importing.even_stamps import straightened
 from loose_env.importing.lerobot import INFO, UNITS, open_lerobot
 from loose_env.importing.mapping import ImportMapping, RunPlan, SourceEntry, TimeSource
 from loose_env.importing.messages import open_messages, storages
@@ -27,7 +27,6 @@ from loose_env.importing.samples import (
     unreadable,
 )
 from loose_env.importing.text_tables import open_text_table
-from loose_env.importing.uff_file import open_uff
 from loose_env.recording import nearest
 
 Given = Mapping[str, Path]
@@ -36,11 +35,13 @@ Given = Mapping[str, Path]
 _MCAP = b"\x89MCAP0\r\n"
 _ENDINGS: dict[str, FileKind] = {
     ".mcap": "mcap", ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".log": "csv",
-    ".asc": "csv", ".uff": "uff", ".unv": "uff", ".uf58": "uff", ".bunv": "uff",
-    ".db3": "rosbag2", ".bag": "rosbag2", ".zstd": "rosbag2", **ARRAYS,
+    ".asc": "csv", ".db3": "rosbag2", ".bag": "rosbag2", ".zstd": "rosbag2", **ARRAYS,
 }  # fmt: skip
+_UFF = "pyuff reads its time histories: save them with their times as .npz"
 _ADVICE = {
-    ".tdms": "export it as CSV or universal file",
+    ".tdms": "export it as CSV",
+    ".uff": _UFF,
+    ".unv": _UFF,
     ".xlsx": "save the sheet as CSV",
     ".pkl": "files that can hold code are not read",
     ".pickle": "files that can hold code are not read",
@@ -170,11 +171,9 @@ def kind_of(path: Path, told: FileKind | None = None) -> FileKind:
         raise InvalidData(f"{path.name}: {ending} is not read; {_ADVICE[ending]}")
     if ending in _ENDINGS:
         return _ENDINGS[ending]
-    if start.startswith(b"    -1"):
-        return "uff"
     raise InvalidData(
         f"{path.name}: of what kind is it? Read are {', '.join(_ENDINGS)}; say kind = 'csv', "
-        "'mcap', 'uff', 'hdf5' or 'sysid' with the source"
+        "'mcap', 'hdf5' or 'sysid' with the source"
     )
 
 
@@ -188,7 +187,7 @@ def open_log(path: Path, entry: SourceEntry | None = None) -> Log:
         return open_messages(path, name)
     if kind == "lerobot":
         return open_lerobot(path, name)
-    return open_uff(path, name) if kind == "uff" else open_arrays(path, name, kind)
+    return open_arrays(path, name, kind)
 
 
 def check_units(mapping: ImportMapping, files: Sequence[Mapping[str, Path]]) -> None:

@@ -1,18 +1,19 @@
 """Roles of channels by what they do: positions, velocities, torques, commands, tool sensors.
 
 A channel is a position if another follows its derivative, if another leads it, or if the torque
-that the model needs for it is in the log; a velocity if it follows the derivative of a position;
-a torque if it is what the model needs, and friction; a command if the motion follows it. Names
-and units are priors among these: they break ties, and never make a role of what contradicts.
+that the model needs for it is in the log. Of every other role at every joint each channel has a
+score, the sum of evidence and prior: its correlation with what the motion makes of that role, and
+what its name is worth. The roles are those of largest scores in sum. A name breaks ties, and never
+makes a role of what contradicts.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -23,38 +24,34 @@ from loose_env.importing.evidence import (
     Signal,
     Torque,
     closeness,
-    correlation,
     derivative,
     likeness,
-    rate_likeness,
     slope,
+    speed_in,
     torque_in,
 )
+from loose_env.importing.names import Meaning, Role
 from loose_env.importing.scalings import (
     Scaling,
     admits,
-    fits,
-    group_unit,
     is_rate,
-    normalised_scaling,
-    position_scaling,
+    position_scalings,
     rate_unit,
 )
 from loose_env.importing.targets import (
     JointTarget,
     joint_targets,
+    named_sensors,
     needed_torques,
     tool_sensors,
 )
 from loose_env.importing.units import quantity_of, unit_named
-from loose_env.importing.vectors import Labels, Vector
-from loose_env.recording import ModelColumns
 from loose_env.typing import Array
 
 ALIKE = 0.8
-"""Least correlation at which two channels without telling names are of one motion [1]."""
+"""Least score of a role, the correlation of a channel whose name tells nothing [1]."""
 _TRUSTED = 0.5
-"""Correlation from which a sign is read off a channel, and a name is believed [1]."""
+"""Correlation from which a channel with a telling name is believed [1]."""
 _SAME_UNIT = 3.0
 """Factor by which a measured torque may differ from the model's to count as one in N·m [1]."""
 _TOGETHER = 0.3
@@ -62,26 +59,26 @@ _TOGETHER = 0.3
 _LAGS = 1.5
 """Steps by which a command may seem to come late for the stamps of two streams."""
 _NAME = 0.3
-"""Correlation that a telling name is worth where channels compete for a joint [1]."""
+"""Correlation that a telling name is worth; that of the joint, or of none, is worth half [1]."""
 _PRIOR = {"position": 3.0, "": 0.0, "command": -3.0, "velocity": -4.0, "acceleration": -4.0,
           "torque": -4.0, "current": -4.0, "other": -6.0}  # fmt: skip
 """What a name is worth for a position, where leading or following a channel is worth 2."""
 _RATE = 0.95
-"""Least correlation with a derivative at which a channel without a name is a velocity [1]: dry
+"""Least correlation with a derivative at which a channel without a name tells a position [1]: dry
 friction's torque has 0.8 and more."""
-_UNIT = 0.1
-"""Share by which such a channel may be off the size that a unit gives it [1]."""
 _NEAR = 0.3
 """Least closeness of a channel without a name to the motion that follows it [1]: it is less than
 1.2 standard deviations of the motion away."""
+_UNIT = 0.2
+"""Most that its size speaks against a torque whose name tells nothing [1]."""
 _ROWS = 2000
 """Rows of which torques are computed where several motions are tried."""
-_WEAK = 0.2
-"""Least correlation of a named command with the motion of its joint [1]."""
-_MOSTLY = 0.75
-"""Share of the moving joints that have a velocity where channels without names are velocities."""
+_CLEARER = 0.1
+"""Score of explained torques by which exchanged states have to do better than named ones [1]."""
 _MOST = 80
 """Channels that are compared with each other."""
+_STRIDES = 12
+"""Most quantities that a log may have of each joint in turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,6 +95,32 @@ class Line:
     """True if something is missing, so that the line is left as a comment."""
 
 
+class Vector(NamedTuple):
+    """Channels of one quantity, each of its joint."""
+
+    members: dict[str, Signal]
+    words: str
+    """Where the joints follow from."""
+    given: bool
+    """True if the file itself makes a vector of them, by names or brackets."""
+
+
+class Match(NamedTuple):
+    """A channel in a role at a joint."""
+
+    joint: str
+    role: Role
+    evidence: float = 0.0
+    """Correlation with what the motion makes of the role; the score without names [1]."""
+    words: str = ""
+    """The evidence in words."""
+    why: str = ""
+    """Reason for which it has not the role in spite of it."""
+    sign: int = 1
+    per: float = 0.0
+    """Torque that the model needs for each of its units [N·m or N]; 0 where friction hides it."""
+
+
 @dataclass(eq=False)
 class Roles:
     """Roles of the channels of a log at the joints of a model."""
@@ -109,9 +132,9 @@ class Roles:
     """Source -> unit of an angle that its format defines."""
 
     def __post_init__(self) -> None:
-        self.targets = joint_targets(self.model)
-        self.joints = {each.name: each for each in self.targets}
-        self.labels = Labels(self.targets)
+        self.joints = {each.name: each for each in joint_targets(self.model)}
+        for s in self.signals:
+            s.meaning = self._as_named(s)
         self.lines: dict[str, Line] = {}
         self.open: list[Line] = []
         self.why: dict[int, str] = {}
@@ -120,65 +143,108 @@ class Roles:
         self.positions: dict[str, tuple[Signal, Scaling, str]] = {}
         self.rates: dict[str, list[Array]] = {}
         self.needed: dict[str, list[Array]] = {}
-        self.commands: dict[str, Signal] = {}
-        self.loads: dict[int, str] = {}
-        """Joint of channels without names that are the torques of the motion."""
-        self.places: dict[int, str] = {}
-        """Joint of channels by the vectors that the file makes of them."""
         self.notes: list[str] = []
         self.pairs: dict[tuple[int, int], Likeness] = {}
 
     def found(self) -> Roles:
         """All roles, in the order in which one rests on the other."""
-        self._direct()
-        self.vectors = vectors = self.labels.vectors(
-            [s for s in self.signals if s.sort not in self.used]
-        )
-        self.places = {s.sort: j for v in vectors if v.given for j, s in v.members.items()}
-        self._take_positions(vectors)
-        self._take_velocities()
+        for column, s, words in named_sensors(self.model, self.joints, self._free()):
+            self._add(column, s, Scaling(s.unit), 1, words)
+        self.vectors = self._vectors()
+        self.places = {s.sort: j for v in self.vectors if v.given for j, s in v.members.items()}
+        self._take_positions()
         self._take_units()
-        self._take_torques()
-        self._take_commands()
+        self._take_rest()
         self._take_still()
-        self._take_tool()
+        for column, s, unit, words in tool_sensors(self.model, self._free(), self.rates):
+            self._add(column, s, Scaling(unit), 1, words)
         return self
 
-    # --------------------------------------------------------------------- candidates
+    def _free(self) -> list[Signal]:
+        return [s for s in self.signals if s.sort not in self.used and s.moves]
 
-    def _free(self, *roles: str) -> list[Signal]:
-        return [
-            s
-            for s in self.signals
-            if s.sort not in self.used and s.moves and (not roles or self._role(s) in roles)
-        ]
+    # --------------------------------------------------------------------- names
 
-    def _direct(self) -> None:
-        """Channels that are named as sensors of the model other than those of joints."""
-        known = ModelColumns.of(self.model).known
-        own = {c for t in self.targets for c in (t.position, t.velocity, t.torque, t.command)}
-        for s in self.signals:
-            text = s.key.channel
-            axis = {"[0]": ".x", "[1]": ".y", "[2]": ".z"}.get(text[-3:], "")
-            names = [text, f"sensor.{text}", f"sensor.{text[:-3]}{axis}" if axis else ""]
-            column = next((n for n in names if n in known and n not in own), "")
-            if column and s.moves:
-                words = f"named as the model's {text!r}"
-                self._add(column, s, Scaling(s.unit), 1, words)
+    def _as_named(self, s: Signal) -> Meaning:
+        """Meaning of a channel; of one that is named as a sensor or actuator, its own."""
+        text = s.key.channel
+        for t in self.joints.values():
+            columns: dict[Role, str] = {
+                "position": t.position, "velocity": t.velocity, "command": t.command,
+                "torque": t.torque,
+            }  # fmt: skip
+            for role, column in columns.items():
+                bare = column.split(".", 1)[-1]
+                alone = bare if role != "torque" and bare != t.name else column
+                state = {"position": f"{t.name}_qpos", "velocity": f"{t.name}_qvel"}.get(role, "")
+                if text and text in (column, alone, f"{bare}_ctrl" * (role == "command"), state):
+                    return replace(s.meaning, role=role, of=role, joint=t.name, vector=(role,))
+        return s.meaning
 
-    def _role(self, s: Signal) -> str:
-        return (
-            self.labels.named(s)[0] or s.meaning.role or ("torque" if s.sort in self.loads else "")
-        )
+    def _label(self, s: Signal) -> str:
+        """Joint that a channel names; the only one where it names none."""
+        only = next(iter(self.joints)) if len(self.joints) == 1 else ""
+        return s.meaning.joint or only
+
+    def _vectors(self) -> list[Vector]:
+        """Channels that belong together by their names, by brackets, or by their order."""
+        found: list[Vector] = []
+        groups: dict[tuple[object, ...], list[Signal]] = {}
+        rest: list[Signal] = []
+        names = [*self.joints]
+        driven = [t.name for t in self.joints.values() if t.command]
+        for s in (s for s in self.signals if s.sort not in self.used):
+            if s.meaning.joint:
+                groups.setdefault(("label", s.source, s.meaning.vector), []).append(s)
+            elif len(names) == 1:
+                groups.setdefault(("only", s.source, s.sort), []).append(s)
+            elif s.meaning.index is not None and (s.meaning.array or s.meaning.role):
+                groups.setdefault(("index", s.source, s.meaning.vector), []).append(s)
+            else:
+                rest.append(s)
+        for (kind, source, _), own in groups.items():
+            if kind != "index":
+                while own:  # a joint may have two channels of one name
+                    members = {self._label(s): s for s in reversed(own)}
+                    own = [s for s in own if s not in members.values()]
+                    array = {s.meaning.array for s in members.values()}
+                    others = [s for s in rest if s.source == source and {s.meaning.array} == array]
+                    lacking = [j for j in names if j not in members]
+                    if "" not in array and len(others) == len(lacking):
+                        members |= dict(zip(lacking, others, strict=True))
+                    words = "of the only joint" if kind == "only" else "by its name"
+                    found.append(Vector(members, words, kind != "only"))
+                continue
+            own = sorted(own, key=lambda s: s.meaning.index or 0)
+            order = next((o for o in (names, driven) if len(o) == len(own)), None)
+            if order is None and len(own) > len(names) and own[0].meaning.role:
+                order = names
+            if order is None:
+                rest += own
+                continue
+            place = dict(zip(order, own, strict=False))
+            found.append(Vector(place, "by its place in the vector", True))
+        return [*found, *self._blocks(sorted(rest, key=lambda s: s.sort))]
+
+    def _blocks(self, rest: Sequence[Signal]) -> Iterator[Vector]:
+        """Vectors of channels without telling names: as many as joints, in a row or in turns."""
+        names, count = [*self.joints], len(self.joints)
+        for source in dict.fromkeys(s.source for s in rest):
+            own = [s for s in rest if s.source == source and s.meaning.role != "other" and s.moves]
+            for stride in range(1, _STRIDES + 1) if count > 1 else ():
+                words = "in the file's order" if stride == 1 else f"every {stride}th channel"
+                for first in range(len(own) - stride * (count - 1)):
+                    block = own[first : first + stride * (count - 1) + 1 : stride]
+                    yield Vector(dict(zip(names, block, strict=True)), words, False)
 
     # --------------------------------------------------------------------- positions
 
     def _alike(self, first: Signal, second: Signal) -> Likeness:
         key = (first.sort, second.sort)
+        if key[::-1] in self.pairs:
+            other = self.pairs[key[::-1]]
+            return Likeness(other.correlation, -other.lag)
         if key not in self.pairs:
-            if key[::-1] in self.pairs:
-                other = self.pairs[key[::-1]]
-                return Likeness(other.correlation, -other.lag)
             self.pairs[key] = likeness(first.runs, second.runs, self.step)
         return self.pairs[key]
 
@@ -186,16 +252,8 @@ class Roles:
         """Correlation of a channel with the derivative of another; 0 where it is no velocity."""
         if s is other or not is_rate(other.unit, s.unit):
             return 0.0
-        value, named = abs(rate_likeness(s, other)), self._role(other) == "velocity"
-        sized = named or bool(other.unit) or self._off_unit(s, other) < _UNIT
-        return value if value >= (ALIKE if named else _RATE) and sized else 0.0
-
-    @staticmethod
-    def _off_unit(s: Signal, other: Signal) -> float:
-        """Logarithm by which a channel is off the size of a velocity of another, in all units."""
-        ratio = abs(slope(s.rates[1], other.smooth[1]))
-        sizes = (1.0, 180 / math.pi, math.pi / 180, 30 / math.pi, 1 / 6, 60.0)
-        return min(abs(math.log(max(ratio, 1e-12) / each)) for each in sizes)
+        value = abs(speed_in(s, other).evidence)
+        return value if value >= (ALIKE if other.meaning.role == "velocity" else _RATE) else 0.0
 
     def _relation(self, s: Signal, others: Sequence[Signal]) -> tuple[float, str]:
         """What a channel does among the others, for a position, and the words for it."""
@@ -212,13 +270,13 @@ class Roles:
         follows, leads = 0.0, 0.0
         for d in others:
             same = {quantity_of(d.unit), quantity_of(s.unit)} - {""}
-            if d is s or len(same) > 1 or self._role(d) not in ("", "position", "command"):
+            if d is s or len(same) > 1 or d.meaning.role not in ("", "position", "command"):
                 continue
             like = self._alike(d, s)
-            told = self._role(d) == "command"
+            told = d.meaning.role == "command"
             if like.correlation < (_TRUSTED if told else ALIKE):
                 continue
-            several = len(self.targets) > 1 and not told and not d.unit
+            several = len(self.joints) > 1 and not told and not d.unit
             if several and closeness(d.runs, s.runs) < _NEAR:
                 continue  # joints that move together lead each other, too
             if like.lag > _TOGETHER * self.step and like.correlation > follows:
@@ -228,185 +286,93 @@ class Roles:
                 leads = max(leads, like.correlation)
         return score + (2.0 if follows else 0.0) - (2.0 if leads and not follows else 0.0), words
 
-    def _take_positions(self, vectors: Sequence[Vector]) -> None:
+    def _take_positions(self) -> None:
         moving = [s for s in self._free() if s.meaning.role != "other"][:_MOST]
-        scored: list[tuple[float, int, Vector, dict[str, str]]] = []
+        scored: list[tuple[float, int, Vector]] = []
         relations: dict[int, tuple[float, str]] = {}
-        for i, vector in enumerate(vectors):
-            own, words = [], {}
+        for i, vector in enumerate(self.vectors):
+            own = []
             for joint, s in vector.members.items():
-                if s.sort in self.used or not admits(
-                    s.unit, "position", slide=self.joints[joint].slide
-                ):
+                if not s.moves or not admits(s.unit, "position", slide=self.joints[joint].slide):
                     continue
-                role = self._role(s)
-                score = _PRIOR[role] + (2.0 if self.labels.named(s)[0] == "position" else 0.0)
-                if not s.moves:
-                    continue
-                if role not in ("other", "velocity", "acceleration", "torque", "current"):
+                score = _PRIOR[s.meaning.role]
+                if score > _PRIOR["velocity"]:
                     if s.sort not in relations:
                         relations[s.sort] = self._relation(s, moving)
-                    relation, words[joint] = relations[s.sort]
-                    score += relation
-                    if position_scaling(self.joints[joint], s.values, s.unit) is None:
-                        score -= 4.0
+                    score += relations[s.sort][0]
                 own.append(score)
             if own:
-                mean = float(np.mean(own) if vector.given else np.min(own))
-                scored.append((mean, -i, vector, words))
-        self._by_dynamics(scored)
-        for score, _, vector, words in sorted(scored, key=lambda each: each[:2], reverse=True):
-            if score <= 0.5:
-                break
+                scored.append((float(np.mean(own) if vector.given else np.min(own)), -i, vector))
+        if not any(score > 0.5 for score, *_ in scored):
+            scored += self._by_dynamics(scored, relations)
+        for score, _, vector in sorted(scored, key=lambda each: each[:2], reverse=True):
             taken = {s.sort for s, _, _ in self.positions.values()}
-            if any(s.sort in taken for s in vector.members.values()):
+            if score <= 0.5 or any(s.sort in taken for s in vector.members.values()):
                 continue
             for joint, s in vector.members.items():
                 fitting = admits(s.unit, "position", slide=self.joints[joint].slide)
                 if joint in self.positions or not s.moves or not fitting:
                     continue
-                if _PRIOR[self._role(s)] < -3.0:
-                    continue
-                name = "position" if self._role(s) == "position" else "taken as position"
-                reason = "; ".join(filter(None, [f"{name} {vector.words}", words.get(joint, "")]))
-                self.positions[joint] = (s, Scaling(""), reason)
-                self.used.add(s.sort)
+                if _PRIOR[s.meaning.role] >= _PRIOR["command"]:
+                    name = "position" if s.meaning.role == "position" else "taken as position"
+                    told = relations.get(s.sort, (0.0, ""))[1]
+                    reason = "; ".join(filter(None, [f"{name} {vector.words}", told]))
+                    self.positions[joint] = (s, Scaling(""), reason)
+                    self.used.add(s.sort)
 
-    def _by_dynamics(self, scored: list[tuple[float, int, Vector, dict[str, str]]]) -> None:
-        """Raise vectors for whose motion the model needs the torques of another one."""
-        if any(each[0] > 0.5 for each in scored):
-            return
-        full = [each for each in scored if set(each[2].members) == set(self.joints)]
-        best: tuple[Any, ...] = (0.0,)
-        for score, i, vector, words in [each for each in full if each[0] > -2.0]:
-            for unit in ("rad", "deg"):
-                factor = unit_named(unit, "").factor
-                motion = {j: [v * factor for v in s.runs] for j, s in vector.members.items()}
-                self.needed = needed_torques(self.model, motion, self.step, self._every(motion))
-                self.rates = {j: [derivative(v, self.step) for v in m] for j, m in motion.items()}
-                whole, _ = self._loads(vector.members)
-                if whole > best[0]:
-                    best = (whole, score, i, vector, words)
-        if len(best) > 1:
-            whole, score, i, vector, words = best
-            why = f"the torque that the model needs for it is in the log ({whole:.2f})"
-            words |= dict.fromkeys(vector.members, why)
-            scored.append((score + 4 * whole, i, vector, words))
-        self.needed, self.rates = {}, {}
-
-    def _loads(self, positions: Mapping[str, Signal]) -> tuple[float, dict[str, Signal]]:
-        """Vector that is most like the torques of positions, and how much; 0 where none is."""
-        best: tuple[float, dict[str, Signal]] = (0.0, {})
-        for other in self.vectors if self.needed else ():
-            own = {j: s for j, s in other.members.items() if j in positions}
-            taken = set(own.values()) & set(positions.values())
-            if taken or len(own) < len(positions) or any(
-                s.sort in self.used or self._role(s) not in ("", "torque") for s in own.values()
-            ):  # fmt: skip
-                continue
-            named = all(self._role(s) == "torque" for s in own.values())
-            told = [self._explained(j, s) for j, s in own.items()]
-            whole, alone = (float(np.mean([t[i] for t in told])) for i in (0, 1))
-            moves = [abs(self._alike(s, positions[j]).correlation) for j, s in own.items()]
-            load = named or (alone > _NAME and float(np.mean(moves)) < whole)
-            if whole > max(0.6, best[0]) and load:
-                best = (whole, own)
-        return best
-
-    def _every(self, motion: Mapping[str, Sequence[Array]]) -> int:
-        """Rows of which one is enough to tell a torque."""
-        return max(1, sum(len(v) for v in next(iter(motion.values()))) // _ROWS)
-
-    # --------------------------------------------------------------------- velocities, units
-
-    def _take_velocities(self) -> None:
-        joints = [j for j, (s, _, _) in self.positions.items() if s.moves]
-        candidates = [
-            s for s in self._free("velocity", "", "position")
-            if all(admits(s.unit, "velocity", slide=t.slide) for t in self.targets)
-        ]  # fmt: skip
-        table, sizes = np.zeros((2, len(joints), len(candidates)))
-        for i, joint in enumerate(joints):
-            for k, s in enumerate(candidates):
-                if self.labels.named(s)[0] in ("", "velocity"):
-                    own = self.positions[joint][0]
-                    table[i, k] = rate_likeness(own, s)
-                    sizes[i, k] = 0.0 if s.unit else min(0.2, self._off_unit(own, s))
-        self.speeds: dict[str, tuple[Signal, float]] = {}
-        for i, k in self._assigned(np.abs(table) - sizes, joints, candidates, "velocity"):
-            joint, s, value = joints[i], candidates[k], float(table[i, k])
-            named = self._role(s) == "velocity"
-            if abs(value) < (_TRUSTED if named else ALIKE):
-                self.why[s.sort] = f"{value:.2f} with the derivative of the position of {joint!r}"
-                continue
-            rates = self.positions[joint][0].rates[1]
-            like = likeness(s.smooth[1], rates, self.step)
-            here = abs(correlation(s.smooth[1], rates))
-            if like.lag > _LAGS * self.step and abs(like.correlation) > here + 0.02:
-                self.why[s.sort] = (
-                    f"leads the velocity of {joint!r} by {like.lag:.3g} s: one that was wanted, "
-                    "not measured"
-                )
-                continue
-            self.speeds[joint] = (s, value)
-        bare = [j for j, (s, _) in self.speeds.items() if self._role(s) == "" and not s.unit]
-        if len(bare) < _MOSTLY * len(joints):  # dry friction's torque is like a velocity, too
-            for joint in bare:
-                del self.speeds[joint]
-        self.used |= {s.sort for s, _ in self.speeds.values()}
-
-    def _assigned(
+    def _by_dynamics(
         self,
-        strength: Array,
-        joints: Sequence[str],
-        candidates: Sequence[Signal],
-        role: str,
-    ) -> list[tuple[int, int]]:
-        """Pairs of joint and channel of largest strength in sum, names adding theirs."""
-        if not strength.size:
-            return []
-        worth = strength.copy()
-        for i, joint in enumerate(joints):
-            for k, s in enumerate(candidates):
-                label = self.labels.joint(s)
-                worth[i, k] += _NAME * (self._role(s) == role)
-                worth[i, k] += 0.5 * _NAME * ((label == joint) - (label not in ("", joint)))
-        rows, columns = linear_sum_assignment(-worth)
-        return [(int(i), int(k)) for i, k in zip(rows, columns, strict=True)]
+        scored: Sequence[tuple[float, int, Vector]],
+        relations: dict[int, tuple[float, str]],
+    ) -> Iterator[tuple[float, int, Vector]]:
+        """The vector for whose motion the model needs the torques of another one."""
+        full = [each for each in scored if set(each[2].members) == set(self.joints)]
+        best = 0.6
+        found: list[tuple[float, int, Vector]] = []
+        for score, i, vector in [each for each in full if each[0] > -2.0]:
+            for unit in ("rad", "deg"):
+                self._move({j: Scaling(unit).si(s.runs) for j, s in vector.members.items()}, _ROWS)
+                for other in [each[2] for each in full if self.needed]:
+                    pairs = [(j, s, vector.members[j]) for j, s in other.members.items()]
+                    roles = {s.meaning.role for _, s, _ in pairs}
+                    shared = {s for _, s, _ in pairs} & {p for _, _, p in pairs}
+                    if shared or roles - {"", "torque"}:
+                        continue
+                    told = [self._explained(j, s) for j, s, _ in pairs]
+                    whole, alone = (float(np.mean([t[k] for t in told])) for k in (0, 1))
+                    moves = np.mean([abs(self._alike(s, p).correlation) for _, s, p in pairs])
+                    if whole > best and (roles == {"torque"} or (alone > _NAME and moves < whole)):
+                        best, found = whole, [(score + 4 * whole, i, vector)]
+                        why = f"the torque that the model needs for it is in the log ({whole:.2f})"
+                        relations |= {s.sort: (0.0, why) for s in vector.members.values()}
+        return iter(found)
+
+    def _move(self, motion: dict[str, list[Array]], rows: int = 0) -> None:
+        """Take a motion of the joints: its velocities, and the torques that the model needs."""
+        length = sum(len(v) for v in next(iter(motion.values()), []))
+        self.rates = {j: [derivative(v, self.step) for v in own] for j, own in motion.items()}
+        every = max(1, length // rows) if rows else 1
+        self.needed = needed_torques(self.model, motion, self.step, every)
 
     def _take_units(self) -> None:
-        """Units of positions: stated, by a velocity of known unit, by limits; then velocities."""
-        pairs = {j: s for j, (s, _, _) in self.positions.items()}
-        common = group_unit([self.joints[j] for j in pairs], [s.values for s in pairs.values()])
-        told = self._by_speed()
-        # One joint whose values are no degrees, but may be normalised, tells it of its vector.
-        normalised = common == "deg" and not told and any(
-            not s.unit and not fits(self.joints[j], s.low, s.high, "deg")
-            and normalised_scaling(self.joints[j], s.values)
-            and not self.defined.get(s.source)
-            for j, s in pairs.items()
-        )  # fmt: skip
-        for joint, (s, _, reason) in list(self.positions.items()):
+        """Units of positions, as stated or by the vector; the motion and its torques follow."""
+        pairs = {j: (self.joints[j], s) for j, (s, _, _) in self.positions.items()}
+        speeds: dict[str, float] = {}
+        for joint, (target, p) in pairs.items():
+            told = [s for s in self._free() if s.unit and admits(s.unit, "velocity",
+                    slide=target.slide) and is_rate(p.unit, s.unit)]  # fmt: skip
+            rated = [(abs(speed_in(p, s).evidence), s) for s in told]
+            value, s = max(rated, key=lambda each: each[0], default=(0.0, p))
+            if value >= ALIKE:
+                factor = unit_named(s.unit, "").factor
+                speeds[joint] = 1 / (abs(slope(p.rates[1], s.smooth[1])) * factor)
+        defined = all(self.defined.get(s.source) for _, s in pairs.values())
+        for joint, scaling in position_scalings(pairs, speeds, defined).items():
+            s, _, reason = self.positions[joint]
             target = self.joints[joint]
-            unit, why = s.unit, "as stated"
-            if not unit and told.get(joint):
-                unit, why = told[joint], "by the velocity beside"
-            elif not unit and self.defined.get(s.source):
-                unit, why = self.defined[s.source], "as the format defines"
-                unit = "m" if target.slide else unit
-            elif not unit and not target.slide and fits(target, s.low, s.high, common, 0.5):
-                unit, why = common, "fits most joints of the vector"
-                if common == "deg" and np.max(np.abs(s.values)) <= 100:
-                    why += "; values normalised to -100..100 would look alike"
-            scaling = position_scaling(target, s.values, unit, why)
-            if normalised and not s.unit:
-                scaling = normalised_scaling(target, s.values) or scaling
             if scaling is None:
                 words = f"{reason}; its values or unit fit no unit of {joint!r}"
-                self.open.append(
-                    Line(column=target.position, candidate=s, scaling=Scaling(""), reason=words,
-                         open=True)
-                )  # fmt: skip
+                self._open(target.position, s, Scaling(""), words)
                 del self.positions[joint]
                 continue
             self.positions[joint] = (s, scaling, reason)
@@ -418,310 +384,303 @@ class Roles:
                     f"the model has no sensor for the position of {joint!r}: add "
                     f'<jointpos name="{joint}_position" joint="{joint}"/> to its <sensor>'
                 )
-        motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
-        self.rates = {j: [derivative(v, self.step) for v in own] for j, own in motion.items()}
-        self.needed = needed_torques(self.model, motion, self.step)
-        for joint, (s, value) in self.speeds.items():
-            self._add_velocity(joint, s, value)
+        self._move({j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()})
 
-    def _by_speed(self) -> dict[str, str]:
-        """Units of positions that a velocity of stated unit determines."""
-        found = {}
-        for joint, (s, _) in self.speeds.items():
-            own, slide = self.positions[joint][0], self.joints[joint].slide
-            if own.unit or not s.unit:
-                continue
-            ratio = abs(slope(own.rates[1], s.smooth[1])) * unit_named(s.unit, "").factor
-            units = ("m", "cm", "mm", "um") if slide else ("rad", "deg", "rev", "mrad")
-            away = {u: abs(math.log(max(ratio, 1e-12) / unit_named(u, "").factor)) for u in units}
-            best = min(units, key=lambda u: away[u])
-            if away[best] < math.log(1.2):
-                found[joint] = best
-        return found
+    # --------------------------------------------------------------------- the other roles
 
-    def _add_velocity(self, joint: str, s: Signal, value: float) -> None:
-        target = self.joints[joint]
-        if joint not in self.positions:
-            self.used.discard(s.sort)
+    def _take_rest(self) -> None:
+        """Velocity, torque and command of every joint, by the largest scores in sum."""
+        candidates = self._free()
+        places: list[tuple[str, Role]] = [
+            (t.name, role)
+            for t in self.joints.values()
+            for role in ("velocity", "torque", "command")
+            if role != "command" or t.command
+        ]
+        table = [[self._match(j, role, s) for s in candidates] for j, role in places]
+        scores = np.array([[self._score(m, s) for m, s in zip(row, candidates, strict=True)]
+                           for row in table]).reshape(len(places), len(candidates))  # fmt: skip
+        chosen: dict[int, Match] = {}
+        for i, k in zip(*linear_sum_assignment(-scores), strict=True):
+            match, s = table[i][k], candidates[k]
+            if scores[i, k] >= ALIKE and not match.why:
+                chosen[k] = match
+                self.used.add(s.sort)
+        per: dict[object, list[float]] = {}
+        for k, match in chosen.items():
+            if match.per > 0:
+                per.setdefault(self._vector_of(candidates[k]), []).append(match.per)
+        for k, match in chosen.items():
+            s = candidates[k]
+            if match.role == "velocity":
+                self._add_velocity(match, s)
+            elif match.role == "torque":
+                self._add_torque(match, s, float(np.median(per.get(self._vector_of(s), [0.0]))))
+            else:
+                self._add_command(match, s)
+        self._exchanged({m.joint: candidates[k] for k, m in chosen.items() if m.role == "command"})
+        for k, s in enumerate(candidates):
+            if k not in chosen:
+                self._leave(s, [(scores[i, k], row[k]) for i, row in enumerate(table)])
+
+    def _leave(self, s: Signal, scored: Sequence[tuple[float, Match]]) -> None:
+        """Tell why a channel has no role, and what it is most like."""
+        best = sorted(scored, key=lambda each: -each[0])[:2]
+        named = [m for _, m in best if m.role == s.meaning.role and m.joint]
+        against = next((m for m in named if m.why and m.sign < 0), None)
+        if against is not None:
+            column = self.joints[against.joint].command
+            self._open(column, s, Scaling(s.unit), f"{against.words}: {against.why}", -1)
             return
-        ratio = slope(self.rates[joint], s.smooth[1])
-        unit = s.unit or rate_unit(ratio, target.slide)
-        words = f"{abs(ratio):.3g} times the derivative of the position, correlation {value:.2f}"
-        if not target.velocity:
-            self.why[s.sort] = f"velocity of {joint!r}, for which the model has no sensor"
-        elif not unit:
-            column = target.velocity
-            self._open(column, s, Scaling("rad/s"), f"velocity of {joint!r}; {words}: no unit is")
-        else:
-            sign = -1 if value < 0 else 1
-            self._add(target.velocity, s, Scaling(unit), sign, f"velocity of {joint!r}", words)
+        role = s.meaning.role
+        own = next((m for score, m in best if m.why and score >= ALIKE), None)
+        first = f"{own.words}: {own.why}" if own else (
+            f"by its name of another quantity ({role})" if role else "no role")  # fmt: skip
+        like = ", then ".join(
+            f"the {m.role} of {m.joint!r} ({m.evidence:.2f})" for _, m in best if m.evidence > 0
+        )
+        self.why.setdefault(s.sort, f"{first}; most like {like}" if like else first)
 
-    # --------------------------------------------------------------------- torques
+    def _vector_of(self, s: Signal) -> object:
+        own = next((i for i, v in enumerate(self.vectors) if s in v.members.values()), s.sort)
+        return (s.source, s.meaning.vector) if s.meaning.role else own
+
+    def _score(self, match: Match, s: Signal) -> float:
+        """Evidence, and what the name is worth beside it."""
+        if match.evidence <= 0.0:
+            return match.evidence
+        label = self._label(s) or self.places.get(s.sort, "")
+        role = "torque" if s.meaning.role == "current" else s.meaning.role
+        own = (label == match.joint) - (label not in ("", match.joint))
+        return match.evidence + _NAME * ((role == match.role) + 0.5 * own)
+
+    def _match(self, joint: str, role: Role, s: Signal) -> Match:
+        """Evidence of a channel in a role at a joint; none where name or unit contradict."""
+        target, own = self.joints[joint], s.meaning.role
+        none = Match(joint, role)
+        if not admits(s.unit, role, slide=target.slide):
+            return none
+        named = own == role or (own == "current" and role == "torque")
+        if role == "velocity" and (named or own in ("", "position")):
+            return self._as_velocity(joint, s)
+        if role == "torque" and (named or own == ""):
+            return self._as_torque(joint, s, named)
+        if role == "command" and (named or own in ("", "position")) and _takes(s, own, target):
+            return self._as_command(joint, s)
+        return none
+
+    def _as_velocity(self, joint: str, s: Signal) -> Match:
+        if joint not in self.positions:
+            return Match(joint, "velocity")
+        told = speed_in(self.positions[joint][0], s)
+        words = f"{told.correlation:.2f} with the derivative of the position of {joint!r}"
+        why = "" if not told.lead else (
+            f"it leads by {told.lead:.3g} s: one that was wanted, not measured")  # fmt: skip
+        sign = 1 if told.evidence >= 0 else -1
+        return Match(joint, "velocity", abs(told.evidence), words, why, sign)
 
     def _explained(self, joint: str, s: Signal) -> Torque:
-        """What there is of a torque in a channel."""
+        """What there is of a joint's torque in a channel."""
         if joint not in self.needed or joint not in self.rates:
             return Torque()
         return torque_in(s.smooth[1], self.needed[joint], self.rates[joint])
 
-    def _take_torques(self) -> None:
-        joints = list(self.positions)
-        quantities = ("", "torque", "force", "current", "number")
-        candidates = [
-            s for s in self._free("torque", "current", "")
-            if quantity_of(s.unit) in quantities
-        ]  # fmt: skip
-        _, loads = self._loads({j: s for j, (s, _, _) in self.positions.items()})
-        self.loads = {s.sort: j for j, s in loads.items()}
-        self.places |= self.loads
-        if not self.needed:
-            self._torques_by_name(candidates)
-            return
-        found = [[self._explained(j, s) for s in candidates] for j in joints]
-        named = [self._role(s) in ("torque", "current") for s in candidates]
+    def _as_torque(self, joint: str, s: Signal, named: bool) -> Match:
         # A torque is of the joint that its name or its place in a vector tells, or of none.
-        own = [self.labels.joint(s) or self.places.get(s.sort, "") for s in candidates]
-        table = np.array(
-            [[abs(t.whole if named[k] else t.alone) * (own[k] in ("", joint))
-              for k, t in enumerate(row)] for joint, row in zip(joints, found, strict=True)]
-        ).reshape(len(joints), len(candidates))  # fmt: skip
-        chosen: list[tuple[JointTarget, Signal, Torque, bool]] = []
-        for i, k in self._assigned(table, joints, candidates, "torque"):
-            joint, s, told = joints[i], candidates[k], found[i][k]
-            motion = abs(self._alike(s, self.positions[joint][0]).correlation)
-            if named[k] and table[i, k] < _TRUSTED:
-                self.why[s.sort] = (
-                    f"correlation {told.whole:.2f} with the torque that the model needs at "
-                    f"{joint!r}, and friction"
-                )
-            elif named[k]:
-                chosen.append((self.joints[joint], s, told, True))
-            elif table[i, k] > max(0.6, motion):
-                chosen.append((self.joints[joint], s, told, False))
-        bare = sum(not told for *_, told in chosen)
-        self.sure = {
-            ("loads",) if s.sort in self.loads else (s.source, s.meaning.vector)
-            for _, s, told, _ in chosen
-            if abs(told.alone) >= _TRUSTED and 1 / _SAME_UNIT < told.per < _SAME_UNIT
-        }
-        for target, s, told, by_name in chosen:
-            if by_name or 2 * bare >= len(joints):  # one of many without a name is chance
-                self._add_torque(target, s, told, named=by_name)
-
-    def _torques_by_name(self, candidates: Sequence[Signal]) -> None:
-        for s in candidates:
-            joint = self.labels.joint(s)
-            stated = quantity_of(s.unit) in ("torque", "force")
-            if joint and self.joints[joint].torque and (
-                stated or (self._role(s) == "torque" and self.defined.get(s.source))
-            ):  # fmt: skip
-                words = f"torque of {joint!r} by its name; the model's cannot be computed"
-                self._add(self.joints[joint].torque, s, Scaling(s.unit), 1, words)
-
-    def _add_torque(self, target: JointTarget, s: Signal, told: Torque, *, named: bool) -> None:
-        value, per = (told.whole if named else told.alone), told.per
+        if (self._label(s) or self.places.get(s.sort, "")) not in ("", joint):
+            return Match(joint, "torque")
+        stated = quantity_of(s.unit) in ("torque", "force") or bool(self.defined.get(s.source))
+        if not self.needed and named and stated and self._label(s):
+            words = f"torque of {joint!r} by its name; the model's cannot be computed"
+            return Match(joint, "torque", _TRUSTED, words, per=1.0)
+        told = self._explained(joint, s)
+        value = told.whole if named else told.alone
+        moves = 0.0 if joint not in self.positions else abs(
+            self._alike(s, self.positions[joint][0]).correlation)  # fmt: skip
+        words = f"correlation {value:.2f} with the torque that the model needs at {joint!r}, and "
+        evidence = abs(value) if named or abs(value) > moves else 0.0
+        if not named and evidence:  # a size in no unit speaks against it
+            evidence -= min(_UNIT, 0.5 * _UNIT * abs(math.log(max(told.per, 1e-9))))
+        per = told.per if abs(told.alone) >= _TRUSTED or not named else 0.0
         sign = -1 if value < 0 else 1
-        words = f"correlation {value:.2f} with the torque that the model needs, and friction"
-        current = quantity_of(s.unit) == "current" or self._role(s) == "current"
-        unit = "N" if target.slide else "N*m"
-        stated = quantity_of(s.unit) in ("torque", "force")
-        near = 1 / _SAME_UNIT < per < _SAME_UNIT
-        self.used.add(s.sort)
-        if current:
-            self._open(
-                target.torque, s, Scaling(unit, per * abs(value)),
-                f"{words}; a current [A]: give the torque constant and gear as scale [N·m/A]; "
-                f"{per * abs(value):.4g} fits the torque that the model needs", sign,
-            )  # fmt: skip
-        elif stated or near or self._told_beside(s):
-            self._add(target.torque, s, Scaling(s.unit or unit), sign, words)
-        elif named and abs(told.alone) < _TRUSTED:
-            why = f"{words}; mostly friction, which does not tell its unit: give it"
-            self._open(target.torque, s, Scaling(unit), why, sign)
-        else:
-            self._open(
-                target.torque, s, Scaling(unit, per),
-                f"{words}; {per:.4g} times it would be that torque [{unit}]: a current?", sign,
-            )  # fmt: skip
+        return Match(joint, "torque", evidence, f"{words}friction", "", sign, per)
 
-    def _told_beside(self, s: Signal) -> bool:
-        """Whether the unit of a torque is its format's, or is told by others of its vector."""
-        defined = bool(self.defined.get(s.source)) and self._role(s) == "torque"
-        vector = ("loads",) if s.sort in self.loads else (s.source, s.meaning.vector)
-        return defined or vector in self.sure
-
-    # --------------------------------------------------------------------- commands
-
-    def _motion(self, target: JointTarget) -> list[Array] | None:
-        if target.drive == "torque":
-            return self.needed.get(target.name)
-        if target.name not in self.positions:
-            return None
-        signal, scaling, _ = self.positions[target.name]
-        return scaling.si(signal.runs) if target.drive == "position" else self.rates[target.name]
-
-    def _take_commands(self) -> None:
-        motion = {
-            t.name: own
-            for t in self.targets
-            if t.command and t.command not in self.lines and (own := self._motion(t)) is not None
-            and any(len(v) and np.ptp(v) > 0 for v in own)
-        }  # fmt: skip
-        joints = list(motion)
-        candidates = [s for s in self._free("command", "", "position")]
-        likes: dict[tuple[int, int], Likeness] = {}
-        table = np.zeros((len(joints), len(candidates)))
-        for i, joint in enumerate(joints):
-            target = self.joints[joint]
-            for k, s in enumerate(candidates):
-                if not admits(s.unit, "command", slide=target.slide) or not self._commands(
-                    s, target
-                ):
-                    continue
-                like = likeness(s.runs, motion[joint], self.step)
-                likes[i, k] = like
-                table[i, k] = like.correlation
-        near = np.array(
-            [[closeness(s.runs, self.positions[j][0].runs) if j in self.positions else 0.0
-              for s in candidates] for j in joints]
-        ).reshape(table.shape)  # fmt: skip
-        order = {k: self.places.get(s.sort, "") for k, s in enumerate(candidates)}
-        table_by_place = np.where(table > 0, table, -0.5 * table) * (1 + _NAME * near) + np.array(
-            [[0.1 * (order[k] == joint) for k in range(len(candidates))] for joint in joints]
-        ).reshape(table.shape)
-        for i, k in self._assigned(table_by_place, joints, candidates, "command"):
-            if (i, k) in likes:
-                self._take_command(joints[i], candidates[k], likes[i, k])
-        self._exchanged()
-        for joint, s in self.commands.items():
-            if joint in self.positions or self.joints[joint].drive == "torque":
-                self._add_command(joint, s, motion)
-
-    def _commands(self, s: Signal, target: JointTarget) -> bool:
-        """Whether a channel may be what the actuator of a joint takes, by its name and unit."""
-        quantity = quantity_of(s.unit)
-        rate = quantity in ("angular speed", "speed")
-        load = quantity in ("torque", "force", "current")
-        own = {"position": not rate and not load, "velocity": not load, "torque": not rate}
-        of = s.meaning.of if self._role(s) == "command" else ""
-        told = of in ("", "command", target.drive) or (of == "current" and target.drive == "torque")
-        if target.drive == "torque" and quantity in ("angle", "length"):
-            return False
-        return own[target.drive] and told and self.labels.named(s)[0] in ("", "command")
-
-    def _take_command(self, joint: str, s: Signal, like: Likeness) -> None:
-        named = self._role(s) == "command"
-        words = f"correlation {like.correlation:.2f} with the motion of {joint!r}"
-        if like.correlation < 0 and abs(like.correlation) >= ALIKE and named:
-            column = self.joints[joint].command
-            why = f"{words}: the joint moves against it, so it is none, unless its sign is reversed"
-            self._open(column, s, Scaling(s.unit), why, -1)
-        elif like.correlation < (_WEAK if named else ALIKE):
-            self.why[s.sort] = f"{words}: no command"
-        elif like.lag < -_LAGS * self.step and self.joints[joint].drive != "torque":
-            self.why[s.sort] = f"{words}, but it lags by {-like.lag:.3g} s: no command"
-        elif self._role(s) == "position" and like.lag < self.step:
-            self.why[s.sort] = f"{words}: a second sensor of it"
-        else:
-            self.commands[joint] = s
-            self.used.add(s.sort)
-
-    def _exchanged(self) -> None:
-        """Note joints that follow each other's commands; the torques tell which are exchanged."""
-        label = {j: s.meaning.joint for j, s in self.commands.items()}
-        for a, b in itertools.combinations(label, 2):
-            if (label[a], label[b]) == (b, a):
-                self.notes.append(
-                    f"{a!r} and {b!r} follow each other's commands: the names of the commands are "
-                    "exchanged, as assumed here, or those of the states; loose doctor judges by "
-                    "the torques"
-                )
-
-    def _add_command(
-        self,
-        joint: str,
-        s: Signal,
-        motion: Mapping[str, list[Array]],
-    ) -> None:
+    def _as_command(self, joint: str, s: Signal) -> Match:
         target = self.joints[joint]
+        drive, near = target.drive, 0.0
+        motion = (self.needed if drive == "torque" else self.rates).get(joint)
+        if drive == "position" and joint in self.positions:
+            p, scaling, _ = self.positions[joint]
+            motion, near = scaling.si(p.runs), closeness(s.runs, p.runs)
+        if motion is None:
+            return Match(joint, "command")
+        like = likeness(s.runs, motion, self.step)
+        value, why = like.correlation, ""
+        words = f"correlation {value:.2f} with the motion of {joint!r}"
+        if value <= -ALIKE:
+            why = "the joint moves against it, so it is none, unless its sign is reversed"
+        elif like.lag < -_LAGS * self.step and drive != "torque":
+            why = f"it lags by {-like.lag:.3g} s: no command"
+        elif s.meaning.role == "position" and like.lag < self.step:
+            why = "a second sensor of it"
+        elif not s.meaning.role and drive != "torque":
+            load = max((self._explained(j, s).whole for j in self.needed), key=abs, default=0.0)
+            if abs(load) > value > 0:
+                why = f"it is more like a torque ({load:.2f})"
+        words += "" if why else f", the joint follows it by {like.lag:.3g} s"
+        # Joints that all follow the same course differ in where they are.
+        evidence = value * (1 + 0.5 * _NAME * near) if value > 0 else 0.5 * abs(value)
+        if drive == "torque" and s.meaning.role == "":
+            evidence = min(evidence, 0.99 * self._as_torque(joint, s, False).evidence)
+        return Match(joint, "command", evidence, words, why, 1 if value >= 0 else -1)
+
+    # --------------------------------------------------------------------- lines
+
+    def _add_velocity(self, match: Match, s: Signal) -> None:
+        target = self.joints[match.joint]
+        ratio = slope(self.rates[match.joint], s.smooth[1])
+        unit = s.unit or rate_unit(ratio, target.slide)
+        words = f"velocity of {match.joint!r}; {abs(ratio):.3g} times {match.words}"
+        if not target.velocity:
+            self.why[s.sort] = f"velocity of {match.joint!r}, for which the model has no sensor"
+        elif unit:
+            self._add(target.velocity, s, Scaling(unit), match.sign, words)
+        else:
+            self._open(target.velocity, s, Scaling("rad/s"), f"{words}: no unit is")
+
+    def _add_torque(self, match: Match, s: Signal, per: float) -> None:
+        """Line of a torque in the unit of its vector, of which one joint may tell it."""
+        target = self.joints[match.joint]
+        unit = "N" if target.slide else "N*m"
+        quantity = quantity_of(s.unit)
+        defined = bool(self.defined.get(s.source)) and s.meaning.role == "torque" and not quantity
+        near = 1 / _SAME_UNIT < per < _SAME_UNIT and not quantity
+        scaling = Scaling(unit, per or 1.0)
+        if quantity == "current" or s.meaning.role == "current":
+            scaling = Scaling(s.unit, per * match.evidence)
+            why = "a current [A]: give the torque constant and gear as scale [N·m/A]; "
+            why += f"{scaling.scale:.4g} fits the torque that the model needs"
+        elif quantity in ("torque", "force") or defined or near:
+            self._add(target.torque, s, Scaling(s.unit or unit), match.sign, match.words)
+            return
+        elif per == 0.0:
+            why = "mostly friction, which does not tell its unit: give it"
+        else:
+            why = f"{per:.4g} times it would be that torque [{unit}]: a current?"
+        self._open(target.torque, s, scaling, f"{match.words}; {why}", match.sign)
+
+    def _add_command(self, match: Match, s: Signal) -> None:
+        joint, target = match.joint, self.joints[match.joint]
         if target.command in self.lines:
             return
-        like = likeness(s.runs, motion[joint], self.step)
-        words = f"correlation {like.correlation:.2f}, the joint follows it by {like.lag:.3g} s"
         there = self.places.get(s.sort, "")
-        if there not in ("", joint):
-            words = f"{joint!r} follows it, not {there!r} as by its name or place; {words}"
+        exchanged = f"{joint!r} follows it, not {there!r} as by its name or place"
         scaling = Scaling(s.unit)
         if target.drive == "position":
-            signal, own, _ = self.positions[joint]
-            scaling = self._scaled_as(s, signal, own, target)
+            scaling = self._scaled_as(s, *self.positions[joint][:2], target)
         elif target.drive == "velocity" and not s.unit:
-            scaling = Scaling(rate_unit(slope(motion[joint], s.runs), target.slide))
-        self._add(target.command, s, scaling, 1, f"command of {joint!r}", words, scaling.reason)
+            scaling = Scaling(rate_unit(slope(self.rates[joint], s.runs), target.slide))
+        words = "" if there in ("", joint) else exchanged
+        self._add(
+            target.command, s, scaling, 1, f"command of {joint!r}", words, match.words,
+            scaling.reason,
+        )  # fmt: skip
 
-    def _scaled_as(self, s: Signal, signal: Signal, own: Scaling, target: JointTarget) -> Scaling:
-        """Scaling of a command by its size beside the position's."""
-        if s.unit and s.unit != "%":
-            return self._turned(s, signal, own, Scaling(s.unit, reason="as stated"))
-        ratio = abs(slope(own.si(signal.runs), s.runs))
+    def _scaled_as(self, s: Signal, p: Signal, own: Scaling, target: JointTarget) -> Scaling:
+        """Scaling of a command by its size beside the position's, which turns to where it is."""
         units = ("m", "mm") if target.slide else ("rad", "deg")
-        like = abs(slope(signal.runs, s.runs))  # of one unit with the position where near 1
+        ratio = abs(slope(own.si(p.runs), s.runs))
+        like = abs(math.log(max(abs(slope(p.runs, s.runs)), 1e-9)))
         away = {u: abs(math.log(max(ratio, 1e-9) * unit_named(u, "").factor)) for u in units}
         best = min(units, key=lambda u: away[u])
         plain = own.scale == 1.0 and own.offset == 0.0
-        if abs(math.log(max(like, 1e-9))) <= (away[best] if plain else away[best] + 0.5):
-            like_position = replace(own, reason="scaled as the position")
-            return self._turned(s, signal, own, like_position)
-        return Scaling(best, reason=f"{ratio:.3g} times the position [{units[0]}]")
-
-    def _turned(self, s: Signal, signal: Signal, own: Scaling, scaling: Scaling) -> Scaling:
-        """Move the position by whole periods of its wrap-around to where its command is."""
-        if signal.period is None:
-            return scaling
-        period = signal.period * own.scale * unit_named(own.unit or "1", "").factor
-        apart = np.median(np.concatenate(scaling.si(s.runs)) - np.concatenate(own.si(signal.runs)))
-        turns = round(float(apart) / period)
-        column = self.joints[next(j for j, e in self.positions.items() if e[0] is signal)].position
-        if turns and column in self.lines:
-            moved = replace(own, offset=own.offset + turns * period)
-            line = self.lines[column]
-            self.lines[column] = replace(
-                line, scaling=moved, reason=f"{line.reason}; {turns} turns on, where its command is"
+        if s.unit and s.unit != "%":
+            scaling = Scaling(s.unit, reason="as stated")
+        elif like <= (away[best] if plain else away[best] + 0.5):
+            scaling = replace(own, reason="scaled as the position")
+        else:
+            scaling = Scaling(best, reason=f"{ratio:.3g} times the position [{units[0]}]")
+        if p.period is not None and target.position in self.lines:
+            turn = p.period * own.factor
+            apart = np.concatenate(scaling.si(s.runs)) - np.concatenate(own.si(p.runs))
+            turns = round(float(np.median(apart)) / turn)
+            line = self.lines[target.position]
+            self.lines[target.position] = replace(
+                line,
+                scaling=replace(own, offset=own.offset + turns * turn),
+                reason=line.reason + f"; {turns} turns on, where its command is" * bool(turns),
             )
         return scaling
 
-    # --------------------------------------------------------------------- the rest
+    def _exchanged(self, commands: Mapping[str, Signal]) -> None:
+        """Exchange the states of joints that follow each other's commands if the torques say so."""
+        label = {j: s.meaning.joint for j, s in commands.items()}
+        for a, b in itertools.combinations(label, 2):
+            if (label[a], label[b]) != (b, a):
+                continue
+            other, why = {a: b, b: a}, "the torques do not tell"
+            torques = {
+                j: self.lines[t.torque].candidate
+                for j, t in self.joints.items() if t.torque in self.lines
+            }  # fmt: skip
+            if torques and self.needed:
+                motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
+                turned = {other.get(j, j): own for j, own in torques.items()}
+                as_named = self._told_by(torques)
+                self._move({other.get(j, j): own for j, own in motion.items()}, _ROWS)
+                exchanged = self._told_by(turned)
+                self._move(motion)
+                why = f"torques are explained by {as_named:.2f}, exchanged by {exchanged:.2f}"
+                if exchanged > as_named + _CLEARER:
+                    self._exchange(a, b)
+                    self.notes.append(
+                        f"the states of {a!r} and {b!r} are exchanged: each follows the other's "
+                        f"command, and {why}"
+                    )
+                    continue
+            self.notes.append(
+                f"{a!r} and {b!r} follow each other's commands: the names of the commands are "
+                f"exchanged, as assumed here, or those of the states; {why}"
+            )
+
+    def _told_by(self, torques: Mapping[str, Signal]) -> float:
+        """How well the model explains torques: correlation, less what their size is off."""
+        told = [self._explained(j, s) for j, s in torques.items()]
+        return float(np.mean([
+            abs(t.alone) - min(_UNIT, 0.5 * _UNIT * abs(math.log(max(t.per, 1e-9)))) for t in told
+        ]))  # fmt: skip
+
+    def _exchange(self, a: str, b: str) -> None:
+        """Exchange all columns of two joints, commands included."""
+        for one, other in zip(self.joints[a].columns, self.joints[b].columns, strict=True):
+            first, second = self.lines.pop(one, None), self.lines.pop(other, None)
+            for column, line in ((other, first), (one, second)):
+                if line is not None and column:
+                    self.lines[column] = replace(line, column=column)
+        self.positions[a], self.positions[b] = self.positions[b], self.positions[a]
 
     def _take_still(self) -> None:
         """Joints at rest: constant positions and commands beside others of their vector."""
         for s in self.signals:
             if not s.moves and s.values.size:
                 self.why[s.sort] = f"constant, {s.values[0]:.6g}"
-        for vector in self.vectors:
-            lines = {line.candidate.sort: line for line in self.lines.values()}
-            own = [lines[s.sort] for s in vector.members.values() if s.sort in lines]
-            if not own or not vector.given:
-                continue
-            command = own[0].column.startswith("ctrl.")
-            if not command and all(own[0].column != t.position for t in self.targets):
-                continue
-            for joint, s in vector.members.items():
-                target = self.joints[joint]
-                column = target.command if command else target.position
-                rival = self.lines.get(target.position if command else target.command)
-                if s.moves or not s.values.size or not column or column in self.lines:
+        of = {line.candidate.sort: line for line in self.lines.values()}
+        columns = {t.position: "position" for t in self.joints.values()}
+        columns |= {t.command: "command" for t in self.joints.values()}
+        for members in (v.members for v in self.vectors if v.given):
+            own = next((of[s.sort] for s in members.values() if s.sort in of), None)
+            role = columns.get(own.column) if own else None
+            for joint, s in members.items() if own and role else ():
+                t = self.joints[joint]
+                column, rival = (t.position, t.command)[:: 1 if role == "position" else -1]
+                other = self.lines.get(rival)
+                free = column and column not in self.lines and not s.moves and s.values.size
+                if own is None or not free or (other is not None and other.candidate.moves):
                     continue
-                if rival is None or not rival.candidate.moves:
-                    plain = own[0].scaling.scale == 1.0
-                    scaling = Scaling(own[0].scaling.unit) if plain else (
-                        normalised_scaling(target, s.values))  # fmt: skip
-                    if scaling is not None:
-                        self._add(column, s, scaling, 1, f"{joint!r} is at rest")
-
-    def _take_tool(self) -> None:
-        """The model's only accelerometer and gyro, by names of axes, units and size."""
-        for column, s, unit, words in tool_sensors(self.model, self._free(), self.rates):
-            self._add(column, s, Scaling(unit), 1, words)
+                plain = Scaling(own.scaling.unit) if own.scaling.scale == 1.0 else None
+                scaling = plain or position_scalings({joint: (t, s)}, {}, defined=False)[joint]
+                if scaling is not None:
+                    self._add(column, s, scaling, 1, f"{joint!r} is at rest")
 
     def _add(self, column: str, s: Signal, scaling: Scaling, sign: int, *reasons: str) -> None:
         reason = "; ".join(filter(None, reasons))
@@ -743,22 +702,18 @@ class Roles:
         """Channels that are not used, each with the reason and what it is most like."""
         taken = {line.candidate.sort for line in (*self.lines.values(), *self.open)}
         for s in self.signals:
-            if s.sort in taken:
-                continue
-            why = self.why.get(s.sort, "")
-            yield s, why or (self._nearest(s) if s.moves else "constant")
+            if s.sort not in taken:
+                yield s, self.why.get(s.sort, "no role")
 
-    def _nearest(self, s: Signal) -> str:
-        """What a channel is most like, though not enough for a role."""
-        scores: list[tuple[float, str]] = []
-        for joint, (p, _, _) in self.positions.items():
-            like = self._alike(s, p)
-            if abs(like.correlation) < 0.995 or self._role(s) != "other":
-                scores.append((abs(like.correlation), f"the motion of {joint!r}"))
-            scores.append((abs(rate_likeness(p, s)), f"the velocity of {joint!r}"))
-            scores.append((abs(self._explained(joint, s).alone), f"the torque of {joint!r}"))
-        scores.sort(reverse=True)
-        named = f"by its name of another quantity ({s.meaning.role})" if s.meaning.role else (
-            "no role")  # fmt: skip
-        best = ", then ".join(f"{words} ({value:.2f})" for value, words in scores[:2])
-        return f"{named}; most like {best}" if best else named
+
+def _takes(s: Signal, role: Role, target: JointTarget) -> bool:
+    """Whether a channel may be what the actuator of a joint takes, by its name and unit."""
+    quantity, drive = quantity_of(s.unit), target.drive
+    of = s.meaning.of if role == "command" else ""
+    allowed = {
+        "position": ("", "number", "voltage", "angle", "length"),
+        "velocity": ("", "number", "voltage", "angle", "length", "angular speed", "speed"),
+        "torque": ("", "number", "voltage", "torque", "force", "current"),
+    }
+    told = of in ("", "command", drive) or (of == "current" and drive == "torque")
+    return told and quantity in allowed[drive]

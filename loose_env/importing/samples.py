@@ -18,7 +18,7 @@ from loose_env.errors import InvalidData
 from loose_env.recording import nearest
 from loose_env.typing import Array
 
-FileKind = Literal["csv", "mcap", "uff", "rosbag2", "lerobot", "hdf5", "sysid", "arrays"]
+FileKind = Literal["csv", "mcap", "rosbag2", "lerobot", "hdf5", "sysid", "arrays"]
 """Kinds of files and folders that are read."""
 
 
@@ -27,8 +27,7 @@ class ChannelKey:
     """Identifier of a channel in a file."""
 
     channel: str
-    """Column of a table, field of a message, entry of a vector of a dataset, or measured point of
-    a universal file."""
+    """Column of a table, field of a message, or entry of a vector of a dataset."""
     topic: str = ""
     """Topic of an MCAP file or ROS bag, or part of a trajectory; empty elsewhere."""
 
@@ -102,6 +101,11 @@ class Table:
     def __len__(self) -> int:
         held = [*self.columns.values(), *self.texts.values(), *self.stamps.values()]
         return len(held[0]) if held else 0
+
+    @property
+    def has_times(self) -> bool:
+        """True if its times follow from the format."""
+        return self.times is not None or self.rate_hz is not None
 
     def row(self, i: int) -> str:
         """Place of a row, as errors say it."""

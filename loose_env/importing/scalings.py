@@ -1,13 +1,24 @@
-"""Units of channels: stated, else by limits, by a velocity beside, or by the model's torque."""
+"""Units of channels: stated, else by limits and by velocities; quantities that a role admits.
+
+Every way to read a vector of positions (radians, degrees, shares of the limits, ticks) gets a score
+against it, the sum over its joints of
+
+    2 + 2 log(share) where values are outside the limits, else min(2, log(share / 0.5)² / 3),
+    share = largest value / largest limit,
+
+and what a velocity beside contradicts; the least is taken. Far below a limit speaks against a unit
+too, but never by more than a joint at rest is worth.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from loose_env.importing.evidence import Signal
 from loose_env.importing.names import Role
 from loose_env.importing.targets import JointTarget
 from loose_env.importing.units import quantity_of, unit_named
@@ -20,15 +31,23 @@ _TURNS = 20.0
 three turns each way. A channel that is consistent with a velocity is radians beyond it, too."""
 _NORMALISED = 102.0
 """Largest value taken as normalised to 100 [1]: a calibrated end, and a margin."""
+_TICKS = 4096
+"""Ticks a turn of the servos whose words are logged as they are."""
 _NEAR = 1.5
 """Factor within which a ratio of rates counts as that of a unit [1]."""
+_AGAINST = {"rad": 0.0, "m": 0.0, "deg": 0.5, "mm": 0.5, "ticks": 0.5, "normalised": 2.0}
+"""What speaks against a unit where values fit: the rarer one."""
+_LENGTHS, _ANY = ("m", "mm"), ("normalised", "ticks")
+_UNFIT = 4.0
+"""What a joint whose values no unit of a kind can be speaks against it."""
+_DEFINED = 2.0
+"""What the definition of a format speaks for radians: less than values far outside the limits."""
 _RATES = {"rad/s": 1.0, "deg/s": 180 / math.pi, "rpm": 30 / math.pi, "rev/s": 0.5 / math.pi}
 _SPEEDS = {"m/s": 1.0, "mm/s": 1e3, "cm/s": 1e2, "mm/min": 6e4}
 _ALLOWED: dict[Role, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "position": (("angle", "number"), ("length", "number")),
     "velocity": (("angular speed",), ("speed",)),
-    "torque": (("torque",), ("force",)),
-    "current": (("current",), ("current",)),
+    "torque": (("torque", "number", "current"), ("force", "number", "current")),
     "command": (
         ("angle", "angular speed", "torque", "number", "voltage", "current"),
         ("length", "speed", "force", "number", "voltage", "current"),
@@ -48,10 +67,14 @@ class Scaling:
     """[rad or m]"""
     reason: str = ""
 
-    def si(self, runs: Sequence[Array], sign: int = 1) -> list[Array]:
+    @property
+    def factor(self) -> float:
+        """Factor from the channel's values to SI units."""
+        return self.scale * (unit_named(self.unit, "").factor if self.unit else 1.0)
+
+    def si(self, runs: Sequence[Array]) -> list[Array]:
         """Values of runs in SI units."""
-        factor = sign * self.scale * (unit_named(self.unit, "").factor if self.unit else 1.0)
-        return [v * factor + self.offset for v in runs]
+        return [v * self.factor + self.offset for v in runs]
 
 
 def admits(unit: str, role: Role, *, slide: bool) -> bool:
@@ -72,75 +95,133 @@ def is_rate(unit: str, of: str) -> bool:
     return not own or not other or _RATE_OF.get(other) == own
 
 
-def position_scaling(
-    joint: JointTarget, values: Array, unit: str = "", why: str = ""
-) -> Scaling | None:
-    """Scaling of a position; None where no unit fits, or the stated one is of another quantity."""
-    units = ("m", "mm") if joint.slide else ("rad", "deg")
-    low, high = float(np.min(values)), float(np.max(values))
-    seen = f"values {low:.4g} to {high:.4g}"
-    ends = "" if joint.limits is None else f" {joint.limits[0]:.4g} to {joint.limits[1]:.4g}"
-    about = f"limits{ends} {units[0]}" if ends else "no limits in the model"
-    stated = quantity_of(unit)
-    if stated not in ("", "number", quantity_of(units[0])):
-        return None
-    if stated == "number" and unit == "%":
-        found = normalised_scaling(joint, values)
-        return None if found is None else _because(found, seen, about)
-    fitting = [each for each in units if fits(joint, low, high, each)]
-    other = stated == quantity_of(units[0]) and unit not in units  # such as cm or mrad
-    if other or (unit in units and (unit in fitting or not fitting or why)):
-        note = "" if fits(joint, low, high, unit) else ", which they exceed"
-        return Scaling(unit, reason=f"{unit} {why}; {seen}, {about}{note}")
-    if fitting:
-        also = (
-            f"; {fitting[1]} would fit too, {fitting[0]} is taken for values this small"
-            if len(fitting) > 1
-            else ""
-        )
-        if fitting[0] == "deg" and max(abs(low), abs(high)) <= 100:
-            also = "; values normalised to -100..100 would look alike"
-        return Scaling(fitting[0], reason=f"{seen}, {about}: {fitting[0]}{also}")
-    found = normalised_scaling(joint, values)
-    if found is not None:
-        return _because(found, seen, about)
-    whole = bool(np.all(values == np.round(values)))
-    if whole and not joint.slide and low >= 0 and high < 4096:
-        turn = 2 * math.pi / 4096
-        words = "ticks of 4096 a turn, 2048 at zero"
-        return Scaling("rad", turn, -math.pi, f"{seen}, {about}: {words}")
-    return None
+def position_scalings(
+    pairs: Mapping[str, tuple[JointTarget, Signal]], speeds: Mapping[str, float], defined: bool
+) -> dict[str, Scaling | None]:
+    """Scaling of each position of a vector; None where no unit fits.
 
-
-def group_unit(joints: Sequence[JointTarget], values: Sequence[Array]) -> str:
-    """Unit of an angle that fits the hinges of a vector best; "" where there are none.
-
-    In each unit the largest value is a share of the joint's limit. Beyond the limit it speaks
-    against the unit, the more the farther; far below it speaks against it too, but never by more
-    than a joint at rest is worth.
+    Parameters
+    ----------
+    pairs : mapping
+        Joints and the channels of their positions.
+    speeds : mapping
+        Joint -> rate of its channel's values that makes 1 rad/s or m/s, by a velocity beside.
+    defined : bool
+        Whether the format defines radians and metres.
     """
-    against = {"rad": 0.0, "deg": 0.5}
-    hinges = [(j, v) for j, v in zip(joints, values, strict=True) if not j.slide]
-    for joint, own in hinges:
-        low, high = float(np.min(own)), float(np.max(own))
-        end = _TURNS if joint.limits is None else max(map(abs, joint.limits))
-        for unit in against:
-            share = max(abs(low), abs(high), 1e-9) * unit_named(unit, "").factor / max(end, 1e-9)
-            if not fits(joint, low, high, unit):
-                against[unit] += 2.0 + 2.0 * math.log(max(share, 1.0))
-            elif joint.limits is not None:
-                against[unit] += min(2.0, 0.5 * (math.log(share / 0.5) / 1.2) ** 2)
-    return min(against, key=lambda each: against[each]) if hinges else ""
+    signed = any(not s.unit and s.low < -1 for _, s in pairs.values())
+    ways = {joint: dict(_ways(*pair, signed=signed)) for joint, pair in pairs.items()}
+    against: dict[str, float] = {}
+    for way, prior in _AGAINST.items():
+        alike = [j for j, (t, s) in pairs.items() if not s.unit and t.slide == (way in _LENGTHS)]
+        open_ones = [j for j, (_, s) in pairs.items() if not s.unit] if way in _ANY else alike
+        against[way] = prior + sum(
+            _against(way, *pairs[j], ways[j][way], speeds.get(j)) if way in ways[j] else _UNFIT
+            for j in open_ones
+        )
+    if defined:
+        against["rad"] -= _DEFINED
+        against["m"] -= _DEFINED
+    return {
+        joint: _chosen(*pair, ways[joint], against, speeds.get(joint), defined)
+        for joint, pair in pairs.items()
+    }
 
 
-def normalised_scaling(joint: JointTarget, values: Array) -> Scaling | None:
+def _ways(joint: JointTarget, s: Signal, *, signed: bool) -> Iterator[tuple[str, Scaling]]:
+    """Ways to read the values of a position."""
+    for unit in ("m", "mm") if joint.slide else ("rad", "deg"):
+        yield unit, Scaling(unit)
+    normalised = normalised_scaling(joint, s, signed=signed and not s.unit)
+    if normalised is not None:
+        yield "normalised", normalised
+    if s.whole and not joint.slide and s.low >= 0 and s.high < _TICKS:
+        words = f"ticks of {_TICKS} a turn, {_TICKS // 2} at zero"
+        yield "ticks", Scaling("rad", 2 * math.pi / _TICKS, -math.pi, words)
+
+
+def _against(
+    way: str, joint: JointTarget, s: Signal, scaling: Scaling, speed: float | None
+) -> float:
+    """Score of one joint against a way to read its values."""
+    ends = scaling.si([np.array([s.low, s.high])])[0]
+    share = max(float(np.abs(ends).max()), 1e-9) / max(_end(joint), 1e-9)
+    if way == "normalised":
+        share = max(abs(s.low), abs(s.high), 1e-9) / 100
+    if not _within(joint, ends[0], ends[1]):
+        found = 2.0 + 2.0 * math.log(max(share, 1.0))
+    else:
+        found = 0.0 if joint.limits is None else min(2.0, math.log(share / 0.5) ** 2 / 3)
+    return found + (0.0 if speed is None else 3 * abs(math.log(scaling.factor * speed)))
+
+
+def _end(joint: JointTarget) -> float:
+    """Largest position that is expected [rad or m]."""
+    return (1.0 if joint.slide else _TURNS) if joint.limits is None else max(map(abs, joint.limits))
+
+
+def _within(joint: JointTarget, low: float, high: float, margin: float = _MARGIN) -> bool:
+    """Return whether positions lie within a joint's limits, and a share of them beyond."""
+    if joint.limits is None:
+        return max(abs(low), abs(high)) <= _end(joint)
+    margin = margin * (joint.limits[1] - joint.limits[0])
+    return joint.limits[0] - margin <= low and high <= joint.limits[1] + margin
+
+
+def _chosen(
+    joint: JointTarget, s: Signal, ways: Mapping[str, Scaling], against: Mapping[str, float],
+    speed: float | None, defined: bool,
+) -> Scaling | None:  # fmt: skip
+    """Scaling of one position: as stated, as its vector's, or its own where that does not fit."""
+    unit = "m" if joint.slide else "rad"
+    limits = joint.limits
+    about = "no limits in the model" if limits is None else (
+        f"limits {limits[0]:.4g} to {limits[1]:.4g} {unit}")  # fmt: skip
+    seen = f"values {s.low:.4g} to {s.high:.4g}, {about}"
+    stated = quantity_of(s.unit)
+    if s.unit == "%":
+        ways = {way: each for way, each in ways.items() if way == "normalised"}
+    elif stated not in ("", "number"):
+        if stated != quantity_of(unit):
+            return None
+        factor = unit_named(s.unit, "").factor
+        within = _within(joint, s.low * factor, s.high * factor)
+        return Scaling(s.unit, reason=f"{s.unit} as stated; {seen}{_exceeds(within)}")
+
+    def fits(way: str, margin: float = _MARGIN) -> bool:
+        ends = ways[way].si([np.array([s.low, s.high])])[0]
+        told = speed is not None or (defined and way == unit)
+        return told or _within(joint, ends[0], ends[1], margin)
+
+    common = min((way for way in ways), key=lambda way: against[way], default="")
+    if common and not fits(common, 0.5):
+        own = {w: _AGAINST[w] + _against(w, joint, s, ways[w], speed) for w in ways if fits(w)}
+        common = min(own, key=lambda way: own[way], default="")
+    if not common:
+        return None
+    scaling = ways[common]
+    why = "by the velocity beside" if speed is not None else scaling.reason or scaling.unit
+    if defined and common == unit:
+        why = f"{unit} as the format defines"
+    ends = scaling.si([np.array([s.low, s.high])])[0]
+    also = "normalised" in ways and common == "deg"
+    more = "; values normalised to -100..100 would look alike" if also else ""
+    return replace(
+        scaling, reason=f"{seen}: {why}{_exceeds(_within(joint, ends[0], ends[1]))}{more}"
+    )
+
+
+def _exceeds(within: bool) -> str:
+    return "" if within else ", which they exceed"
+
+
+def normalised_scaling(joint: JointTarget, s: Signal, *, signed: bool = False) -> Scaling | None:
     """Scaling of values normalised to a joint's limits; None where they cannot be."""
-    low, high = float(np.min(values)), float(np.max(values))
-    if joint.limits is None or max(abs(low), abs(high)) > _NORMALISED:
+    if joint.limits is None or max(abs(s.low), abs(s.high)) > _NORMALISED:
         return None
     unit = "m" if joint.slide else "rad"
     bottom, top = joint.limits
-    if low >= -1:
+    if s.low >= -1 and not signed:
         return Scaling(unit, (top - bottom) / 100, bottom, "normalised to 0..100 of the limits")
     words = "normalised to -100..100 of the limits"
     return Scaling(unit, (top - bottom) / 200, (top + bottom) / 2, words)
@@ -160,17 +241,3 @@ def rate_unit(ratio: float, slide: bool) -> str:
     away = {unit: abs(math.log(abs(ratio) / each)) for unit, each in units.items()}
     best = min(away, key=lambda each: away[each])
     return best if away[best] < math.log(_NEAR) else ""
-
-
-def fits(joint: JointTarget, low: float, high: float, unit: str, margin: float = _MARGIN) -> bool:
-    """Return whether values in a unit lie within a joint's limits, and a share of them beyond."""
-    factor = unit_named(unit, "").factor
-    if joint.limits is None:
-        return max(abs(low), abs(high)) * factor <= (1.0 if joint.slide else _TURNS)
-    margin = margin * (joint.limits[1] - joint.limits[0])
-    return joint.limits[0] - margin <= low * factor and high * factor <= joint.limits[1] + margin
-
-
-def _because(scaling: Scaling, seen: str, about: str) -> Scaling:
-    reason = f"{seen}, {about}: {scaling.reason}"
-    return Scaling(scaling.unit, scaling.scale, scaling.offset, reason)

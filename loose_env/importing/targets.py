@@ -36,6 +36,11 @@ class JointTarget:
     command: str
     drive: Drive
 
+    @property
+    def columns(self) -> tuple[str, str, str, str]:
+        """All of its columns."""
+        return self.position, self.velocity, self.torque, self.command
+
 
 def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
     """List the joints with one coordinate and a name, in the model's order."""
@@ -67,6 +72,21 @@ _TURNING = {"gyro", "gyroscope", "angular"}
 _GRAVITY = 0.2
 """Share by which the mean over a second of an accelerometer that no name tells may be
 off 1 g [1]."""
+
+
+def named_sensors(
+    model: mujoco.MjModel, joints: Mapping[str, JointTarget], free: Sequence[Signal]
+) -> Iterator[tuple[str, Signal, str]]:
+    """Channels that are named as sensors of the model other than those of joints."""
+    own = {c for t in joints.values() for c in t.columns}
+    known = set(ModelColumns.of(model).known) - own
+    for s in free:
+        text = s.key.channel
+        axis = {"[0]": ".x", "[1]": ".y", "[2]": ".z"}.get(text[-3:], "")
+        names = [text, f"sensor.{text}", f"sensor.{text[:-3]}{axis}" if axis else ""]
+        column = next((n for n in names if n in known), "")
+        if column:
+            yield column, s, f"named as the model's {text!r}"
 
 
 def tool_sensors(

@@ -32,24 +32,6 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|[+-]?inf", re.IGNO
 _MISSING = ("", "nan", "NaN", "NAN", "null", "None", "N/A")
 _VECTOR = re.compile(r"\s*[\[(]\s*[-+.\d].*[\])]\s*")
 
-_SIX = """
-target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_qdd
-actual_current actual_current_window actual_current_as_torque joint_control_output
-joint_temperatures joint_mode actual_joint_voltage actual_TCP_pose actual_TCP_speed
-actual_TCP_force target_TCP_pose target_TCP_speed ft_raw_wrench payload_inertia
-"""
-_THREE = "actual_tool_accelerometer payload_cog elbow_position elbow_velocity"
-_WIDTHS = dict.fromkeys(_SIX.split(), 6) | dict.fromkeys(_THREE.split(), 3)
-_RECORD = """
-timestamp target_q target_qd target_qdd target_current target_moment actual_q actual_qd
-actual_current joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force
-target_TCP_pose target_TCP_speed actual_digital_input_bits joint_temperatures
-actual_execution_time robot_mode joint_mode safety_mode actual_tool_accelerometer speed_scaling
-target_speed_fraction actual_momentum actual_main_voltage actual_robot_voltage
-actual_robot_current actual_joint_voltage actual_digital_output_bits runtime_state
-"""
-"""Fields of the recorder's own ``record_configuration.xml`` of Universal Robots' RTDE."""
-
 
 @dataclass(frozen=True)
 class _Head:
@@ -72,22 +54,6 @@ def open_text_table(path: Path, name: str, layout: CsvLayout | None) -> Log:
 
     options = tuple(_options(head.layout))
     return Log(name=name, kind="csv", words="table", tables=tables, options=options)
-
-
-def expanded_names(names: Sequence[str]) -> list[str]:
-    """Names of columns: a vector field of RTDE becomes its entries, others stay as they are.
-
-    Examples
-    --------
-    >>> expanded_names(["timestamp", "actual_tool_accelerometer"])
-    ['timestamp', 'actual_tool_accelerometer_0', 'actual_tool_accelerometer_1',
-    'actual_tool_accelerometer_2']
-    """
-    found = []
-    for name in names:
-        width = _WIDTHS.get(name, 1)
-        found += [f"{name}_{i}" for i in range(width)] if width > 1 else [name]
-    return found
 
 
 # ------------------------------------------------------------------------- values
@@ -289,7 +255,7 @@ def _told(path: Path, name: str, layout: CsvLayout) -> _Head:
     if not layout.header and len(names) != len(rows[0]):
         raise InvalidData(
             f"{name}: line {layout.skip + 1}: {len(rows[0])} cells, and names of the source gives "
-            f"{len(names)} columns (a vector of RTDE counts as its entries)"
+            f"{len(names)} columns"
         )
     head = 1 if layout.header else 0
     units = _units_below(rows[head]) if layout.skip_after_header and len(rows) > head else []
@@ -344,8 +310,7 @@ def _split(path: Path, name: str, layout: CsvLayout) -> _Head | None:
             above, i = [i], i + 1  # columns that were given numbers for names
             rows = rows[1:]
         if not above:
-            names = _recipe(width) if layout.separator in " ," else ()
-            layout = replace(layout, skip=lines[i][0] - 1, header=False, names=names)
+            layout = replace(layout, skip=lines[i][0] - 1, header=False)
             return _Head(layout, _header_of(rows[0], layout), rows, [], numbers)
         at = above[0] if above[0] >= i - 3 else above[-1]
         layout = replace(layout, skip=lines[at][0] - 1, skip_after_header=i - at - 1)
@@ -368,15 +333,9 @@ def _units_below(row: list[str]) -> list[str]:
     return [unit_in(f"[{cell.strip().strip('[]()')}]") for cell in row]
 
 
-def _recipe(columns: int) -> tuple[str, ...]:
-    """Fields of RTDE's own recipe if a nameless table has as many columns, else none."""
-    record = tuple(_RECORD.split())
-    return record if columns == len(expanded_names(record)) else ()
-
-
 def _header_of(row: list[str], layout: CsvLayout) -> list[str]:
     if not layout.header:
-        return expanded_names(layout.names) or [str(i + 1) for i in range(len(row))]
+        return [*layout.names] or [str(i + 1) for i in range(len(row))]
     return [" ".join(cell.split()).lstrip("#").strip() or "" for cell in row]
 
 
@@ -470,5 +429,3 @@ def _options(layout: CsvLayout) -> Iterator[str]:
             yield f"{key} = {getattr(layout, key)}"
     if not layout.header:
         yield "header = false"
-    if layout.names:
-        yield f"names = [{', '.join(map(quoted, layout.names))}]  # of RTDE's recorder"

@@ -21,74 +21,31 @@ class Unit:
     factor: float
 
 
-def _table() -> dict[str, Unit]:
-    by_quantity: dict[str, dict[str, float]] = {
-        "angle": {
-            "rad": 1.0,
-            "mrad": 1e-3,
-            "deg": math.pi / 180,
-            "°": math.pi / 180,
-            "arcmin": math.pi / 180 / 60,
-            "rev": 2 * math.pi,
-        },
-        "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254},
-        "time": {
-            "s": 1.0,
-            "ms": 1e-3,
-            "us": 1e-6,
-            "µs": 1e-6,
-            "ns": 1e-9,
-            "min": 60.0,
-            "h": 3600.0,
-        },
-        "speed": {
-            "m/s": 1.0,
-            "m/min": 1 / 60,
-            "mm/min": 1e-3 / 60,
-            "cm/s": 1e-2,
-            "mm/s": 1e-3,
-            "in/s": 0.0254,
-        },
-        "angular speed": {
-            "rad/s": 1.0,
-            "mrad/s": 1e-3,
-            "deg/s": math.pi / 180,
-            "°/s": math.pi / 180,
-            "dps": math.pi / 180,
-            "rpm": 2 * math.pi / 60,
-            "rev/s": 2 * math.pi,
-        },
-        "acceleration": {
-            "m/s^2": 1.0,
-            "cm/s^2": 1e-2,
-            "mm/s^2": 1e-3,
-            "g": STANDARD_GRAVITY,
-            "mg": 1e-3 * STANDARD_GRAVITY,
-            "in/s^2": 0.0254,
-        },
-        "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": math.pi / 180},
-        "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": 4.4482216152605, "kip": 4448.2216152605},
-        "torque": {
-            "N*m": 1.0,
-            "mN*m": 1e-3,
-            "kN*m": 1e3,
-            "N*cm": 1e-2,
-            "N*mm": 1e-3,
-            "lbf*in": 0.1129848290276167,
-            "lbf*ft": 1.3558179483314004,
-        },
-        "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
-        "current": {"A": 1.0, "mA": 1e-3},
-        "number": {"1": 1.0, "%": 1e-2},
-    }
-    return {
-        name: Unit(quantity=quantity, factor=factor)
-        for quantity, units in by_quantity.items()
-        for name, factor in units.items()
-    }
-
-
-UNITS = _table()
+_DEG, _TURN, _INCH = math.pi / 180, 2 * math.pi, 0.0254
+_TABLE = {
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": _DEG, "°": _DEG, "arcmin": _DEG / 60, "rev": _TURN},
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": _INCH},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "speed": {"m/s": 1.0, "m/min": 1 / 60, "mm/min": 1e-3 / 60, "cm/s": 1e-2, "mm/s": 1e-3,
+              "in/s": _INCH},
+    "angular speed": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEG, "°/s": _DEG, "dps": _DEG,
+                      "rpm": _TURN / 60, "rev/s": _TURN},
+    "acceleration": {"m/s^2": 1.0, "cm/s^2": 1e-2, "mm/s^2": 1e-3, "g": STANDARD_GRAVITY,
+                     "mg": 1e-3 * STANDARD_GRAVITY, "in/s^2": _INCH},
+    "angular acceleration": {"rad/s^2": 1.0, "deg/s^2": _DEG},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": 4.4482216152605, "kip": 4448.2216152605},
+    "torque": {"N*m": 1.0, "mN*m": 1e-3, "kN*m": 1e3, "N*cm": 1e-2, "N*mm": 1e-3,
+               "lbf*in": 0.1129848290276167, "lbf*ft": 1.3558179483314004},
+    "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "number": {"1": 1.0, "%": 1e-2},
+}  # fmt: skip
+"""Quantity -> units, with their factors to SI units."""
+UNITS = {
+    name: Unit(quantity=quantity, factor=factor)
+    for quantity, units in _TABLE.items()
+    for name, factor in units.items()
+}
 """Name -> unit. Also read are ``m/s2`` and ``m/s²``, and ``Nm``, ``N·m`` and ``N.m``."""
 
 _SAME = {
@@ -102,23 +59,15 @@ _SAME = {
     for given in all_given.split()
 }  # fmt: skip
 _QUANTITIES = {
-    "mjSENS_ACCELEROMETER": "acceleration",
-    "mjSENS_FRAMELINACC": "acceleration",
-    "mjSENS_FRAMEANGACC": "angular acceleration",
-    "mjSENS_VELOCIMETER": "speed",
-    "mjSENS_FRAMELINVEL": "speed",
-    "mjSENS_SUBTREELINVEL": "speed",
-    "mjSENS_GYRO": "angular speed",
-    "mjSENS_FRAMEANGVEL": "angular speed",
-    "mjSENS_FORCE": "force",
-    "mjSENS_TOUCH": "force",
-    "mjSENS_TORQUE": "torque",
-    "mjSENS_FRAMEPOS": "length",
-    "mjSENS_RANGEFINDER": "length",
-    "mjSENS_FRAMEXAXIS": "number",
-    "mjSENS_FRAMEYAXIS": "number",
-    "mjSENS_FRAMEZAXIS": "number",
-}
+    f"mjSENS_{kind}": quantity
+    for quantity, kinds in {
+        "acceleration": "ACCELEROMETER FRAMELINACC", "angular acceleration": "FRAMEANGACC",
+        "speed": "VELOCIMETER FRAMELINVEL SUBTREELINVEL", "angular speed": "GYRO FRAMEANGVEL",
+        "force": "FORCE TOUCH", "torque": "TORQUE", "length": "FRAMEPOS RANGEFINDER",
+        "number": "FRAMEXAXIS FRAMEYAXIS FRAMEZAXIS",
+    }.items()
+    for kind in kinds.split()
+}  # fmt: skip
 _BY_JOINT = {
     "mjSENS_JOINTPOS": ("angle", "length"),
     "mjSENS_JOINTVEL": ("angular speed", "speed"),
@@ -162,11 +111,7 @@ def quantity_of(unit: str) -> str:
 
 def known_units() -> str:
     """List of all units by quantity."""
-    quantities = dict.fromkeys(unit.quantity for unit in UNITS.values())
-    return "; ".join(
-        f"{quantity}: {' '.join(n for n, unit in UNITS.items() if unit.quantity == quantity)}"
-        for quantity in quantities
-    )
+    return "; ".join(f"{quantity}: {' '.join(units)}" for quantity, units in _TABLE.items())
 
 
 def column_quantity(model: mujoco.MjModel, column: str) -> str | None:

@@ -25,7 +25,7 @@ from loose_env.recording.recording import (
     read_description,
     read_recording,
 )
-from loose_env.recording.run import Comparison, Condition, Run, table_of
+from loose_env.recording.run import CommandTiming, Comparison, Condition, Run, table_of
 from loose_env.recording.tables import (
     FEWEST_SAMPLES,
     MOST_MISSING,
@@ -45,6 +45,7 @@ __all__ = [
     "LARGEST_VALUE",
     "MOST_MISSING",
     "MOST_VALUES",
+    "CommandTiming",
     "Comparison",
     "Condition",
     "Corrupt",

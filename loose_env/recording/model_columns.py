@@ -163,6 +163,15 @@ class ModelColumns:
                 f"{_few(self.joints)}{nearest(joint, self.joints)}"
             )
 
+    def check_command(self, place: str, actuator: str) -> None:
+        """Refuse what is no actuator with a command; ``place`` says where it was given."""
+        if f"ctrl.{actuator}" not in self.known:
+            drives = [name for group, name, _ in self.known.values() if group == "controls"]
+            raise InvalidData(
+                f"{place}: {_short(actuator)} is no actuator of the model; it has {_few(drives)}"
+                f"{nearest(actuator, drives)}"
+            )
+
 
 def _header(file: str, column: str) -> str:
     return f"{file}: column {_short(column)}, row 0 (the header)"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from posixpath import normpath
@@ -25,7 +25,7 @@ from loose_env.recording.model_columns import (
     check_comparison,
     joint_sensors,
 )
-from loose_env.recording.run import Condition, Run
+from loose_env.recording.run import CommandTiming, Condition, Run
 from loose_env.recording.tables import (
     check_numbers,
     existing_file,
@@ -83,6 +83,8 @@ class RunEntry:
     """Positions that the joints are held at [rad or m]."""
     condition: Condition = "suspect"
     """"healthy" where the run is a reference taken before the fault."""
+    commands: Mapping[_Name, CommandTiming] = field(default_factory=dict)
+    """Actuators whose commands are not held from sample to sample, and how they act."""
     planned: bool = False
     """True for a run that is left out as long as its file is not there."""
 
@@ -259,6 +261,8 @@ def _run(place: str, path: Path, name: str, entry: RunEntry, columns: ModelColum
         columns.check_joint(f"{place}.excited[{i}]", joint)
     for joint in entry.pose or {}:
         columns.check_joint(f"{place}.pose", joint)
+    for drive in entry.commands:
+        columns.check_command(f"{place}.commands", drive)
     table = ENDINGS[ending](path, name, partial(columns.check_header, name))
     check_numbers(table)
     groups = columns.grouped(table.columns)
@@ -271,6 +275,7 @@ def _run(place: str, path: Path, name: str, entry: RunEntry, columns: ModelColum
         excited=entry.excited,
         pose=entry.pose,
         condition=entry.condition,
+        commands=entry.commands,
     )
 
 

@@ -1,12 +1,18 @@
-"""`Run`, one measured run: commanded and measured columns over time, and its table for a file."""
+"""`Run`, one measured run: commanded and measured columns over time, and its table for a file.
+
+`CommandTiming` is the one place that says what a command does between its samples.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
+from annotated_types import Ge, Le
+from numpy.typing import NDArray
+from pydantic import ConfigDict
 
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
@@ -21,6 +27,56 @@ Comparison = Literal["forward", "inverse", "free"]
 torque that the model needs for the measured motion is compared with the torque measured.
 ``"free"``: the model is let go from the measured initial state.
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandTiming:
+    """Course of a command between its samples, and the time at which it acts.
+
+    Examples
+    --------
+    >>> time, values = np.arange(3.0), np.array([0.0, 1.0, 1.0])
+    >>> CommandTiming().acting(time, values, time[:2] + 0.5).tolist()
+    [0.0, 1.0]
+    >>> CommandTiming(mode="linear", shift_s=-0.25).acting(time, values, time[:2] + 0.5).tolist()
+    [0.75, 1.0]
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    mode: Literal["held", "linear"] = "held"
+    """"held" until the next sample, or along straight lines from sample to sample."""
+    shift_s: Annotated[float, Ge(-1.0), Le(1.0)] = 0.0
+    """Time at which a sample acts after its stamp, negative where it acts before [s]."""
+
+    def acting(self, time: Array, values: Array, at: Array) -> Array:
+        """Command at some times (N,) by samples (T,); a missing one is as the last before it."""
+        values, at = _filled(values), at - self.shift_s
+        if self.mode == "linear":
+            return np.asarray(np.interp(at, time, values))
+        return np.asarray(values[np.maximum(np.searchsorted(time, at, side="right") - 1, 0)])
+
+    def response(self, turn: Array, step: float) -> NDArray[np.complex128]:
+        """Acting command over its samples, at angular frequencies (F,), by their step [s]."""
+        share = np.sinc(turn * step / (2 * np.pi))
+        shape = share**2 if self.mode == "linear" else share
+        return np.asarray(shape * np.exp(-1j * turn * self.delay(step)))
+
+    def delay(self, step: float) -> float:
+        """Mean time by which the command acts after its samples, by their step [s]."""
+        return self.shift_s + (0.0 if self.mode == "linear" else 0.5 * step)
+
+
+def _filled(values: Array) -> Array:
+    """Commands with each missing one as the last before it: a drive keeps its set point.
+
+    Those at the start take the first one; zeros where none is known.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    if not len(known):
+        return np.zeros_like(values)
+    at = np.clip(np.searchsorted(known, np.arange(len(values)), "right") - 1, 0, None)
+    return np.asarray(values[known[at]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +114,8 @@ class Run:
     """Joint positions held in this run [rad or m], where that was noted."""
     condition: Condition = "suspect"
     """``"healthy"`` where the run is a reference taken before the fault."""
+    commands: Mapping[str, CommandTiming] = field(default_factory=dict)
+    """Timing of each command; one that is not there is held from sample to sample."""
 
     def __post_init__(self) -> None:
         if self.condition not in get_args(Condition):
@@ -89,6 +147,10 @@ class Run:
     def samples(self) -> int:
         """Number of samples."""
         return len(self.time)
+
+    def timing(self, actuator: str) -> CommandTiming:
+        """How the command of an actuator acts."""
+        return self.commands.get(actuator, CommandTiming())
 
     def part(self, rows: slice) -> Run:
         """Run of some of the rows.

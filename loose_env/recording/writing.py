@@ -203,4 +203,6 @@ def _entry(file: str, run: Run | RunEntry) -> dict[str, Any]:
         entry["excited"] = list(run.excited)
     if run.pose is not None:
         entry["pose"] = dict(run.pose)
+    if run.commands:
+        entry["commands"] = {name: vars(timing) for name, timing in run.commands.items()}
     return entry | {"condition": run.condition}

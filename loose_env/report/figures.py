@@ -13,14 +13,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH = 5.4
-"""Width of every figure [inch]; at 358 pixels of a phone its letters are still 8 high."""
+"""Width of every figure [inch]."""
 AGENTS = ("#0173b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9", "#8a8f98")
 """Okabe and Ito's palette without black and yellow, which vanish on one background or other.
 
 The page changes none of them in the dark."""
 MARKERS = "osD^vP*Xhd"
 DASHED = (0, (4, 2))
-_LETTERS = 62  # of a row of a legend
+_SIZE = 11.0  # of letters [pt]: at 336 pixels of a phone still 9.5 pixels high
+_LETTERS = 50  # of a row of a legend, or of a label
 
 
 def new_figure(height: float) -> Figure:
@@ -67,7 +68,7 @@ def quiet_axes(
     grid: Literal["x", "y", "both"] | None = "y",
     spines: Sequence[str] = ("bottom",),
     pad: float = 5,
-    size: float = 8.5,
+    size: float = 10.5,
     width: float = 0.8,
 ) -> None:
     """Leave of the frame of axes only a grid, its labels and some spines.
@@ -98,9 +99,9 @@ def quiet_axes(
 def labels(axes: Axes, *, x: str = "", above: str = "") -> None:
     """Label the horizontal axis, and the vertical one by words above the axes."""
     if x:
-        axes.set_xlabel(plain(x, 60), color=MUTED, fontsize=9)
+        axes.set_xlabel(plain(x, _LETTERS), color=MUTED, fontsize=_SIZE)
     if above:
-        axes.set_title(plain(above, 58), color=MUTED, fontsize=9, loc="left")
+        axes.set_title(plain(above, _LETTERS), color=MUTED, fontsize=_SIZE, loc="left")
 
 
 def legend(figure: Figure, *axes: Axes) -> None:
@@ -112,7 +113,7 @@ def legend(figure: Figure, *axes: Axes) -> None:
     }
     words = [plain(label, _LETTERS) for label in entries]
     figure.legend(
-        list(entries.values()), words, loc="outside upper left", fontsize=9, labelcolor=INK,
+        list(entries.values()), words, loc="outside upper left", fontsize=_SIZE, labelcolor=INK,
         ncols=max(1, min(len(words), _LETTERS // (max(map(len, words)) + 5))), frameon=False,
         handlelength=1.6, columnspacing=1.4, borderpad=0.2, borderaxespad=0.1,
     )  # fmt: skip

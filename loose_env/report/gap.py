@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
@@ -19,14 +20,16 @@ from loose_env.gap import (
     GapSolution,
     Identifiability,
     NamedEffect,
+    Overlay,
+    Played,
     VisibleEffect,
     effect_words,
     how_to_see,
     how_to_separate,
     kind_words,
-    pulled_words,
 )
 from loose_env.io import begun, write_text
+from loose_env.recording import joint_sensors
 from loose_env.report.figures import DASHED, labels, legend, panels, plain_log_ticks
 from loose_env.report.page import (
     Brief,
@@ -51,14 +54,14 @@ from loose_env.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_HEADLINE = 60  # letters of the effects in the headline
-_RESPONSES = 4  # frequency responses drawn
+_HEADLINE = 140  # letters of the effects in the headline
+_OVERLAYS, _RESPONSES = 4, 4  # figures of measured against model, and of frequency responses
+_STRETCH_S = 4.0  # length of simulated motion that is drawn
 _SAMPLES = 500  # of an overlay
-_ADVICE = 10  # motions to record that a page lists
 _PAIRS = 2  # effects, or pairs of them, that one advice lists
 _CORRELATED = 0.5  # correlation of two parameters from which it is listed
 _AT_NOISE = 1.5  # noise standard deviations of a residual that leave nothing to explain
-_EFFECTS = ["missing effect", "probability", "parameter", "value", "95 % interval", "unit"]
+_EFFECTS = ["missing effect", "probability", "value (95 % interval)", "or instead"]
 _CHANNELS = ["joint or reading", "verdict", "effects", "explained", "before", "after"]
 _DOUBTFUL = "Fitted, and not named"
 _PULLED = "Beyond its tolerance"
@@ -94,26 +97,27 @@ def gap_headline(result: GapResult) -> str:
             return f"Nothing tried explains {_channel_words(left)}."
         return "The recording cannot tell which effect is missing."
     rest = f"; {_channel_words(left)} {'is' if len(left) == 1 else 'are'} unexplained"
-    return f"The model lacks {_short(result.effects)}{rest * bool(left)}."
+    words = together(result.effects)
+    if _counted(result):
+        at = [each.channel for each in result.channels if each.verdict == "named"]
+        words = f"{len(result.effects)} effects{f' at {_channel_words(at)}' * bool(at)}"
+    return f"The model lacks {words}{rest * bool(left)}."
 
 
 def _channel_words(names: Sequence[str]) -> str:
     """Names of joints and readings, or their number where they are many."""
     shown = list(map(_reading, names))
-    return named_list(shown) if len(shown) < 4 else f"{len(shown)} joints and readings"
+    return named_list(shown) if len(shown) < 8 else f"{len(shown)} joints and readings"
 
 
-def _short(effects: Sequence[EffectLocation]) -> str:
-    """Effects in one line: with their locations, else without, else their number."""
-    kinds = dict.fromkeys(kind_words(e.kind) for e in effects)
-    fits = (w for w in (together(effects), named_list(list(kinds))) if len(w) <= _HEADLINE)
-    return next(fits, f"{len(effects)} effects")
+def _counted(result: GapResult) -> bool:
+    """Whether the headline has no room for the effects by name."""
+    return len(together(result.effects)) > _HEADLINE
 
 
 def summary_words(result: GapResult) -> list[str]:
     """Effects that the headline only counts, and the residual in physical units."""
-    counted = _short(result.effects) == f"{len(result.effects)} effects"
-    found = [f"{begun(together(result.effects))}."] if counted and result.effects else []
+    found = [f"{begun(together(result.effects))}."] * _counted(result)
     return [*found, *(f"{begun(words)}." for words in _quantities(result))]
 
 
@@ -136,10 +140,10 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
     return Brief(
         headline=gap_headline(result),
         parts=[
-            ("", "  ", [[*_EFFECTS, "confusable with"], *effects] if effects else []),
+            ("", "  ", [_EFFECTS, *effects] if effects else []),
             ("", "  ", [_CHANNELS, *_channel_rows(result)]),
             ("Residual", "  ", [_UNIT, *_quantities(result)]),
-            (_PULLED, f"{_PULLED.lower()}: ", pulled_words(result)[:RIVALS]),
+            (_PULLED, f"{_PULLED.lower()}: ", [each.words for each in result.pulled[:RIVALS]]),
             *(graded_parts(result.graded_warnings) if warnings else []),
         ],
     )
@@ -173,7 +177,7 @@ def _channel_rows(result: GapResult) -> list[list[str]]:
 
 def _sides(before: float, after: float) -> list[str]:
     """Share of a residual's power that is explained, and the residual before and after."""
-    share = f"{100 * max(0.0, 1 - (after / before) ** 2):.0f} %" if before > _AT_NOISE else ""
+    share = (percent(1 - (after / before) ** 2) if after < before else "0 %") * (before > _AT_NOISE)
     ends = (f"{v:.0f}" if abs(v) >= 1e3 else f"{v:.3g}" for v in (before, after))
     return [share, *(end.replace("nan", "-") for end in ends)]
 
@@ -191,6 +195,8 @@ def _kinds(effects: Sequence[EffectLocation]) -> str:
 def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     """Rows of an effect's parameters; the first names the effect."""
     likely = "" if effect.probability is None else percent(effect.probability)
+    if effect.ambiguous_with and effect.probability_alone is not None:
+        likely += f" (alone {percent(effect.probability_alone)})"
     name, rows = effect_words(effect.kind, effect.where), []
     if effect.mountings:  # another payload in some runs
         name += " in " + "; turned in ".join(", ".join(runs) for runs in effect.mountings)
@@ -198,10 +204,12 @@ def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     # less the directions that the motion does not excite
     pairs = {p: (v, effect.interval_95.get(p)) for p, v in effect.parameters.items()}
     moved = {p: pair for p, pair in pairs.items() if pair != (0.0, (0.0, 0.0))}
+    if f"{effect.parameters.get('static_ratio', 0.0):.3g}" == "1":  # of no peak no speed
+        moved.pop("speed", None)
     for parameter, (value, ends) in (moved or pairs).items():
-        between = "" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g}"
+        between = "" if ends is None else f"({ends[0]:.3g} to {ends[1]:.3g}) "
         words, unit = parameter.replace("_", " "), effect.units.get(parameter, "")
-        rows.append([name, likely, words, f"{value:.3g}", between, unit, others])
+        rows.append([name, likely, f"{words} {value:.3g} {between}{unit}".rstrip(), others])
         name = likely = others = ""
     return rows
 
@@ -249,9 +257,10 @@ def check_text(found: Identifiability) -> str:
     seen = [["effect", "smallest visible change", "not visible at"]]
     for kind, own in kinds.items():
         unseen = [e.where for e in own if not e.visible]
-        sizes = _sizes([e for e in own if e.visible])
-        seen.append([kind, sizes, "any" if len(unseen) == len(own) else ", ".join(unseen)])
-    parts = [aligned(_excitation(found)), aligned(seen), ["to record next:", *_wanted(found)]]
+        places = "any" if len(unseen) == len(own) else ", ".join(unseen)
+        seen.append([kind_words(kind), _sizes([e for e in own if e.visible]), places])
+    wanted = [textwrap.fill(line, 100, subsequent_indent="  ") for line in _wanted(found.effects)]
+    parts = [aligned(_excitation(found), 100), aligned(seen, 100), ["to record next:", *wanted]]
     return "\n\n".join("\n".join(part) for part in parts if len(part) > 1)
 
 
@@ -265,31 +274,29 @@ def _excitation(found: Identifiability) -> list[list[str]]:
 
 
 def _sizes(effects: Sequence[VisibleEffect]) -> str:
-    """Smallest visible sizes of one kind, where most and where least shows, by unit."""
-    found: dict[str, list[tuple[float, str, str]]] = {}
+    """Smallest visible sizes of one kind, from where most to where least shows, by unit."""
+    found: dict[str, list[tuple[float, str]]] = {}
     for each in effects:
         first = next(iter(each.smallest), "")
         for name, value in each.smallest.items():
             if each.units.get(name) == each.units.get(first):
-                found.setdefault(each.units.get(name, ""), []).append((value, each.where, name))
+                found.setdefault(each.units.get(name, ""), []).append((value, name))
     words = []
     for unit, sizes in found.items():
-        names = ", ".join(sorted({name for *_, name in sizes}))
-        word = "below" if effects[0].below else "from"
-        ends = {f"{size:.3g}": f" ({where})" for size, where, _ in (min(sizes), max(sizes))}
-        said = [f"{size} {unit}".rstrip() + at * (len(ends) > 1) for size, at in ends.items()]
-        words.append(f"{names} {word} {' to '.join(said)}")
+        names = ", ".join(sorted({name.replace("_", " ") for _, name in sizes}))
+        ends = dict.fromkeys(f"{size:.3g}" for size, _ in (min(sizes), max(sizes)))
+        words.append(f"{names} {'below ' * effects[0].below}{' to '.join(ends)} {unit}".rstrip())
     return "; ".join(words)
 
 
-def _wanted(found: Identifiability) -> list[str]:
+def _wanted(effects: Sequence[VisibleEffect]) -> list[str]:
     """Motions that would show what these do not, or tell apart what these confuse."""
     unseen: dict[str, dict[str, list[str]]] = {}
-    for each in found.effects:
+    for each in effects:
         if not each.visible:
             kinds = unseen.setdefault(how_to_see(each.kind), {})
             kinds.setdefault(each.kind, []).append(each.where)
-    alike = [(e, e.confusable_with) for e in found.effects if e.visible and e.confusable_with]
+    alike = [(e, e.confusable_with) for e in effects if e.visible and e.confusable_with]
     lines = [
         f"To see {_few([effect_words(k, _few(w)) for k, w in kinds.items()])}: {advice}."
         for advice, kinds in unseen.items()
@@ -371,13 +378,13 @@ def render_gap_page(solution: GapSolution) -> str:
         gap_headline(result),
         [
             _effects_section(solution),
-            _channels_section(result),
+            _channels_section(solution),
             Section(heading="What to do next", points=gap_steps(result), code=result.code),
             warnings_section(result.graded_warnings),
             _overlay_section(solution),
             _residual_section(solution),
             _response_section(solution),
-            _identifiability_section(result.identifiability),
+            _motions_section(result),
         ],
         kicker=[solution.answer.recording.folder.name, "model error"],
         text=summary_words(result),
@@ -413,11 +420,6 @@ def gap_steps(result: GapResult) -> list[str]:
             "Apply the lines below to the simulation: MJCF has no means for "
             f"{together(apart) or 'them'}, so model.xml does not carry it."
         )
-    alike = [(e, other) for e in result.effects for other in e.ambiguous_with[:RIVALS]]
-    steps += _separating("separate", alike, lambda e: effect_words(e.kind, e.where))
-    for each in result.channels:
-        if each.advice:
-            steps.append(f"{_reading(each.channel)}, {each.verdict}: {each.advice}")
     if any(each.verdict == "unexplained" for each in result.channels):
         steps.append(
             "If you know the effect, add it: it is one small class in one file, and is fitted like "
@@ -426,7 +428,7 @@ def gap_steps(result: GapResult) -> list[str]:
     if result.pulled:
         steps.append(
             "Check these parameters of the model, which the data pull beyond their tolerances: "
-            f"{'; '.join(pulled_words(result)[:RIVALS])}"
+            f"{'; '.join([each.words for each in result.pulled[:RIVALS]])}"
         )
     if result.verdict == "no_gap":
         steps.append(
@@ -436,29 +438,43 @@ def gap_steps(result: GapResult) -> list[str]:
     return [step if step.endswith(".") else f"{step}." for step in steps]
 
 
+def gap_motions(result: GapResult) -> list[str]:
+    """Motions to record for what is open: confusable effects, and joints that are not explained."""
+    alike = [(e, other) for e in result.effects for other in e.ambiguous_with[:RIVALS]]
+    motions = _separating("separate", alike, lambda e: effect_words(e.kind, e.where))
+    left = [c for c in result.channels if c.verdict in ("unexplained", "cannot tell")]
+    motions += [
+        f"{_reading(c.channel)}, {c.verdict}: {c.advice.rstrip('.')}."
+        for c in left
+        if c.advice and c.verdict == "cannot tell"
+    ]
+    places = {c.channel for c in left} | {e.where for c in left for e in c.effects}
+    return motions + _wanted([e for e in result.identifiability.effects if e.where in places])
+
+
 def _effects_section(solution: GapSolution) -> Section:
     """Named and doubtful effects with their parameters and strong correlations."""
     result = solution.result
 
     def cells(effect: NamedEffect) -> dict[str, str]:
-        rows = _effect_rows(effect)
-        name, likely, *_, others = rows[0]
-        values = [
-            f"{parameter} {value} {f'({ends}) ' * bool(ends)}{unit}".rstrip()
-            for _, _, parameter, value, ends, unit, _ in rows
-        ]
-        row = [begun(name), "; ".join(values), likely or "-", others or "-"]
-        heads = ["Missing effect", "Parameters", "Probability", "Confusable with"]
+        names, likely, values, others = zip(*_effect_rows(effect), strict=True)
+        row = [begun(names[0]), likely[0] or "-", "; ".join(values), others[0] or "-"]
         more = {"Not named because": effect.doubt} if effect.doubt else {}
-        return dict(zip(heads, row, strict=True)) | more
+        return dict(zip(map(begun, _EFFECTS), row, strict=True)) | more
 
     note = (
-        "In brackets: 95 % intervals, as wide as the fit is uncertain, or as the stretches of the "
-        "recording disagree. Probability: that the machine has the effect, or one that is "
-        "confusable with it, among the sets of effects that were compared."
+        "Probability: that the machine has the effect or, in its place, one of those under 'or "
+        "instead', if the catalogue has all that is missing there; alone: this very one. Where a "
+        "joint stays far above the noise (after, in the next table), something else is missing "
+        "too, and probabilities and intervals say less. Interval: as wide as the fit is uncertain, "
+        "or as the stretches of the recording disagree."
     )
-    coefficients, values = solution.parameters
-    names = [effect_words(*each.split(" ", 1)) for each in coefficients]
+    names, (_, values) = list[str](), solution.parameters
+    for term in solution.answer.decision.fit.terms:
+        own = [p.name.replace("_", " ") for p in term.effect.parameters]
+        if len(own) != len(term.columns):  # directions that the motion tells apart
+            own = [f"direction {k + 1}" for k in range(len(term.columns))]
+        names += [f"{effect_words(*term.name)}{f', {each}' * (len(own) > 1)}" for each in own]
     pairs = [(values[i, k], names[i], names[k]) for i in range(len(names)) for k in range(i)]
     strong = sorted((p for p in pairs if abs(p[0]) >= _CORRELATED), key=lambda p: -abs(p[0]))
     if pairs and not strong:
@@ -476,71 +492,107 @@ def _effects_section(solution: GapSolution) -> Section:
     return Section(heading="What the model lacks", tables=tables)
 
 
-def _channels_section(result: GapResult) -> Section:
+def _channels_section(solution: GapSolution) -> Section:
     """One line for each joint and reading."""
-    in_time = {
-        _reading(t.channel): "-" if t.white else f"{t.correlation_time:.2g} s"
-        for t in result.residual_tests
-    }
+    result, fitted = solution.result, "the named effects alone"
+    if solution.answer.decision.simulated and result.doubtful:
+        fitted = "all that was fitted in simulation, named or not"
+    left = {_reading(c.channel): c.advice for c in result.channels if c.verdict != "cannot tell"}
     rows = [
         {begun(head): cell or "-" for head, cell in zip(_CHANNELS, row, strict=True)}
-        | {"Correlated over": in_time.get(row[0], "-")}
+        | {"What is left": left.get(row[0]) or "-"}
         for row in _channel_rows(result)
     ]
     note = (
-        f"{begun(_UNIT)}, by the nominal model within its tolerances, and by the corrected one. "
-        "Explained: share of the residual's power. Correlated over: correlation time of what is "
-        "left, none where it is white. Not needed: no further effect is. Cannot "
-        "tell: one of these effects. Unexplained: much is left by everything that was tried."
+        f"{begun(_UNIT)}. Before: the nominal model within its tolerances; after: with "
+        f"{fitted}. Explained: share of the squared residual that they remove. Not needed: "
+        "within tolerances and noise the model is right. Cannot tell: one of these effects, or "
+        "none. Unexplained: much is left by everything that was tried."
     )
     return Section(heading="Joint by joint", tables=[Table(rows=rows, note=note)])
 
 
+def _played_overlays(played: Played) -> list[Overlay]:
+    """Positions of each joint where the simulated nominal model misses most."""
+    columns, sensors = [c.column for c in played.channels], joint_sensors(played.machine.model)
+    found = []
+    for joint in played.machine.joints:
+        own = next(k for k, c in enumerate(columns) if c[7:] in sensors[joint].position)
+        pieces = []
+        for trial, *models in zip(played.trials, played.nominal, played.corrected, strict=True):
+            length = max(int(_STRETCH_S * trial.rate), 1)
+            for first in range(0, len(trial.time), length):
+                rows = slice(first, first + length)
+                measured, nominal, corrected = (x[rows, own] for x in (trial.measured, *models))
+                pieces.append(
+                    Overlay(
+                        channel=joint, run=trial.name, unit=played.machine.units(joint)[0],
+                        time=trial.time[rows] - trial.time[first], measured=measured,
+                        nominal=nominal, corrected=corrected,
+                    )
+                )  # fmt: skip
+        off = [float(np.mean(np.nan_to_num(o.measured - o.nominal) ** 2)) for o in pieces]
+        found.append(pieces[int(np.argmax(off))])
+    return found
+
+
 def _overlay_section(solution: GapSolution) -> Section:
     """Measured against model where most is left, joint by joint."""
+    played = solution.played if solution.answer.decision.simulated else None
+    shown = solution.overlays if played is None else _played_overlays(played)
     fine = [c.channel for c in solution.result.channels if c.verdict == "not needed"]
     cards = []
-    for each in solution.overlays:
-        if each.channel in fine:
+    for each in shown[:_OVERLAYS]:
+        compared = np.isfinite(each.corrected)
+        if each.channel in fine or not compared.any():
             continue
         thin = slice(None, None, max(1, len(each.time) // _SAMPLES))
-        lines = (each.time, each.measured, each.nominal, each.corrected)
+        models = [np.where(compared, x, np.nan) for x in (each.nominal, each.corrected)]
+        lines = (each.time, each.measured, *models)
         figure = overlay_figure(*(x[thin] for x in lines), unit=each.unit)
-        off = [float(np.std(each.measured - x)) for x in (each.nominal, each.corrected)]
+        off = [float(np.sqrt(np.nanmean((each.measured - x) ** 2))) for x in models]
         unit = "" if each.unit == "as recorded" else f" {each.unit}"
         cards.append(
             FigureCard(
                 title=f"{_reading(each.channel)} in {each.run}",
                 image=figure,
-                caption=f"Difference: {off[0]:.3g}{unit} by the nominal model, {off[1]:.3g}{unit} "
-                "by the corrected one (standard deviation).",
+                caption=f"The nominal model is off by {off[0]:.3g}{unit}, the corrected one by "
+                f"{off[1]:.3g}{unit} (root mean square).",
             )
         )
-    intro = (
-        "The stretch in which the nominal model misses most, predicted from other data. Of a "
-        "joint: the force of its drive, measured, or computed from commands and motion where no "
-        "torque was read, and the force that each model needs for the measured motion."
+    intro = "The few seconds in which the nominal model is most wrong. " + (
+        "Both models follow the recorded commands from the beginning of the run. The corrected one "
+        "has the named effects alone."
+        if played is not None
+        else "Of a joint: the force of its "
+        "drive (measured, or computed from commands and motion) against the force that each model "
+        "needs for the same motion, each within its tolerances and fitted to other data. The "
+        "corrected model has the named effects alone. Lines break where nothing is compared: at "
+        "rest, where dry friction takes any value, at knocks, and at a drive's limit."
     )
     return Section(heading="Measured against model", intro=[intro], cards=cards)
 
 
 def _residual_section(solution: GapSolution) -> Section:
     """Correlation of the residuals in time and with the motion."""
+    if solution.answer.decision.simulated:  # of forces, which did not decide
+        return Section()
     white = [test.channel for test in solution.result.residual_tests if test.white]
     cards = [
         FigureCard(
             title=_reading(each.channel),
             image=correlation_figure(each),
-            caption=f"Residual with itself, and with the speed of {each.joint}.",
+            caption=f"Correlation of the residual with itself, and with the speed of {each.joint}.",
         )
         for k, each in enumerate(solution.correlations)
         if k == 0 or each.channel not in white
     ]
     intro = (
-        "Of what the corrected model leaves on held-out data, whitened by the noise. Within the "
-        "grey band (95 %) there is nothing left to model."
+        "Whether the residual of the corrected model is noise: its correlation with itself, and "
+        "with the joint's speed, a time lag later. Noise alone stays within the grey band (95 %); "
+        "what stands out is still missing in the model."
     )
-    return Section(heading="Correlation of the residual", intro=[intro], cards=cards, strip=True)
+    return Section(heading="Correlation of the residual", intro=[intro], cards=cards)
 
 
 def _response_section(solution: GapSolution) -> Section:
@@ -554,25 +606,28 @@ def _response_section(solution: GapSolution) -> Section:
         for each in solution.responses[:_RESPONSES]
     ]
     intro = (
-        "Cross spectrum over the power of the command, averaged over overlapping segments, where "
-        "the command has at least a hundredth of its largest power."
+        "How a joint follows its command: size (gain) and lateness (phase) of its motion, measured "
+        "and simulated from the same commands, at the frequencies that the command contains."
     )
-    return Section(heading="Frequency response", intro=[intro], cards=cards, strip=True)
+    return Section(heading="Frequency response", intro=[intro], cards=cards)
 
 
-def _identifiability_section(found: Identifiability) -> Section:
-    """Excitation, and what to record for what these motions could not show."""
-    heads, *rows = _excitation(found)
+def _motions_section(result: GapResult) -> Section:
+    """Excitation, and what to record for what is open."""
+    heads, *rows = _excitation(result.identifiability)
+    points = gap_motions(result)
     note = (
-        "Speed and acceleration: 95th percentile. Compared: share of the time neither at rest nor "
-        "knocked. Below: what these motions alone could not show at a usual size, or not tell "
-        "apart; 'loose gap --check' prints the smallest visible size of every effect."
+        "Speed and acceleration: 95 % of the time at most this. Compared: share of the time in "
+        "which the joint moves, is not knocked, and its drive is not at a limit. "
+        f"{'Below: motions for what is open. ' if points else 'No effect or joint is open. '}"
+        "'loose gap RECORDING --check' prints from what size each effect would show, and what else "
+        "these motions cannot show or tell apart."
     )
     excitation = [dict(zip(map(begun, heads), row, strict=True)) for row in rows]
     return Section(
         heading="What to record next",
-        tables=[Table(title="Excitation", rows=excitation, note=note)],
-        points=_wanted(found)[:_ADVICE],
+        tables=[Table(title="How the joints moved", rows=excitation, note=note)],
+        points=points,
     )
 
 
@@ -586,8 +641,8 @@ def overlay_figure(
     figure, (top, low) = panels(2, 1.8)
     top.plot(time, measured, ".", color=MUTED, markersize=3.2, label="measured")
     for values, label, colour, line in (
-        (nominal, "nominal model", BEFORE, DASHED),
-        (corrected, "corrected model", AFTER, "-"),
+        (nominal, "nominal", BEFORE, DASHED),
+        (corrected, "corrected", AFTER, "-"),
     ):
         look: dict[str, Any] = {"color": colour, "linestyle": line, "linewidth": 1.4}
         top.plot(time, values, label=label, **look)

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from importlib.resources import files
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 from loose_env.envs import palette as ink
@@ -426,18 +427,24 @@ def bar(share: float) -> str:
     return f'<svg width="120" height="10" role="presentation">{ground}{filled}</svg>'
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Format rows as lines of text with aligned columns.
+def aligned(rows: Sequence[Sequence[str]], most: int = _WIDTH) -> list[str]:
+    """Format rows as lines of at most so many letters, with aligned columns; cells are wrapped.
 
     Examples
     --------
-    >>> aligned([["a", "1"], ["long", ""]])
-    ['a     1', 'long']
+    >>> aligned([["a", "1"], ["long", ""]]), aligned([["of two words", "1"]], 9)
+    (['a     1', 'long'], ['of two  1', 'words'])
     """
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]
+    while sum(widths) + 2 * (len(widths) - 1) > most:
+        widths[widths.index(max(widths))] -= 1
+    lines = []
+    for row in rows:
+        cells = [textwrap.wrap(c, w or 1) for c, w in zip(row, widths, strict=True)]
+        for parts in zip_longest(*cells, fillvalue=""):
+            own = zip(parts, widths, strict=True)
+            lines.append("  ".join(part.ljust(width) for part, width in own).rstrip())
+    return lines
 
 
 def named_list(names: Sequence[str], last: str = "and") -> str:

@@ -53,7 +53,7 @@ from loose_agents.tuning import write_tuned
 from numpy.typing import NDArray
 
 from loose_env.cli.command import command
-from loose_env.diagnosis import NoveltyReference, Seen, write_network
+from loose_env.diagnosis import NoveltyReference, Seen, trained_for, write_network
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import DEFAULT_KINDS, hypotheses
@@ -123,7 +123,7 @@ def train(options: Options) -> None:
     write_network(
         out,
         {
-            "arm": problem.arm.name,
+            **trained_for(problem.arm, problem.settings.durations),
             "difficulty": str(problem.settings.difficulty),
             "directions": plan.directions,
             "friction": list(difficulty.friction),

@@ -48,10 +48,11 @@ LEFT_OUT = ("Version History",)
 SCALINGS = {"linear": "value / {}", "log10": "log10(value / {})", "asinh": "asinh(value / {})"}
 """How a scaling is written in the tables."""
 TIER_WORDS = {
-    "loose_env/ControlTier-v0": "little: one record of all joints nearly decides",
+    "loose_env/ControlTier-v0": "a sanity check: one record of all joints nearly decides",
     "loose_env/StoppingTier-v0": "when to stop, more than which records",
     "loose_env/GravityTier-v0": "joints and poses that open the seat against gravity, on a wall",
     "loose_env/WeakDriveTier-v0": "joints and poses that open the seat at half the drive",
+    "loose_env/SearchTier-v0": "results: each move splits the links that are left in two",
 }
 """What tells agents apart on each tier."""
 MEANINGS = {

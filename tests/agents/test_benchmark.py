@@ -181,8 +181,10 @@ def test_tables_pair_entries_on_the_same_arms(results: Results) -> None:
     ]  # fmt: skip
     cells = [cell.strip() for cell in value_tables(own).split("\n")[-1].strip("|").split("|")]
     # Differences are alike on all arms: the paired errors are nil though the returns differ.
-    assert cells[:2] == ["ControlTier-v0", "4"]
-    assert cells[3:] == ["+0.100 ± 0.000", "-", "+0.300 ± 0.000"]
+    assert cells[:3] == ["ControlTier-v0", "4", "greedy"]
+    assert cells[4:] == ["+0.100 ± 0.000", "-", "+0.300 ± 0.000"]
+    ahead = value_tables([*own, entry("look_ahead", 1.0, 0.6, 0.9, 0.9)])
+    assert "| look_ahead |" in ahead and "| +0.400 ± 0.000 |" in ahead
     rows = agent_rows({each.entry: each for each in own})
     assert [row.split(" | ")[0] for row in rows] == [
         "| greedy",

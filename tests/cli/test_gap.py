@@ -80,7 +80,7 @@ def test_the_check_says_what_could_be_seen_and_writes_nothing(
 ) -> None:
     assert main(["gap", str(recording.folder), "--check", *FEW]) == 0
     said = capsys.readouterr().out
-    assert "smallest visible change" in said and "coulomb_friction " in said
+    assert "smallest visible change" in said and "dry friction " in said
     assert [line.split()[0] for line in said.splitlines()[1:3]] == ["shoulder", "elbow"]
     assert main(["gap", str(recording.folder), "--check", *FEW, "--json", "-", "--quiet"]) == 0
     whole = json.loads(capsys.readouterr().out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from loose_env.diagnosis import (
     SeatNetwork,
     read_network,
     statistics_of,
+    trained_for,
     write_network,
 )
 from loose_env.errors import InvalidData
@@ -118,7 +120,8 @@ def test_figures_show_a_wide_open_seat_at_its_place():
 
 def test_files_come_back_and_other_arms_are_refused(tmp_path):
     tensors = network(6)
-    configuration = {"arm": "planar3", "directions": 6, "friction": [0.02, 1.0]}
+    rules = trained_for(planar(3), [0.2, 0.4])
+    configuration = {**rules, "directions": 6, "friction": [0.02, 1.0]}
     write_network(tmp_path, configuration, tensors)
     read, again = read_network(tmp_path)
     assert read["format"] == "loose-posterior/1"
@@ -126,8 +129,20 @@ def test_files_come_back_and_other_arms_are_refused(tmp_path):
     loaded = AmortisedPosterior.load(tmp_path, LinearArm(planar(3)), SensorSuite(), Mismatch())
     one = record(planar(3))
     assert loaded.update(loaded.start(), one).probabilities.sum() == pytest.approx(1.0)
-    with pytest.raises(InvalidData, match="trained for arm 'planar3'"):
-        AmortisedPosterior.load(tmp_path, LinearArm(planar(2)), SensorSuite(), Mismatch())
+    AmortisedPosterior.load(
+        tmp_path, LinearArm(planar(3)), SensorSuite(), Mismatch(), durations=[0.2]
+    )
+    for other, durations, words in (
+        (planar(2), [], "arm 'planar3', not 'planar2'"),
+        (planar(3).with_levels([1.0, 2.0]), [], "levels (1.0, 4.0, 12.0), not (1.0, 2.0)"),
+        (planar(3).under_gravity([0, -9.81, 0]), [], "gravity"),
+        (planar(3, hold="servo"), [], "arm 'planar3', not 'planar3-servo'"),
+        (planar(3), [1.2], "durations (0.2, 0.4), not (1.2,)"),
+    ):
+        with pytest.raises(InvalidData, match=re.escape(f"was trained for {words}")):
+            AmortisedPosterior.load(
+                tmp_path, LinearArm(other), SensorSuite(), Mismatch(), durations=durations
+            )
     with pytest.raises(InvalidData, match="no trained posterior"):
         read_network(tmp_path / "none")
     described = tmp_path / "configuration.json"

@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 import loose_env
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv, batch_seeds
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.registration import IDS, MAX_EPISODE_STEPS, TIERS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -142,6 +142,15 @@ def test_arguments_reach_single_and_vector_environments() -> None:
         observation, _ = env.reset(seed=0)
         assert set(observation) == {"statistics", "command", "encoder", "tool"}
         assert observation in env.observation_space
+        env = make("loose_env/SearchTier-v0", prices={"record": 0.2}).unwrapped
+        assert (env.arm.n, env.settings.max_moved, env.settings.prices.record) == (7, 1, 0.2)
+        assert env.settings.difficulty.kinds == {"healthy": 0.125, "structural_looseness": 0.875}
+        for wrong, words in (
+            ({"prices": {"recor": 1}}, "unknown prices"),
+            ({"difficulty": {"gap": 3}}, "gap"),
+        ):
+            with pytest.raises((UnknownName, InvalidData), match=words):
+                make("loose_env/Planar-v0", **wrong)
     for env_id, name, joints in (
         ("Planar", "planar4", 4), ("SixAxis", "six_axis", 6), ("Scara", "scara", 4),
         ("Vera", "vera", 2), ("Arm", "desk_arm", 6),

@@ -1,4 +1,4 @@
-"""Results for other tools: mujoco.sysid, mjlab, Isaac Lab, URDF, BAM, ranges.
+"""Results for other tools: mujoco.sysid, mjlab, Isaac Lab, URDF, USD, BAM, ranges.
 
 Neither mjlab nor Isaac Lab installs beside MuJoCo 4: their classes are stood for by classes with
 the documented fields of `mjlab.actuator` 1.6 and `isaaclab.actuators` 2.3.
@@ -7,6 +7,7 @@ the documented fields of `mjlab.actuator` 1.6 and `isaaclab.actuators` 2.3.
 from __future__ import annotations
 
 import json
+import re
 import runpy
 import sys
 import xml.etree.ElementTree as ET
@@ -71,6 +72,21 @@ CLASSES: dict[str, dict[str, dict[str, Any]]] = {
         "IdealPDActuatorCfg": _ISAACLAB,
         "DCMotorCfg": _ISAACLAB | {"saturation_effort": ...},
         "DelayedPDActuatorCfg": _ISAACLAB | {"min_delay": 0, "max_delay": 0},
+        "BamActuatorCfg": dict.fromkeys(("joint_names_expr", "motor", "kp_fw", "vin"), ...)
+        | {"armature": None, "min_delay": 0, "max_delay": 0},
+        "BamMotorCfg": dict.fromkeys(
+            (
+                "model",
+                "kt",
+                "resistance",
+                "error_gain",
+                "max_current",
+                "friction_base",
+                "friction_viscous",
+            ),
+            ...,
+        )
+        | {"friction_stribeck": 0.0, "dtheta_stribeck": 1.0, "alpha": 1.0},
     },
 }
 """Module -> class -> field with its default; an ellipsis where there is none."""
@@ -98,7 +114,8 @@ def load(folder: Path, target: str, monkeypatch: pytest.MonkeyPatch, **settings:
     (text,) = made.files.values()
     space: dict[str, Any] = {}
     exec(compile(text, target, "exec"), space)
-    return Loaded(space["ACTUATORS"], text, "\n".join(made.not_expressed))
+    found = space["ACTUATORS"] if "ACTUATORS" in space else space["actuators"]
+    return Loaded(found, text, "\n".join(made.not_expressed))
 
 
 def test_isaaclab_gets_gains_limits_friction_inertia_and_delays_of_each_joint(
@@ -328,6 +345,49 @@ def test_bam_loads_its_files_and_computes_the_friction_of_the_corrected_model(
     assert elbow.armature.value == pytest.approx(0.004)
 
 
+def test_drivebam_gets_the_friction_of_bam_beside_the_motor_of_a_fit(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = load(folder, "drivebam", monkeypatch)
+    fit = {"kt": 0.37, "resistance": 2.8, "error_gain": 0.003, "max_current": 1.75}
+    found = loaded.actuators(fit | {"friction_base": 9.0}, kp_fw=200.0, vin=7.4)
+    shoulder, elbow = found["shoulder"], found["elbow"]
+    assert (shoulder.kp_fw, shoulder.vin, shoulder.armature) == (200, 7.4, 0.01)
+    assert (shoulder.min_delay, shoulder.max_delay) == (5, 7)
+    motor = shoulder.motor
+    assert (motor.model, motor.kt, motor.max_current) == ("m1", 0.37, 1.75)
+    assert (motor.friction_base, motor.friction_viscous) == pytest.approx((0.6, 0.4))
+    assert elbow.motor.model == "m2" and elbow.motor.friction_stribeck == pytest.approx(0.06)
+    assert "backlash at wrist" in loaded.lost and "command_delay" not in loaded.lost
+
+
+def test_usd_gets_drives_and_joint_dynamics_per_degree(folder: Path) -> None:
+    made = export_result(folder, "usd")
+    text = made.files["joints.usda"]
+    joints = dict(re.findall(r'^        over "(\w+)" \((.*?)^        }', text, re.M | re.S))
+    assert list(joints)[:3] == ["shoulder", "elbow", "wrist"] and 'over "arm"' in text
+    number = {
+        name: {k.split(":", 1)[1]: float(v) for k, v in re.findall(r"float (\S+) = (\S+)", own)}
+        for name, own in joints.items()
+    }
+    degree = np.pi / 180
+    assert number["shoulder"] == pytest.approx(
+        {"armature": 0.01, "friction": 0.6, "damping": 0.4 * degree}
+        | {"angular:physics:stiffness": 40 * degree, "angular:physics:damping": 2 * degree}
+        | {"angular:physics:maxForce": 8},
+        rel=1e-5,
+    )
+    assert "DriveAPI" in joints["elbow"] and "DriveAPI" not in joints["wrist"]
+    assert "the delay of servo1, 0.012 s" in made.not_expressed
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    stage = usd.Stage.CreateInMemory()
+    stage.GetRootLayer().ImportFromString(text)
+    drive = stage.GetPrimAtPath("/arm/joints/shoulder").GetAttribute(
+        "drive:angular:physics:stiffness"
+    )
+    assert drive.Get() == pytest.approx(40 * degree)
+
+
 def test_ranges_are_the_intervals_with_units_and_attributes(folder: Path) -> None:
     whole = json.loads(export_result(folder, "ranges").files["ranges.json"])
     assert whole["format"] == "loose-ranges/1"
@@ -361,6 +421,8 @@ def test_every_target_carries_or_lists_every_effect(folder: Path, target: str) -
         "bam": ("viscous", "coulomb", "stribeck", "rotor"),
         "mjlab": ("viscous", "coulomb", "rotor", "actuator_gain", "command_delay"),
         "isaaclab": ("viscous", "coulomb", "rotor", "actuator_gain", "command_delay"),
+        "usd": ("viscous", "coulomb", "rotor", "actuator_gain"),
+        "drivebam": ("viscous", "coulomb", "stribeck", "rotor", "command_delay"),
     }[target]  # fmt: skip
     for effect in read_result(folder).effects:
         in_files = any(f"{effect.kind}.{effect.where}" in t for t in made.files.values())

@@ -44,6 +44,7 @@ def result() -> GapResult:
                 ambiguous_with=(EffectLocation(kind="backlash", where="joint2"),),
                 units={"torque": "N·m"},
                 probability=0.98,
+                probability_alone=0.7,
                 z=9.0,
                 held_out_gain={"run": 30.0, "stretch": 41.0},
             ),
@@ -61,7 +62,7 @@ def result() -> GapResult:
         ),
         pulled=(TolerancePull(name="mass of link2", deviations=-2.4),),
         held_out_runs=("run-05.parquet",),
-        ranking=(RankedSet(effects=(FRICTION,), behind=0.0, probability=0.98, simulated=1.5),),
+        ranking=(RankedSet(effects=(FRICTION,), behind=0.0, probability=0.9, source="simulation"),),
         residual_tests=(
             ResidualTest(
                 channel="joint2", rms=1.1, autocorrelation=0.1, whiteness_95=0.2,
@@ -95,6 +96,8 @@ def test_the_file_has_the_keys_and_words_of_the_format() -> None:
     assert effect["parameters"] == {"torque": 1.32}
     assert effect["interval_95"] == {"torque": [1.2, 1.44]}
     assert effect["ambiguous_with"] == [{"kind": "backlash", "where": "joint2"}]
+    assert (effect["probability"], effect["probability_alone"]) == (0.98, 0.7)
+    assert plain["ranking"][0]["source"] == "simulation"
     gap = plain["gap"]
     assert (gap["before"], gap["after"], gap["noise_floor"]) == (4.1, 1.1, 1.0)
     assert gap["unit"] == UNIT == "RMS over held-out data, in noise standard deviations"
@@ -163,5 +166,6 @@ def test_what_is_written_reads_back_and_carries_the_effects(
     assert found == GapResult.from_json(solution.result.to_json())
     assert found.settings["kinds"] == list(solution.answer.settings.kinds)
     best, *others = found.ranking
+    assert best.source == "force balance"
     assert best.behind == 0.0 and all(other.behind >= 0.0 for other in others)
     assert set(found.gap.by_channel) == {each.channel for each in found.channels}

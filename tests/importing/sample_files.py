@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyuff
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -221,45 +219,6 @@ def write_protobuf_mcap(path: Path, time: np.ndarray) -> Path:
             message.timestamp.seconds, message.timestamp.nanos = ns // 10**9, ns % 10**9
             writer.write_message("/tool", message, log_time=ns + 700_000, publish_time=ns)
         writer.finish()
-    return path
-
-
-def write_uff(
-    path: Path,
-    time: np.ndarray,
-    histories: Mapping[tuple[int, int], np.ndarray],
-    *,
-    unit: str = "m/s^2",
-    binary: int = 0,
-    kind: int = 1,
-    even: int = 1,
-) -> Path:
-    """Write histories by (node, direction)."""
-    sets = [
-        pyuff.prepare_58(
-            binary=binary,
-            id1=f"accelerometer {node}",
-            func_type=kind,
-            rsp_node=node,
-            rsp_dir=direction,
-            ref_node=0,
-            ref_dir=0,
-            num_pts=len(time),
-            abscissa_spacing=even,
-            abscissa_spec_data_type=17,
-            ordinate_spec_data_type=12,
-            ordinate_axis_units_lab=unit,
-            orddenom_spec_data_type=0,
-            z_axis_spec_data_type=0,
-            data=np.asarray(values, dtype=float),
-            x=np.asarray(time, dtype=float),
-        )
-        for (node, direction), values in histories.items()
-    ]
-    path.unlink(missing_ok=True)  # overwriting, pyuff loses the first binary set
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # and leaves its files open
-        pyuff.UFF(str(path)).write_sets(sets, mode="add")
     return path
 
 

@@ -14,7 +14,7 @@ import pytest
 from loose_env.cli.main import main
 from loose_env.errors import InvalidData
 from loose_env.importing import describe_sources, import_recording, list_sources, read_mapping
-from tests.importing.sample_files import ARM, motion, write_csv, write_robot, write_uff
+from tests.importing.sample_files import ARM, motion, write_csv, write_robot
 
 Mapped = Callable[[str], Path]
 
@@ -42,8 +42,8 @@ def test_a_mapping_filled_in_makes_a_recording(
         decimal=",",
         before=["made by a logger", "", "Serial\t12"],
     )
-    axes = {(1, 1): signals["x"], (1, -2): signals["y"], (1, 3): signals["z"]}
-    vibration = write_uff(home / "v.uff", time, axes, unit="m/s2")
+    rows = np.stack([time, *(signals[axis] for axis in "xyz")], 1)
+    vibration = write_csv(home / "v.csv", rows, ["time", *(f"a{axis} [m/s2]" for axis in "xyz")])
     files = [str(bag), str(table), str(vibration)]
     assert main(["import", "--describe", *files]) == 0
     text = capsys.readouterr().out
@@ -52,9 +52,9 @@ def test_a_mapping_filled_in_makes_a_recording(
     columns = {
         '"angle (deg)"': "sensor.shoulder_angle",
         '"rate"': "sensor.shoulder_rate",
-        '"1+X"': "sensor.tool.x",
-        '"1-Y"': "sensor.tool.y",
-        '"1+Z"': "sensor.tool.z",
+        '"ax [m/s2]"': "sensor.tool.x",
+        '"ay [m/s2]"': "sensor.tool.y",
+        '"az [m/s2]"': "sensor.tool.z",
         '"position[elbow]"': "sensor.elbow_angle",
     }
     text = filled(text, columns).replace(
@@ -63,7 +63,7 @@ def test_a_mapping_filled_in_makes_a_recording(
     (home / "map.toml").write_text(text)
     found = import_recording(files, home / "map.toml", home / "out").runs[0]
     np.testing.assert_allclose(found.sensors["shoulder_angle"], signals["shoulder"], atol=1e-9)
-    np.testing.assert_allclose(found.sensors["tool"][:, 1], -signals["y"], atol=1e-9)
+    np.testing.assert_allclose(found.sensors["tool"][:, 1], signals["y"], atol=1e-9)
     assert found.samples == 600
 
 
@@ -104,8 +104,8 @@ def test_tables_are_recognised(
     path = tmp_path / "log.csv"
     path.write_text(text)
     (found,) = list_sources([str(path)]).values()
-    assert found.options[:-1] == options
-    assert [each.key.channel for each in found.streams[0].channels] == names
+    assert tuple(found.lines[1:-1]) == options
+    assert list(found.streams[0].channels) == names
 
 
 def test_files_of_one_stem_are_all_listed(tmp_path: Path) -> None:

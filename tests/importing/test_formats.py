@@ -304,3 +304,50 @@ def test_a_word_that_one_joint_alone_has_names_it(home: Path, motion: Motion) ->
     for i, command in enumerate(COMMANDS):
         assert found[f"sensor.{JOINTS[i]}_pos"] == (f"{headers[i]} Pos [deg]", "deg", 1)
         assert found[f"ctrl.{command}"] == (f"Cmd {headers[i]} [deg]", "deg", 1)
+
+
+def test_states_that_the_torques_tell_to_be_exchanged_are_turned_round(
+    home: Path, motion: Motion
+) -> None:
+    named = (0, 2, 1)  # the states of lift and elbow carry each other's names
+    columns = {"time": motion.time}
+    columns |= {f"{j}_position": motion.position[:, named[i]] for i, j in enumerate(JOINTS)}
+    columns |= {f"{j}_effort": motion.torque[:, named[i]] for i, j in enumerate(JOINTS)}
+    columns |= {f"{j}_command": motion.command[:, i] for i, j in enumerate(JOINTS)}
+    proposal = propose([written(home / "log.csv", columns)], MODEL)
+    found = {each.column: each.candidate.key.channel for each in proposal.columns if not each.open}
+    for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
+        assert found[f"sensor.{joint}_pos"] == f"{JOINTS[named[i]]}_position"
+        assert found[f"torque.{joint}"] == f"{JOINTS[named[i]]}_effort"
+        assert found[f"ctrl.{command}"] == f"{joint}_command"
+    assert any("are exchanged" in note for note in proposal.notes)
+
+
+def test_numbers_within_names_make_vectors_beside_channels_of_no_use(
+    home: Path, motion: Motion
+) -> None:
+    rng = np.random.default_rng(0)
+    columns = {"seq": np.arange(len(motion.time)), "t_s": motion.time}
+    columns |= {"walk": np.cumsum(rng.normal(size=len(motion.time)))}
+    for i in range(3):
+        columns[f"m{i + 1}_ang"] = motion.position[:, i]
+        columns[f"m{i + 1}_spd"] = motion.velocity[:, i]
+        columns[f"m{i + 1}_ref"] = motion.command[:, i]
+        columns[f"m{i + 1}_err"] = motion.command[:, i] - motion.position[:, i]
+    found = lines(written(home / "log.csv", columns))
+    for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
+        assert found[f"sensor.{joint}_pos"][0] == f"m{i + 1}_ang"
+        assert found[f"ctrl.{command}"][0] == f"m{i + 1}_ref"
+
+
+def test_words_of_a_servo_are_ticks(home: Path, motion: Motion) -> None:
+    def ticks(values: np.ndarray) -> np.ndarray:
+        return np.round(values / (2 * np.pi) * 4096 + 2048)
+
+    columns = {"t": motion.time}
+    columns |= {f"present_position_{i}": ticks(motion.position[:, i]) for i in range(3)}
+    columns |= {f"goal_position_{i}": ticks(motion.command[:, i]) for i in range(3)}
+    proposal = propose([written(home / "log.csv", columns)], MODEL)
+    found = {each.column: each.scaling for each in proposal.columns if not each.open}
+    assert set(found) == ALL
+    assert all(each.scale == pytest.approx(2 * np.pi / 4096) for each in found.values())

@@ -21,7 +21,6 @@ from tests.importing.sample_files import (
     write_json_mcap,
     write_protobuf_mcap,
     write_robot,
-    write_uff,
 )
 
 Mapped = Callable[..., Path]
@@ -207,52 +206,31 @@ def test_dates_in_a_table_keep_their_microseconds(
     np.testing.assert_allclose(found.time, time[:80], atol=3e-7)
 
 
-@pytest.mark.parametrize("binary", [0, 1])
-def test_a_universal_file_keeps_its_rate(home: Path, mapping: Mapped, binary: int) -> None:
-    # 1/48000 s has more digits than the file keeps: a minute would end a millisecond off.
-    time = np.arange(4800) / 48000
-    signals = motion(time)
-    histories = {(7, 1): signals["x"], (7, -2): -signals["y"], (7, 3): signals["z"]}
-    write_uff(home / "v.uff", time, {k: v / 9.80665 for k, v in histories.items()}, unit="g",
-              binary=binary)  # fmt: skip
-    mapped = mapping(
-        """
-[sources.v]
-[columns]
-"sensor.tool.x" = { channel = "7+X" }
-"sensor.tool.y" = { channel = "7-Y", sign = -1 }
-"sensor.tool.z" = { channel = "#3", unit = "g" }
-[[runs]]
-"""
-    )
-    found = import_recording([home / "v.uff"], mapped, home / "out").runs[0]
-    np.testing.assert_allclose(found.time, time, atol=1e-12)
-    np.testing.assert_allclose(found.sensors["tool"], known(time)["tool"], atol=1e-9)
-
-
 def test_sources_of_different_rates_and_clocks_are_joined(home: Path, mapping: Mapped) -> None:
     write_robot(home / "robot.mcap", seconds=6.0)
     skew = 0.0237
     # The recorder starts 1 s after the robot, and its clock counts from its own start.
     time = np.arange(4000) / 1000
     signals = motion(time + 1.0 + skew)
-    write_uff(home / "v.uff", time, {(1, 1): signals["shoulder"], (1, 2): signals["elbow"]})
+    rows = np.stack([time, signals["shoulder"], signals["elbow"]], 1)
+    write_csv(home / "v.csv", rows, ["t", "a", "b"])
     mapped = mapping(
         """
 [sources.robot]
 time = { from_start = true }
 [sources.v]
 [sources.v.time]
+column = "t"
 offset_s = 1.0
 [sources.v.align]
 to = "robot"
-channel = "1+X"
+channel = "a"
 to_topic = "/joint_states"
 to_channel = "position[shoulder]"
 most_s = 0.5
 [[runs]]
 [runs.columns]
-"sensor.elbow_angle" = { source = "v", channel = "1+Y", unit = "rad" }
+"sensor.elbow_angle" = { source = "v", channel = "b", unit = "rad" }
 [runs.columns."sensor.shoulder_angle"]
 source = "robot"
 topic = "/joint_states"
@@ -261,7 +239,7 @@ channel = "position[shoulder]"
     )
     said: list[str] = []
     found = import_recording(
-        [f"robot={home / 'robot.mcap'}", home / "v.uff"], mapped, home / "out", say=said.append
+        [f"robot={home / 'robot.mcap'}", home / "v.csv"], mapped, home / "out", say=said.append
     ).runs[0]
     shift = next(line for line in said if "shifted by" in line)
     assert abs(float(shift.split("by ")[1].split(" s")[0]) - skew) < 2e-5

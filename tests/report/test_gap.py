@@ -44,6 +44,7 @@ from loose_env.report import (
 from loose_env.report import gap as gap_report
 from loose_env.report.gap import (
     correlation_figure,
+    gap_motions,
     gap_steps,
     overlay_figure,
     response_figure,
@@ -82,7 +83,7 @@ SHOWN = Identifiability(
 )  # fmt: skip
 OPEN = (
     ChannelVerdict(channel="shoulder", verdict="unexplained", before=80.0, after=40.0,
-                   advice="75 % explained; most is left in run-02.csv, around 3.1 Hz"),
+                   advice="all that was tried explains 75 %; most is left in run-02.csv"),
     ChannelVerdict(channel="wrist", verdict="cannot tell", effects=(FRICTION, LAG), before=4.0,
                    after=2.5, advice="move slowly"),
 )  # fmt: skip
@@ -124,14 +125,14 @@ def test_everything_that_a_result_holds_stands_on_the_page(page: str) -> None:
         "joint position ",
         "Another gain (motor2)",
         "do not confirm it",
-        "75 %",
+        "explains 75 %; most is left in run-02.csv",
         "cannot tell",
         "all together",
     ]
-    order += ["Simulate with model.xml", "most is left in run-02.csv", "mass of upper: 2.4"]
+    order += ["Simulate with model.xml", "mass of upper: 2.4"]
     order += ["Invalidates the result", "sensor.error", "Limits the result", "The step is coarse."]
-    order += ["Notes", "measured", "Difference: ", "over its command"]
-    order += ["Excitation"]
+    order += ["Notes", "measured", "The nominal model is off by ", "over its command"]
+    order += ["How the joints moved", "wrist, cannot tell: move slowly."]
     order += ["drag that grows with the square of the speed (elbow): move at the highest speed"]
     order += ["To tell a lag from late commands: command a sweep", "Held out", "Tolerances: "]
     order += [f"mass {Tolerances().mass:g}"]
@@ -151,9 +152,10 @@ def test_the_headline_says_what_is_missing_and_what_is_not_explained() -> None:
     assert gap_headline(result("named", effects=effects)) == (
         "The model lacks another gain (m0, m1, m2)."
     )
-    many = tuple(replace(effects[0], kind=f"kind_{k}_of_many_words") for k in range(5))
-    assert gap_headline(result("named", effects=many, channels=OPEN)) == (
-        "The model lacks 5 effects; shoulder is unexplained."
+    many = tuple(replace(effects[0], kind=f"kind_{k}_of_very_many_words") for k in range(5))
+    named = tuple(replace(OPEN[0], channel=name, verdict="named") for name in ("hip", "knee"))
+    assert gap_headline(result("named", effects=many, channels=(*named, *OPEN))) == (
+        "The model lacks 5 effects at hip and knee; shoulder is unexplained."
     )
     assert gap_headline(result("unexplained", channels=OPEN)) == "Nothing tried explains shoulder."
     assert "cannot tell" in gap_headline(result("unexplained", channels=OPEN[1:]))
@@ -179,12 +181,14 @@ def test_every_open_question_gets_a_motion_that_answers_it() -> None:
         ),
     )  # fmt: skip
     pulled = (TolerancePull(name="mass of upper", deviations=2.4),)
-    steps = gap_steps(result("named", effects=(effect,), channels=OPEN, pulled=pulled))
-    assert "gravity pulling to one side" in steps[1]
-    assert "move joint1 while joint2 is held" in steps[2]
-    assert steps[3].startswith("shoulder, unexplained: 75 % explained")
-    assert steps[4] == "wrist, cannot tell: move slowly."
-    assert "mass of upper: 2.4 standard deviations above" in steps[-1]
+    found = result("named", effects=(effect,), channels=OPEN, pulled=pulled, identifiability=SHOWN)
+    motions = gap_motions(found)
+    assert "gravity pulling to one side" in motions[0]
+    assert "move joint1 while joint2 is held" in motions[1]
+    assert motions[2] == "wrist, cannot tell: move slowly."
+    assert "(elbow): move at the highest speed" in motions[3]
+    assert gap_motions(replace(found, channels=(), effects=())) == []
+    assert "mass of upper: 2.4 standard deviations above" in gap_steps(found)[-1]
     assert "strain what you suspect" in gap_steps(result("no_gap"))[0]
 
 
@@ -199,15 +203,48 @@ def test_an_effect_whose_every_parameter_is_zero_is_told() -> None:
     nothing = {"mass": 0.0, "x": 0.0}
     ends = dict.fromkeys(nothing, (0.0, 0.0))
     effect = NamedEffect(kind="payload", where="tool", parameters=nothing, interval_95=ends)
-    assert "mass       0      0 to 0" in gap_text(result("named", effects=(effect,)))
+    assert "mass 0 (0 to 0)" in gap_text(result("named", effects=(effect,)))
+
+
+def test_friction_without_a_peak_has_no_speed_of_it() -> None:
+    given = {"share": 0.5, "static_ratio": 1.0004, "speed": 5.08}
+    effect = NamedEffect(kind="load_friction", where="elbow", parameters=given)
+    assert "static ratio 1\n" in (text := gap_text(result("named", effects=(effect,))))
+    assert "speed" not in text.replace("grows with the load", "")
+    peak = replace(effect, parameters=given | {"static_ratio": 1.4})
+    assert "speed 5.08" in gap_text(result("named", effects=(peak,)))
+
+
+def test_the_probability_is_of_a_group_and_that_of_the_named_one_stands_beside_it() -> None:
+    effect = NamedEffect(
+        kind="coulomb_friction", where="elbow", parameters={"torque": 1.0}, probability=0.9996,
+        probability_alone=0.68, ambiguous_with=(LAG,),
+    )  # fmt: skip
+    assert re.search(
+        r"over 99.9 % \(alone 68 %\) +torque 1 +a lag \(motor2\)",
+        gap_text(result("named", effects=(effect,))),
+    )
+
+
+def test_where_simulation_decided_positions_are_drawn(solution: GapSolution) -> None:
+    decision = replace(solution.answer.decision, simulated=True)
+    page = render_gap_page(replace(solution, answer=replace(solution.answer, decision=decision)))
+    assert "Both models follow the recorded commands" in page and "[rad]" in page
+    assert "Correlation of the residual" not in checked(page).headings
+
+
+def test_samples_that_are_not_compared_are_not_drawn(solution: GapSolution) -> None:
+    (elbow,) = (o for o in solution.overlays if o.channel == "elbow")
+    assert 0.2 < np.mean(np.isfinite(elbow.corrected)) < 1.0
 
 
 def test_the_check_lists_what_is_seen_and_what_is_not() -> None:
     text = check_text(SHOWN)
     assert "elbow  1.2" in text and "80 %" in text
     seen, wanted = text.split("to record next:")
-    assert re.search(r"quadratic_drag +any\n", seen)
-    assert re.search(r"actuator_lag +time_constant from 0.01 s\n", seen)
+    assert re.search(r"drag that grows with the square of the speed +any\n", seen)
+    assert re.search(r"a lag +time constant 0.01 s\n", seen)
+    assert max(map(len, text.splitlines())) <= 100
     assert "(elbow): move at the highest speed" in wanted
     assert "To tell a lag from late commands: command a sweep" in wanted
 
@@ -219,9 +256,7 @@ def test_the_check_says_sizes_of_one_kind_by_their_units() -> None:
         for k, (size, unit) in enumerate([(0.1, "rad"), (0.3, "rad"), (2.0, "rad/s"), (7.0, "m")])
     ]  # fmt: skip
     text = check_text(replace(SHOWN, effects=tuple(effects)))
-    assert re.search(
-        r"sensor_bias +bias from 0.1 rad \(s0\) to 0.3 rad \(s1\); bias from 2 rad/s +s3\n", text
-    )
+    assert re.search(r"a sensor with a bias +bias 0.1 to 0.3 rad; bias 2 rad/s +s3\n", text)
 
 
 def test_names_with_dollar_signs_are_drawn_as_they_are() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,9 @@ from loose_env.typing import Array
 RESULTS = Path(__file__).resolve().parents[3] / "docs" / "benchmark_results"
 """Results files of the repository."""
 ADAPTIVE = "greedy"
-"""Entry with which the others are compared, and whose choice of records V values."""
+"""Entry with which the others are compared."""
+CLOSED_LOOP = (ADAPTIVE, "look_ahead")
+"""Entries that choose records by results on the task's posterior; V values the better one."""
 
 _HEAD = (
     "| entry | arms | return | over greedy | right % (95 %) | unsure % | false alarms % | missed % "
@@ -54,23 +57,33 @@ def stored_results(folder: Path) -> list[Results]:
 def value_tables(results: Sequence[Results]) -> str:
     """Value of stopping, of feedback and of choice on every task, paired, as Markdown."""
     lines = [
-        "| task | arms | greedy | V-stop | V-feedback | V over fixed sequence |",
-        "|---|---:|---:|---:|---:|---:|",
+        "| task | arms | closed loop | return | V-stop | V-feedback | V over fixed sequence |",
+        "|---|---:|---|---:|---:|---:|---:|",
     ]
-    for task in TASKS:
-        own = _entries(results, task, "test")
+    for task, set_name in product(TASKS, ("test", HIDDEN)):
+        own = _entries(results, task, set_name)
         if ADAPTIVE not in own:
             continue
-        greedy = own[ADAPTIVE].returns
-        lengths = [each.returns for name, each in own.items() if name.startswith("fixed_")]
-        best = max(lengths, key=lambda returns: float(returns.mean()), default=None)
-        stopping, open_loop = (
-            own[name].returns if name in own else None for name in ("fixed", "open_loop")
-        )
-        pairs = ((stopping, best), (greedy, open_loop), (greedy, stopping))
-        differences = (_difference(first, second) for first, second in pairs)
-        lines.append(_line([_short(task), str(len(greedy)), _signed(greedy), *differences]))
+        lengths = _best(own, [name for name in own if name.startswith("fixed_")])
+        sequence = _best(own, [name for name in own if name.startswith("fixed")])
+        stopping, open_loop = (_best(own, [name]) for name in ("fixed", "open_loop"))
+        closed = _best(own, CLOSED_LOOP)
+        pairs = ((stopping, lengths), (closed, open_loop), (closed, sequence))
+        assert closed is not None
+        words = _short(task) + ", hidden" * (set_name == HIDDEN)
+        told = [words, str(len(closed.truth)), closed.entry, _signed(closed.returns)]
+        lines.append(_line([*told, *(_difference(*map(_returns, pair)) for pair in pairs)]))
     return "\n".join(lines)
+
+
+def _best(own: ByEntry, names: Sequence[str]) -> Results | None:
+    """Entry of the highest return among names, if one of them has played."""
+    found = [own[name] for name in names if name in own]
+    return max(found, key=lambda each: float(each.returns.mean()), default=None)
+
+
+def _returns(of: Results | None) -> Array | None:
+    return None if of is None else of.returns
 
 
 def leaderboard(results: Sequence[Results]) -> str:

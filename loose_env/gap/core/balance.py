@@ -138,12 +138,27 @@ class Balance:
         measured = np.isfinite(self.torques)
         inverse = (self.forms == "inverse")[:, None]
         self.seen = np.where(inverse, measured, True)
+        self.seen[:, list(motion.followers)] = False
         self.drive = np.where(inverse & measured, self.torques, self.given)
         left = self.drive - self.needed - self.dry * self.directions[USUAL]
         self.readings = Readings(compiled(machine.fresh()), motion)
         off = motion.stacked("readings") - self.readings.foretold
-        self.residual = np.hstack([left, off])
+        self.residual = self.folded(np.hstack([left, off]))
         self.channels = (*machine.joints, *self.readings.names)
+
+    def folded(self, whole: Array, rows: Array | slice = slice(None)) -> Array:
+        """Balance (..., T, channels) in which what acts on followers acts at the other joints."""
+        own = list(self.motion.followers)
+        if not own:
+            return whole
+        whole, paths = whole.copy(), self.motion.stacked("followed")[rows]
+        whole[..., : paths.shape[2]] += np.einsum("...tp,tpj->...tj", whole[..., own], paths)
+        whole[..., own] = 0.0
+        return whole
+
+    def change(self, whole: Array) -> Change:
+        """Change of the balance by the forces of some effect (T, channels)."""
+        return Change(self.folded(whole))
 
     def forces(self, effect: Effect, values: Array) -> Forces:
         """Change of the balance by an effect at some values of its parameters."""
@@ -378,15 +393,19 @@ class Balance:
         changed[:, actuator] -= size * np.concatenate(slopes)
         return (self.given - self.given_by(changed)) / size
 
-    def stepped_acceleration(self) -> Array:
-        """Acceleration at the samples beyond its mean, right after held commands step (T, joints).
+    def at_samples(self, actuator: int, between: str) -> Array:
+        """Acceleration at the samples beyond its mean between them (T, joints).
 
-        A held command acts half an interval late on the mean; an accelerometer that is read at the
-        step sees it at once.
+        By one actuator's commands, as "commands" hold them from sample to sample or "straight"
+        lines join them. An accelerometer that is read as a held command steps sees all of the step,
+        which acts half an interval late on the mean.
         """
-        ahead = self.given_by(self.motion.stacked("sampled")) - self.given
+        sampled, mean = self.commands.copy(), self.commands.copy()
+        sampled[:, actuator] = self.motion.stacked("sampled")[:, actuator]
+        mean[:, actuator] = self.motion.stacked(between)[:, actuator]
         mass = _dense(self._nominal, self._masses(self._nominal, self.position))
-        return np.asarray(np.linalg.solve(mass, ahead[..., None])[..., 0])
+        beyond = self.given_by(sampled) - self.given_by(mean)
+        return np.asarray(np.linalg.solve(mass, beyond[..., None])[..., 0])
 
     def _masses(self, model: mujoco.MjModel, position: Array) -> Array:
         """Packed mass matrices at some positions (T, nC)."""
@@ -422,6 +441,7 @@ class Balance:
         a, v, q = (np.concatenate([s[k] for s in states]) for k in range(3))
         needed, given = self._forces(model, np.tile(commands, (len(states), 1)), (q, v, a))
         force = (-given if drives else needed - given).reshape(len(states), len(rows), joints)
+        force = self.folded(force, rows)
         for order in range(3):
             for joint in range(joints):
                 change = force[1 + order * joints + joint] - force[0]
@@ -592,7 +612,7 @@ class Balance:
         total = np.sum(self.noise_of(joint, frequency, operator), axis=1) + 1e-300
         if floor:
             total = total + (_MODEL * self.machine.load_scales[joint]) ** 2
-        if np.isfinite(torque[joint]):
+        if np.isfinite(torque[joint]) and (self.forms == "inverse").any():
             total = total + torque[joint] ** 2
         return np.asarray(np.sqrt(total))
 

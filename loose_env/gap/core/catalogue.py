@@ -17,7 +17,7 @@ import numpy as np
 from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change, Forces
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
-from loose_env.gap.model.effects.drives import DriveLimit
+from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.typing import Array
 
 _MOVING = 20.0  # range of motion over its noise from which a joint moves
@@ -113,6 +113,9 @@ def shows(balance: Balance, effect: Effect) -> bool:
     """
     if effect.part == "sensor":
         return effect.where in balance.encoders or balance.readings.has(effect.where)
+    if isinstance(effect, CommandInterpolation):  # the commands may be known to be lines
+        motion = balance.motion
+        return not np.array_equal(motion.stacked("straight"), motion.stacked("commands"))
     senses = effect.overrides("sensed_torque")
     if effect.has_stops or not (effect.moves or senses):
         return False
@@ -154,6 +157,8 @@ def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
         joint = balance.machine.joint_number(effect.where)
         rows = np.flatnonzero(balance.seen[:, joint])
         rows = rows[:: max(1, len(rows) // _LOOKED_AT)]
+        if not len(rows):  # a follower: its forces are those of other joints
+            return () if effect.needs_data_starts else effect.starts
         proposed = effect.propose(
             balance.position[rows, joint],
             balance.speed[rows, joint],
@@ -274,7 +279,7 @@ def _column(
         width, joint = LAW_WIDTH, balance.encoders.get(effect.where)
         late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
         return Column(
-            change=Change(change), operator=forces.operator, centre=1.0, spread=width,
+            change=balance.change(change), operator=forces.operator, centre=1.0, spread=width,
             low=1 - 2.3 * width, high=1 + 2.3 * width, eased=forces.eased, late=late,
         )  # fmt: skip
     readings = np.sqrt(np.mean(balance.readings.foretold**2, axis=0))
@@ -298,6 +303,6 @@ def _column(
             )
             spread = min(spread, abs(parameter.unsurprising / step))
     return Column(
-        change=Change(change), operator=forces.operator, centre=0.0, spread=spread, low=low,
+        change=balance.change(change), operator=forces.operator, centre=0.0, spread=spread, low=low,
         high=high, eased=forces.eased,
     )  # fmt: skip

@@ -128,7 +128,7 @@ def _simulated(
     else:
         say("decision on held-out data")
         decision = decide(selection, best, fits[0])
-        if all(each.verdict != "unexplained" for each in decision.joints):
+        if all(each.verdict != "unexplained" for each in decision.channels):
             return decision, tuple(fits)
     say("decision on held-out runs in simulation")
     return decide_simulated(selection, exact, fits, nominal), tuple(fits)
@@ -142,6 +142,9 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
     machine = NominalModel(recording.spec())
     say(f"motion of {len(recording.runs)} run{'s' * (len(recording.runs) > 1)}")
     motion = smooth(recording, machine)
+    if motion.followers:
+        carried = ", ".join(machine.joints[k] for k in motion.followers)
+        say(f"carried along by equality constraints of the model: {carried}")
     say(f"force balance up to {motion.band:.3g} Hz")
     balance = Balance(scaled(Balance(machine, motion)), motion)
     terms = catalogue(balance, settings.kinds or None)

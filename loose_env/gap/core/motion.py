@@ -7,16 +7,16 @@ by their noise in the frequency domain and is flat to the end of the band, which
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 from scipy.signal import resample
 
-from loose_env.errors import InvalidData
+from loose_env.gap.core.followers import Followers
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.runs import filled, measured_runs
-from loose_env.recording import Recording, Run, joint_sensors
+from loose_env.gap.runs import measured_runs
+from loose_env.recording import CommandTiming, Recording, Run, joint_sensors
 from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
 
@@ -50,13 +50,15 @@ class RunMotion:
     derived: Array  # Joint speeds from the positions alone (T, joints)
     readings: Array  # Readings of `Motion.sensors` in the same band (T, R)
     commands: Array
-    """Commands as held from sample to sample, in the band of the motion (T, actuators)."""
-    sampled: Array  # Commands as sampled, not held, in the same band (T, actuators)
+    """Commands as they act between samples, in the band of the motion (T, actuators)."""
+    sampled: Array  # Commands as sampled, in the same band (T, actuators)
     straight: Array  # Commands along straight lines from sample to sample (T, actuators)
     torques: Array  # Measured joint torques, NaN of joints without (T, joints)
     limited: Array  # Share of a sample in which the nominal drive is at its limit (T, joints)
     log_step: float  # Interval of the log [s]
     begin: float  # Time of the first sample after the log's first one [s]
+    followed: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    """Speed of each follower per speed of each joint (T, P, joints)."""
 
     @property
     def time(self) -> Array:
@@ -75,6 +77,7 @@ class Motion:
     sensors: tuple[tuple[str, int], ...]
     """Velocity and inertial sensors read in every run, with the axis, -1 of a scalar."""
     sensor_noise: Array  # Noise of a thinned sample of each of these readings (R,)
+    followers: tuple[int, ...] = ()  # Joints that equality constraints carry along
 
     @property
     def step(self) -> float:
@@ -103,7 +106,10 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     runs_ = [run for each in pieces for run in each]
     common = set.intersection(*(set(run.sensors) for run in runs_))
     sensors = sensors_of(model, common)
-    logs = [_Log.of(run, machine, sensors) for run in runs_]
+    encoders = joint_sensors(model)
+    read = {j for j in machine.joints if set(encoders[j].position) & common}
+    followers = Followers.of(machine, read)
+    logs = [_Log.of(run, machine, sensors, followers) for run in runs_]
     step = float(np.median([log.step for log in logs]))
     floors = np.stack([log.floors for log in logs])
     noise = np.median(floors, axis=0)
@@ -112,10 +118,13 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
     most = _most_of_each([len(log.position) // thin for log in logs])
     runs = tuple(_run_motion(log, noise, band, thin, most, machine) for log in logs)
+    if followers.numbers:
+        runs = tuple(replace(run, followed=followers.paths(run.position)) for run in runs)
     seen = [[noise_floor(c) for c in log.readings.T] for log in logs]
     return Motion(
         runs=runs, band=band, noise=noise / np.sqrt(thin), sensors=sensors,
         sensor_noise=np.median(np.array(seen).reshape(len(logs), -1), axis=0) / np.sqrt(thin),
+        followers=followers.numbers,
     )  # fmt: skip
 
 
@@ -132,7 +141,9 @@ class _Log:
     readings: Array
 
     @classmethod
-    def of(cls, run: Run, machine: NominalModel, seen: Sequence[tuple[str, int]]) -> _Log:
+    def of(
+        cls, run: Run, machine: NominalModel, seen: Sequence[tuple[str, int]], followers: Followers
+    ) -> _Log:
         step = float(np.median(np.diff(run.time)))
         grid = np.arange(run.time[0], run.time[-1] + 1e-9, step)
         sensors = joint_sensors(machine.model)
@@ -149,27 +160,23 @@ class _Log:
             values = run.sensors[name] if axis < 0 else run.sensors[name][:, axis]
             return read({name: values}, [name])
 
-        position = [read(run.sensors, sensors[j].position) for j in machine.joints]
-        missing = [
-            j for j, q in zip(machine.joints, position, strict=True) if not np.isfinite(q).all()
-        ]
-        if missing:
-            raise InvalidData(
-                f"{run.name}: joint {missing[0]!r} has no position reading; the motion of every "
-                "joint is needed to say which force was missing along it"
-            )
-        rows = np.clip(np.searchsorted(run.time, grid + 1e-9, "right") - 1, 0, run.samples - 1)
-        held = [
-            filled(run.controls[a])[rows] if a in run.controls else 0 * grid
+        readings = [read(run.sensors, sensors[j].position) for j in machine.joints]
+        position = np.stack([_without_jumps(q) for q in readings], axis=1)
+        unread = np.flatnonzero(~np.isfinite(position).all(axis=0)).tolist()
+        followers.fill(run.name, position, unread)
+        sampled = [
+            replace(run.timing(a), shift_s=0.0).acting(run.time, run.controls[a], grid + 1e-9)
+            if a in run.controls
+            else 0 * grid
             for a in machine.actuators
         ]
         return cls(
             run=run,
             step=step,
-            position=np.stack([_without_jumps(q) for q in position], axis=1),
+            position=position,
             speed=np.stack([read(run.sensors, sensors[j].velocity) for j in machine.joints], 1),
             torque=np.stack([read(run.torques, [j]) for j in machine.joints], axis=1),
-            commands=np.stack(held, axis=1) if held else np.zeros((len(grid), 0)),
+            commands=np.stack(sampled, axis=1) if sampled else np.zeros((len(grid), 0)),
             readings=np.stack([whole(name, axis) for name, axis in seen], axis=1)
             if seen
             else np.zeros((len(grid), 0)),
@@ -233,6 +240,8 @@ def _run_motion(
             if _agrees(v, own[1], noise[:, joint], band, log.step):
                 own = _smoothed(q, v, noise[:, joint], band, log.step)
         parts.append(own)
+    timings = [log.run.timing(name) for name in machine.actuators]
+    lines = [replace(timing, mode="linear") for timing in timings]
     whole = np.stack(parts, axis=2)
     count = len(log.position) // thin
     first = max(count - most, 0) // 2
@@ -252,9 +261,9 @@ def _run_motion(
         derived=kept(np.stack(derived, axis=1)),
         readings=kept(low_passed(log.readings, band, log.step)),
         # through the same filter: a stiff servo acts on a small difference of large signals
-        commands=kept(low_passed(log.commands, band, log.step, held=log.step)),
+        commands=kept(low_passed(log.commands, band, log.step, timings)),
         sampled=kept(low_passed(log.commands, band, log.step)),
-        straight=kept(low_passed(log.commands, band, log.step, drawn=log.step)),
+        straight=kept(low_passed(log.commands, band, log.step, lines)),
         torques=kept(low_passed(log.torque, band, log.step)),
         limited=_blocks(_limited(log, whole[0], whole[1], machine), thin)[taken],
         log_step=log.step,
@@ -326,11 +335,9 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
 
 
 def low_passed(
-    values: Array, band: float, step: float, *, held: float = 0.0, drawn: float = 0.0
+    values: Array, band: float, step: float, timings: Sequence[CommandTiming] = ()
 ) -> Array:
-    """Columns (T, K) through the low-pass of the motion, each sample held for some time [s].
-
-    Or drawn to the next one in a straight line of some length [s].
+    """Columns (T, K) through the low-pass of the motion, those of commands as they act.
 
     A column with gaps stays as it is.
     """
@@ -341,11 +348,11 @@ def low_passed(
         ends, pad = _reflected(column, band, step)
         line = np.linspace(ends[0], ends[-1], len(ends))
         turn: Array = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(ends), step), float)
-        hold = np.sinc(turn * held / (2 * np.pi)) * np.exp(-0.5j * turn * held)
-        hold = hold * np.sinc(turn * drawn / (2 * np.pi)) ** 2
-        shape = np.fft.rfft(ends - line) * _passed(turn, band) * hold
-        slope = (ends[-1] - ends[0]) / (len(ends) - 1) / step
-        whole = np.fft.irfft(shape, len(ends)) + line - 0.5 * held * slope
+        shape = np.fft.rfft(ends - line) * _passed(turn, band)
+        if timings:
+            shape = shape * timings[k].response(turn, step)
+            line = line - timings[k].delay(step) * (ends[-1] - ends[0]) / (len(ends) - 1) / step
+        whole = np.fft.irfft(shape, len(ends)) + line
         found[:, k] = whole[pad : pad + len(column)]
     return found
 

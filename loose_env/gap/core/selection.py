@@ -418,7 +418,9 @@ class Selection:
                 balance.directions[term.contact or USUAL]
             )
             parts = zip(shares, term.columns, strict=True)
-            off = exact - sum(share * column.change.whole() for share, column in parts)
+            off = balance.folded(exact) - sum(
+                share * column.change.whole() for share, column in parts
+            )
             self._off[key] = {
                 k: cell_powers(balance, channel.joint, off)
                 for k, channel in enumerate(self.evidence.channels)

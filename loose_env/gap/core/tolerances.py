@@ -118,6 +118,8 @@ class Nuisance:
     operator: Array  # Change of the mean inertia, damping and stiffness (3, joints, joints)
     edit: Edit | None = None
     """Edit of a spec by a number of standard deviations; None if no model has it."""
+    scaled: tuple[int, float] | None = None
+    """Joint whose measured torque is scaled, and by how much; `change` has the nominal part."""
     late: tuple[int, float] | None = None
     """Actuator whose commands are shifted, and by how much [s]."""
 
@@ -140,14 +142,14 @@ def _edited(name: str, edit: Edit, balance: Balance) -> Nuisance:
     spec = balance.machine.fresh()
     edit(spec, _STEP)
     forces = balance.edited(spec)
-    change = Change(forces.with_contact(balance.directions[USUAL]) / _STEP)
+    change = balance.change(forces.with_contact(balance.directions[USUAL]) / _STEP)
     return Nuisance(name=name, change=change, operator=forces.operator / _STEP, edit=edit)
 
 
 def _shift(name: str, change: Array, balance: Balance, **more: Any) -> Nuisance:
     """Tolerance that leaves the mean inertia, damping and stiffness as they are."""
     nothing = np.zeros_like(balance.operator)
-    return Nuisance(name=name, change=Change(change), operator=nothing, **more)
+    return Nuisance(name=name, change=balance.change(change), operator=nothing, **more)
 
 
 def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
@@ -221,8 +223,9 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             gain = np.where(inverse, balance.needed[:, joint], 0.0)[:, None] * one
             yield Nuisance(
                 name=f"torque constant of {name}",
-                change=Change(tolerances.torque * gain),
+                change=balance.change(tolerances.torque * gain),
                 operator=tolerances.torque * balance.operator * one[:, None],
+                scaled=(joint, tolerances.torque),
             )
             log_step = balance.motion.runs[0].log_step
             # of the smear not of the reading: its noise would be smeared as well
@@ -280,7 +283,7 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         if machine.affine_actuators[number]:
             gain = _scaled("all_gains", name, tolerances.torque)
             yield _edited(f"gain of {name}", gain, balance)
-            if machine.model.actuator_biasprm[number, 2] != 0:
+            if machine.model.actuator_biasprm[number, 2] != 0 and name in machine.actuated_joint:
                 rate = _scaled("velocity_gain", name, tolerances.velocity_gain)
                 yield _edited(f"velocity gain of {name}", rate, balance)
                 late = _late_speed(machine, name, tolerances.speed_feedback_s)
@@ -297,10 +300,20 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     motion, joints = balance.motion, len(balance.machine.joints)
     foretold = balance.readings.foretold
     if motion.sensors and not balance.released.all():
-        # read right before or right after a command steps, or anywhere between
-        seen = balance.readings.accelerated(balance.stepped_acceleration())
-        change = np.hstack([np.zeros((len(seen), joints)), seen])
-        yield _shift("steps of commands in readings", change, balance)
+        # a reading is of an instant, and commands step or bend there or nearby; each joint gives
+        # way by an inertia of its own, which an effect may change
+        for number, name in enumerate(balance.machine.actuators):
+            bends = balance.at_samples(number, "straight")
+            slopes = [rates(own, motion.step) for own in motion.split(bends)]
+            for what, beyond in (
+                ("steps", balance.at_samples(number, "commands")),
+                ("bends", bends),
+                ("shift of bends", motion.runs[0].log_step * np.concatenate(slopes)),
+            ):
+                for joint, moved in enumerate(beyond.T):
+                    seen = balance.readings.turned(joint, [0 * moved, 0 * moved, moved])
+                    change = np.hstack([np.zeros((len(seen), joints)), seen])
+                    yield _shift(f"{what} of {name} in readings", change, balance)
     step = motion.runs[0].log_step
     for name in balance.encoders:
         forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))

@@ -146,12 +146,21 @@ class NominalModel:
 
     @cached_property
     def last_link(self) -> str:
-        """Name of the link at the end of the longest chain of joints, the last of such."""
+        """Name of the link at the end of the longest chain of joints, the last of such.
+
+        Coupled joints, such as those of a gripper's fingers, are left out: what they hold together
+        loads the link that carries them.
+        """
         model: mujoco.MjModel = self.model
         depth = np.zeros(model.nbody, dtype=int)
         for body in range(1, model.nbody):
             depth[body] = depth[model.body_parentid[body]] + model.body_jntnum[body]
+        coupled = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+        fingers = np.concatenate([model.eq_obj1id[coupled], model.eq_obj2id[coupled]])
         moved = model.body_jntnum > 0
+        alone = moved.copy()
+        alone[model.jnt_bodyid[fingers[fingers >= 0]]] = False
+        moved = alone if alone.any() else moved
         deepest = np.flatnonzero(moved & (depth == depth[moved].max()))
         return str(model.body(int(deepest[-1])).name)
 

@@ -16,7 +16,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import DrivenEffect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, set_step
-from loose_env.gap.output.result import NamedEffect
+from loose_env.gap.output.result import GapResult
 from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
 from loose_env.typing import Array
@@ -98,7 +98,7 @@ def correction_code(hypothesis: Hypothesis) -> str:
     on ``model`` and ``data`` of MuJoCo. A torque is held over a step, and therefore evaluated at
     its middle: half a step early for an accelerometer.
     """
-    pairs = hypothesis.pairs
+    pairs = [(e, np.array([float(f"{v:.6g}") for v in own])) for e, own in hypothesis.pairs]
     terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
     readings = [line for effect, own in pairs if (line := effect.code(own))]
     driven = [(e, own) for e, own in pairs if isinstance(e, DrivenEffect)]
@@ -113,12 +113,16 @@ def correction_code(hypothesis: Hypothesis) -> str:
         "import numpy as np",
         f"joints = [model.joint(name) for name in [{', '.join(map(repr, machine.joints))}]]",
         "dofs = [int(joint.dofadr[0]) for joint in joints]",
-        "speed, torque = data.qvel[dofs], np.zeros(len(joints))",
+        "speed = data.qvel[dofs]",
         "position = data.qpos[[int(joint.qposadr[0]) for joint in joints]]",
         "position = position + 0.5 * model.opt.timestep * speed",
-        *terms,
-        "data.qfrc_applied[dofs] = torque",
     ]
+    if terms:
+        lines += [
+            "torque = np.zeros(len(joints))  # or forces of your own that you apply in this step",
+            *terms,
+            "data.qfrc_applied[dofs] = torque",
+        ]
     if feedback:
         lines += [
             f"command = data.ctrl[:{len(machine.actuators)}]  # as commanded, set anew each step",
@@ -127,7 +131,7 @@ def correction_code(hypothesis: Hypothesis) -> str:
     if frictions:
         spec = machine.fresh()
         hypothesis.edit(spec)
-        own = [spec.joint(name).frictionloss for name in machine.joints]
+        own = [float(f"{spec.joint(name).frictionloss:.6g}") for name in machine.joints]
         lines += [
             "mujoco.mj_forward(model, data)",
             f"drive, friction = data.qfrc_actuator[dofs], np.array({own})",
@@ -217,17 +221,14 @@ def _check_columns(nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:
         )
 
 
-def model_notes(named: Sequence[NamedEffect], pulled: Sequence[str]) -> list[str]:
+def model_notes(result: GapResult) -> list[str]:
     """Format notes for the head of ``model.xml``: all changes to the nominal model."""
-    notes = ["Corrected by loose gap."]
-    if named:
-        notes.append("Added to the nominal model:")
-        for each in named:
-            place = "" if each.in_model else " (not in model.xml: see result.json, code)"
-            notes.append(f"{each.kind} at {each.where}: {each.values_in_words()}{place}")
-    else:
-        notes.append("No effect was added to the nominal model.")
-    if pulled:
+    notes = ["Corrected by loose gap.", "Added to the nominal model:"]
+    for each in result.effects:
+        place = "" if each.in_model else " (not in model.xml: see result.json, code)"
+        notes.append(f"{each.kind} at {each.where}: {each.values_in_words()}{place}")
+    if not result.effects:
+        notes[-1] = "No effect was added to the nominal model."
+    if result.pulled:
         notes.append("Not changed, though the data pull them out of their tolerances:")
-        notes += pulled
-    return notes
+    return [*notes, *(each.words for each in result.pulled)]

@@ -1,4 +1,4 @@
-"""Export of a result to mujoco.sysid, mjlab, Isaac Lab, URDF, BAM or ranges, as files.
+"""Export of a result to mujoco.sysid, mjlab, Isaac Lab, URDF, USD, BAM or ranges, as files.
 
 An export carries some kinds of effects, and lists all others by name, so that none is lost
 unnoticed. Values are those of the corrected model beside ``result.json``. An effect such as viscous
@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.resources import files
+from importlib import resources
 from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ def export_result(
     path : str or Path
         ``result.json`` of ``loose gap``, or the folder with it.
     target : str
-        One of `TARGETS`: "sysid", "mjlab", "isaaclab", "urdf", "bam" or "ranges".
+        One of `TARGETS`: "sysid", "mjlab", "isaaclab", "urdf", "usd", "bam", "drivebam", "ranges".
     settings : ExportSettings, optional
         Settings of the export.
     urdf : Path, optional
@@ -350,7 +350,7 @@ def _places(source: _Source, effect: NamedEffect, element: str) -> dict[str, Any
     return {e.name: e for e in getattr(source.spec, f"{element}s") if e.name in wanted}
 
 
-_SYSID = files("loose_env.gap.output").joinpath("parameters.py.txt").read_text("utf-8")
+_SYSID = resources.files("loose_env.gap.output").joinpath("parameters.py.txt").read_text("utf-8")
 """Program with a ``ParameterDict``, without its parameters."""
 
 
@@ -663,6 +663,59 @@ def _robot(urdf: Path) -> ET.Element:
     return root
 
 
+# USD
+
+_DEGREE = float(np.pi / 180)
+
+
+def _usd(source: _Source, urdf: Path | None) -> Export:
+    """Write drives and joint dynamics of the corrected model as a layer of USD.
+
+    Drives have the attributes of ``UsdPhysics.DriveAPI``, whose force is stiffness (target - q) +
+    damping (target speed - speed), at most ``maxForce``; joints those of ``NewtonJointAPI``, which
+    Newton, MuJoCo and PhysX read. Stiffness and damping of a hinge are per degree there.
+    """
+    name, left = _identifier(source.spec.modelname), list[str]()
+    lines = ["#usda 1.0", f'(\n    defaultPrim = "{name}"\n    metersPerUnit = 1\n)', ""]
+    lines += [f'over "{name}"', "{", '    over "joints"', "    {"]
+    for joint in source.joints:
+        axis, per = ("angular", _DEGREE) if joint.turns else ("linear", 1.0)
+        values: dict[str, float | str] = {
+            "float newton:armature": joint.armature, "float newton:friction": joint.frictionloss,
+            "float newton:damping": joint.viscous * per,
+        }  # fmt: skip
+        if joint.drive:
+            drive = f"drive:{axis}:physics:"
+            values |= {
+                f"uniform token {drive}type": '"force"',
+                f"float {drive}stiffness": joint.stiffness * per,
+                f"float {drive}damping": joint.damping * per,
+            }
+            if joint.effort_limit is not None:
+                values[f"float {drive}maxForce"] = joint.effort_limit
+            left += joint.remarks + joint.scale
+            left += [f"the delay of {joint.drive}, {joint.delay:.3g} s"] if joint.delay else []
+        elif joint.undriven != _NO_DRIVE:
+            left += _undriven(source, joint)
+        schemas = (
+            f'"PhysicsDriveAPI:{axis}", "NewtonJointAPI"' if joint.drive else '"NewtonJointAPI"'
+        )
+        lines += [f'        over "{_identifier(joint.name)}" (']
+        lines += [f"            prepend apiSchemas = [{schemas}]", "        )", "        {"]
+        lines += [f"            {key} = {_number(value)}" for key, value in values.items()]
+        lines += ["        }"]
+    carried = {k: _ALL for k in _CARRIED if k not in ("command_delay", "voltage_limit")}
+    left = [*source.not_carried(carried), *left]
+    notes = (f"joints are sought at /{name}/joints, where Isaac Sim's importers put them",)
+    text = "\n".join([*lines, "    }", "}", ""])
+    return Export(files={"joints.usda": text}, not_expressed=tuple(left), notes=notes)
+
+
+def _identifier(name: str) -> str:
+    """Name of a prim: letters, digits and _, none of the digits first."""
+    return re.sub(r"^(?=\d)|\W", "_", name, flags=re.ASCII)
+
+
 # BAM
 
 SERVOS = (
@@ -693,22 +746,16 @@ def _bam(source: _Source, urdf: Path | None) -> Export:
             f"BAM needs the servo of the joints: give --servo with one of {', '.join(SERVOS)}"
             + (f"; got {servo!r}" if servo else "")
         )
-    made, left = {}, list(source.not_carried(_BY_BAM))
-    for joint in source.joints:
-        places = (joint.name, joint.drive)
-        own = {e.kind: e for e in source.effects if e.where in places and e.kind in _BY_BAM}
-        if own and joint.turns:
-            name = re.sub(r"[^\w.-]", "_", joint.name)
-            made[f"bam_{name}.json"] = json_text(_bam_parameters(joint, own, servo))
-        else:
-            left += [f"{_words(e)}; BAM has no slides" for e in own.values()]
-    if not made:
-        raise InvalidSetting(
-            "the result names no effect that BAM has: viscous, Coulomb, Stribeck or load-dependent "
-            "friction or rotor inertia of a hinge; choose another target"
+    left = list(source.not_carried(_BY_BAM))
+    hinges = _bam_hinges(source, left)
+    files = {
+        "bam_" + re.sub(r"[^\w.-]", "_", joint.name) + ".json": json_text(
+            own | {"q_offset": 0.0, "actuator": servo}
         )
+        for joint, own in hinges
+    }
     return Export(
-        files=made,
+        files=files,
         not_expressed=tuple(left),
         notes=(
             f"torque constant and resistance (kt, R) are those of {servo} in BAM; they are not "
@@ -719,13 +766,58 @@ def _bam(source: _Source, urdf: Path | None) -> Export:
     )
 
 
-def _bam_parameters(
-    joint: _Joint, effects: Mapping[str, NamedEffect], servo: str
-) -> dict[str, float | str]:
-    """Parameters of one joint in the order of BAM's own files.
+def _drivebam(source: _Source, urdf: Path | None) -> Export:
+    """Write actuator configurations for Isaac Lab's ``DriveBam``, BAM as a drive of Newton.
 
-    Friction that grows with the load is that of model m5.
+    Fields are those of ``isaaclab.actuators`` with Newton 1.6 (``BamActuatorCfg``,
+    ``BamMotorCfg``); the motor's own come from the servo's fit in BAM, of which ``fit`` has kt,
+    resistance, error_gain and max_current.
     """
+    left = list(source.not_carried(_BY_BAM | {"command_delay": _ALL}))
+    lines = [f'"""Actuators for DriveBam; delays are in physics steps of {source.step:g} s.', ""]
+    text = ["from isaaclab.actuators import BamActuatorCfg, BamMotorCfg", "", ""]
+    text += ["def actuators(fit: dict, kp_fw: float, vin: float) -> dict[str, BamActuatorCfg]:"]
+    text += ['    """Configurations by joint, of a servo\'s fit, firmware gain and supply [V]."""']
+    text += ["    return {"]
+    for joint, own in _bam_hinges(source, left):
+        low, high = _lags(source, joint, left)
+        motor = ", ".join(f"{k!r}: {v!r}" for k, v in own.items() if k != "armature")
+        delay = f" min_delay={low}, max_delay={high}," if high else ""
+        text += [
+            f"        {joint.name!r}: BamActuatorCfg(",
+            f"            joint_names_expr=[{re.escape(joint.name)!r}], kp_fw=kp_fw, vin=vin,",
+            f"            armature={own['armature']!r},{delay}",
+            f"            motor=BamMotorCfg(**fit | {{{motor}}}),",
+            "        ),",
+        ]
+    lines += ["Not expressed:", *(f"- {words}" for words in left)] if left else []
+    return Export(
+        files={"drivebam_actuators.py": "\n".join([*lines, '"""', "", *text, "    }", ""])},
+        not_expressed=tuple(left),
+        notes=("kt, resistance, error_gain and max_current are those of the fit given to it",),
+    )
+
+
+def _bam_hinges(source: _Source, left: list[str]) -> list[tuple[_Joint, dict[str, float | str]]]:
+    """Hinges with an effect that BAM has, and their parameters in BAM; the others are listed."""
+    made = []
+    for joint in source.joints:
+        places = (joint.name, joint.drive)
+        own = {e.kind: e for e in source.effects if e.where in places and e.kind in _BY_BAM}
+        if own and joint.turns:
+            made.append((joint, _bam_parameters(joint, own)))
+        else:
+            left += [f"{_words(e)}; BAM has no slides" for e in own.values()]
+    if not made:
+        raise InvalidSetting(
+            "the result names no effect that BAM has: viscous, Coulomb, Stribeck or load-dependent "
+            "friction or rotor inertia of a hinge; choose another target"
+        )
+    return made
+
+
+def _bam_parameters(joint: _Joint, effects: Mapping[str, NamedEffect]) -> dict[str, float | str]:
+    """Parameters of one joint; friction that grows with the load is that of model m5."""
     stribeck, load = effects.get("stribeck_friction"), effects.get("load_friction")
     fall, speed = 0.0, _SPEED
     if load is not None:
@@ -733,7 +825,7 @@ def _bam_parameters(
     if stribeck is not None:
         fall = (stribeck.parameters["static_ratio"] - 1.0) * stribeck.parameters["torque"]
         speed = stribeck.parameters["speed"]
-    found: dict[str, float | str] = {"armature": joint.armature, "q_offset": 0.0}
+    found: dict[str, float | str] = {"armature": joint.armature}
     found["friction_base"] = max(joint.frictionloss - fall, 0.0)
     if stribeck is not None or load is not None:
         found |= {"friction_stribeck": fall, "dtheta_stribeck": speed, "alpha": _ALPHA}
@@ -747,7 +839,6 @@ def _bam_parameters(
         }
     found["friction_viscous"] = joint.viscous
     found["model"] = "m5" if load is not None else "m2" if stribeck is not None else "m1"
-    found["actuator"] = servo
     return found
 
 
@@ -756,7 +847,9 @@ TARGETS: Mapping[str, Callable[[_Source, Path | None], Export]] = {
     "mjlab": _mjlab,
     "isaaclab": _isaaclab,
     "urdf": _urdf,
+    "usd": _usd,
     "bam": _bam,
+    "drivebam": _drivebam,
     "ranges": _ranges,
 }
 """Target -> its export."""

@@ -55,6 +55,8 @@ class NamedEffect(EffectLocation):
     """Whether ``model.xml`` carries it; if not, ``code`` of the result applies it where it can."""
     probability: float | None = None
     """Probability that the machine has it, or one of `ambiguous_with` in its place."""
+    probability_alone: float | None = None
+    """Probability that the machine has this very one."""
     z: float | None = None
     """Largest coefficient over its standard deviation."""
     held_out_gain: Mapping[str, float] = field(default_factory=dict)
@@ -76,7 +78,7 @@ class NamedEffect(EffectLocation):
 
 @dataclass(frozen=True, kw_only=True)
 class RankedSet:
-    """A set of effects that was fitted."""
+    """A set of effects that was fitted, by what chose among the sets."""
 
     effects: tuple[EffectLocation, ...]
     """The effects; none for the nominal model."""
@@ -84,8 +86,8 @@ class RankedSet:
     """Minus twice its log posterior probability above the best set's."""
     probability: float
     """Probability among the sets that were visited."""
-    simulated: float | None = None
-    """Minus twice the log posterior in full simulation above the best simulated set's."""
+    source: Literal["force balance", "simulation"] = "force balance"
+    """What fitted it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +125,7 @@ class ChannelVerdict:
     after: float
     """Residual of the corrected model there."""
     advice: str = ""
-    """Motion or measurement that would tell, or where most is left."""
+    """Motion or measurement that would tell, or where most of the residual is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +136,12 @@ class TolerancePull:
     """What the model states, such as "mass of link2"."""
     deviations: float
     """Pull in standard deviations of the tolerance."""
+
+    @property
+    def words(self) -> str:
+        """What the data say of it."""
+        side = "above" if self.deviations > 0 else "below"
+        return f"{self.name}: {abs(self.deviations):.1f} standard deviations {side} nominal"
 
 
 @dataclass(frozen=True, kw_only=True)

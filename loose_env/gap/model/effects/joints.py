@@ -304,7 +304,7 @@ class LoadFriction(DrivenEffect, JointEffect):
         own = f"{share!r} * abs(drive[{joint}])"
         if self.variant == "stribeck":
             fallen = f"np.exp(-((speed[{joint}] / {more[1]!r}) ** 2))"
-            own = f"{share!r} * (1 + {more[0] - 1!r} * {fallen}) * abs(drive[{joint}])"
+            own = f"{share!r} * (1 + {more[0] - 1:.6g} * {fallen}) * abs(drive[{joint}])"
         elif self.variant == "external":
             own += f" + {more[0]!r} * abs(load[{joint}])"
         return f"friction[{joint}] += {own}"

@@ -1,0 +1,218 @@
+"""Timing of commands by the motion that follows them: held or along lines, and a shift.
+
+A controller interpolates its references and a logger samples them, or it holds each command until
+the next. Held commands act half an interval after the lines between their samples. The delay behind
+the lines follows from the torque that the model needs for the measured motion: what its drive does
+not give of it is, by least squares, a delay of the command, viscous and dry friction, and a
+constant. Delays of drives only add: where it is below a quarter of the interval, no command can be
+held, and where it is negative the commands act before their stamps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from scipy import ndimage
+
+from loose_env.importing.resampling import median_step
+from loose_env.importing.targets import SMOOTHED, joint_targets, needed_torques
+from loose_env.recording import CommandTiming, Run
+from loose_env.typing import Array
+
+_LINEAR = 0.25
+"""Delay over the interval of the commands, below which they are linear: half way to held ones."""
+_KNOWN = 0.125
+"""Standard deviation of the same, up to which it decides."""
+_MOST_SHIFT = 1.5
+"""Lead over the interval that may be one of sampling; a longer one is a matter of clocks."""
+_RUNS, _ROWS = 6, 4000
+"""Runs, and rows of each about its middle, that are looked at."""
+_PIECES = 8
+"""Pieces that are left out in turn for the standard deviation: residuals are correlated."""
+_DRY = 0.1
+"""Speed at which friction is 76 % of its slow value, over the joint's rms speed."""
+
+_STEPS = 4
+"""Steps of Gauss and Newton: a delay is linear for a part of the motion's period only."""
+
+_Part = tuple[Array, Array, Array, Run]
+"""Needed torque and position of a joint at the times of a grid, and the run."""
+
+
+class CommandDelay(NamedTuple):
+    """Delay at which a drive acts on its command behind straight lines between its samples."""
+
+    seconds: float
+    """Negative where it acts before the samples' stamps [s]."""
+    sd: float
+    """Standard deviation [s]."""
+    interval: float
+    """Median time between changes of the command [s]."""
+
+
+def command_delays(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, CommandDelay]:
+    """Delay of each drive whose force is affine, alone at its joint.
+
+    Empty where the positions of some joints are not known, or loops are closed.
+    """
+    targets = [each for each in joint_targets(model) if each.position]
+    runs = [
+        run for run in runs
+        if run.controls and all(each.position[7:] in run.sensors for each in targets)
+    ][:_RUNS]  # fmt: skip
+    if not runs:
+        return {}
+    step = median_step(runs[0].time)
+    grids = []
+    for run in runs:
+        grid = np.arange(run.time[0], run.time[-1], step)
+        first = max(len(grid) - _ROWS, 0) // 2
+        grids.append(grid[first : first + _ROWS])
+    positions = {
+        each.name: [
+            _read(run, run.sensors[each.position[7:]], grid)
+            for run, grid in zip(runs, grids, strict=True)
+        ]
+        for each in targets
+    }
+    needed = needed_torques(model, positions, step)
+    found = {}
+    for each in targets:
+        drive = each.command[5:]
+        if each.name in needed and drive and _affine(model, drive):
+            parts = [
+                (needed[each.name][k], positions[each.name][k], grid, run)
+                for k, (run, grid) in enumerate(zip(runs, grids, strict=True))
+                if drive in run.controls and np.ptp(_held(run, drive)) > 0
+            ]
+            if parts:
+                found[drive] = _delay(model, drive, step, parts)
+    return {drive: delay for drive, delay in found.items() if np.isfinite([*delay]).all()}
+
+
+def _affine(model: mujoco.MjModel, drive: str) -> bool:
+    own = model.actuator(drive)
+    return bool(own.dyntype[0] == 0 and own.gaintype[0] == 0 and own.biastype[0] in (0, 1))
+
+
+def _read(run: Run, values: Array, grid: Array) -> Array:
+    there = np.isfinite(values)
+    return np.interp(grid, run.time[there], values[there]) if there.any() else np.zeros(len(grid))
+
+
+def _held(run: Run, drive: str) -> Array:
+    """Command of a run at its samples, with missing ones filled."""
+    return CommandTiming().acting(run.time, run.controls[drive], run.time)
+
+
+def _delay(model: mujoco.MjModel, drive: str, step: float, parts: Sequence[_Part]) -> CommandDelay:
+    interval = float(np.median([interval_of(run.time, _held(run, drive)) for *_, run in parts]))
+    late = 0.0
+    for _ in range(_STEPS):
+        y, terms = _terms(model, drive, step, parts, interval, late)
+        late += _fitted(y, terms)
+    piece = np.arange(len(y)) * _PIECES // max(len(y), 1)
+    without = [_fitted(y[piece != k], terms[piece != k]) for k in range(_PIECES)]
+    return CommandDelay(late, float(np.sqrt(_PIECES - 1) * np.std(without)), interval)
+
+
+def _fitted(y: Array, terms: Array) -> float:
+    size = np.maximum(np.linalg.norm(terms, axis=0), 1e-300)
+    return float(np.linalg.lstsq(terms / size, y, rcond=None)[0][0] / size[0])
+
+
+def _terms(
+    model: mujoco.MjModel, drive: str, step: float, parts: Sequence[_Part], interval: float,
+    late: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Torque (T,) that a drive does not give, and its change by delay and friction (T, 4)."""
+    own = model.actuator(drive)
+    gear, gain, (bias, stiff, damped) = float(own.gear[0]), float(own.gainprm[0]), own.biasprm[:3]
+    left, columns = [], []
+    for needed, position, grid, run in parts:
+        lines = lines_of(run.time, _held(run, drive), interval)
+        asked = np.interp(grid - late, run.time, lines)
+        command, q = (np.asarray(ndimage.uniform_filter1d(x, SMOOTHED)) for x in (asked, position))
+        speed, inner = np.gradient(q, step), slice(SMOOTHED, -SMOOTHED)
+        given = gear * (gain * command + bias + gear * (stiff * q + damped * speed))
+        dry = np.tanh(speed / (_DRY * np.std(speed) + 1e-12))
+        later = -gear * gain * np.gradient(command, step)
+        left.append((needed - given)[inner])
+        columns.append(np.stack([later, np.ones_like(q), speed, dry], axis=1)[inner])
+    return np.concatenate(left), np.concatenate(columns)
+
+
+def interval_of(time: Array, values: Array) -> float:
+    """Median time between changes of a command [s]; infinite where it changes less than twice."""
+    changes = np.flatnonzero(np.diff(values)) + 1
+    return float(np.median(np.diff(time[changes]))) if len(changes) > 1 else np.inf
+
+
+def lines_of(time: Array, values: Array, interval: float) -> Array:
+    """Held command (T,) as straight lines between its changes, at most an interval long.
+
+    Examples
+    --------
+    >>> lines_of(np.arange(8.0), np.array([0.0, 0, 2, 2, 2, 2, 2, 4]), 2.0).tolist()
+    [0.0, 1.0, 2.0, 2.0, 2.0, 2.0, 3.0, 4.0]
+    """
+    changes = np.flatnonzero(np.diff(values)) + 1
+    since = np.diff(time[changes], prepend=-np.inf)
+    rests = np.searchsorted(time, time[changes[since > 1.5 * interval]] - 1.001 * interval)
+    knots = np.unique(np.concatenate([[0], rests, changes, [len(time) - 1]]))
+    return np.asarray(np.interp(time, time[knots], values[knots]))
+
+
+def usual_delay(delays: Collection[CommandDelay]) -> CommandDelay | None:
+    """Delay that the sampling of all commands makes, as far as it is known: the lower median.
+
+    A single drive may be late by itself, or seem early by its friction.
+    """
+    known = sorted(
+        (each for each in delays if each.sd <= _KNOWN * each.interval),
+        key=lambda each: each.seconds / each.interval,
+    )
+    return known[(len(known) - 1) // 2] if known else None
+
+
+def early_by(model: mujoco.MjModel, runs: Sequence[Run]) -> float:
+    """Time by which drives act before the commands as the runs have them [s]; 0 if within doubt."""
+    delays = command_delays(model, runs)
+    usual = usual_delay(delays.values())
+    if usual is None or usual.seconds < -_MOST_SHIFT * usual.interval:
+        return 0.0
+    name = next(name for name, delay in delays.items() if delay is usual)
+    early = runs[0].timing(name).delay(usual.interval) - usual.seconds
+    return early if early > _LINEAR * usual.interval else 0.0
+
+
+def timed(
+    model: mujoco.MjModel, runs: Sequence[Run], free: Collection[str], say: Callable[[str], None]
+) -> list[Run]:
+    """Runs in which the commands that no mapping fixed act as the motion says; else held."""
+    usual = usual_delay([v for k, v in command_delays(model, runs).items() if k in free])
+    if usual is None or (share := usual.seconds / usual.interval) >= _LINEAR:
+        return list(runs)
+    shift = usual.seconds if -_MOST_SHIFT <= share < -_LINEAR else 0.0
+    timing = CommandTiming(mode="linear", shift_s=round(shift, 6))
+    lead = f", {-1e3 * shift:.3g} ms before their stamps" if shift else ""
+    say(
+        f"commands act along straight lines between their samples{lead}: the drives follow the "
+        f"lines {1e3 * usual.seconds:.3g} ms late (standard deviation {1e3 * usual.sd:.2g} ms), "
+        f"and held commands would act {500 * usual.interval:.3g} ms late"
+    )
+    return [
+        replace(
+            run,
+            controls={
+                name: lines_of(run.time, _held(run, name), usual.interval) if name in free else own
+                for name, own in run.controls.items()
+            },
+            commands={**run.commands, **{name: timing for name in run.controls if name in free}},
+        )
+        for run in runs
+    ]
