@@ -332,8 +332,7 @@ def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
     found = []
     for number, own in enumerate(answer.decision.channels):
         before, after = gap.by_channel[own.channel]
-        advice = _advice(answer, number, own)
-        found.append(replace(own, before=before, after=after, advice=advice))
+        found.append(replace(own, before=before, after=after, advice=_advice(answer, number, own)))
     found += [
         ChannelVerdict(
             channel=joint, verdict="cannot tell", before=nan, after=nan,

@@ -177,7 +177,7 @@ def _channel_rows(result: GapResult) -> list[list[str]]:
 
 def _sides(before: float, after: float) -> list[str]:
     """Share of a residual's power that is explained, and the residual before and after."""
-    share = f"{100 * max(0.0, 1 - (after / before) ** 2):.0f} %" if before > _AT_NOISE else ""
+    share = (percent(1 - (after / before) ** 2) if after < before else "0 %") * (before > _AT_NOISE)
     ends = (f"{v:.0f}" if abs(v) >= 1e3 else f"{v:.3g}" for v in (before, after))
     return [share, *(end.replace("nan", "-") for end in ends)]
 
@@ -378,7 +378,7 @@ def render_gap_page(solution: GapSolution) -> str:
         gap_headline(result),
         [
             _effects_section(solution),
-            _channels_section(result),
+            _channels_section(solution),
             Section(heading="What to do next", points=gap_steps(result), code=result.code),
             warnings_section(result.graded_warnings),
             _overlay_section(solution),
@@ -492,8 +492,11 @@ def _effects_section(solution: GapSolution) -> Section:
     return Section(heading="What the model lacks", tables=tables)
 
 
-def _channels_section(result: GapResult) -> Section:
+def _channels_section(solution: GapSolution) -> Section:
     """One line for each joint and reading."""
+    result, fitted = solution.result, "the named effects alone"
+    if solution.answer.decision.simulated and result.doubtful:
+        fitted = "all that was fitted in simulation, named or not"
     left = {_reading(c.channel): c.advice for c in result.channels if c.verdict != "cannot tell"}
     rows = [
         {begun(head): cell or "-" for head, cell in zip(_CHANNELS, row, strict=True)}
@@ -501,8 +504,8 @@ def _channels_section(result: GapResult) -> Section:
         for row in _channel_rows(result)
     ]
     note = (
-        f"{begun(_UNIT)}. Before: the nominal model within its tolerances; after: with the named "
-        "effects alone. Explained: share of the squared residual that they remove. Not needed: "
+        f"{begun(_UNIT)}. Before: the nominal model within its tolerances; after: with "
+        f"{fitted}. Explained: share of the squared residual that they remove. Not needed: "
         "within tolerances and noise the model is right. Cannot tell: one of these effects, or "
         "none. Unexplained: much is left by everything that was tried."
     )

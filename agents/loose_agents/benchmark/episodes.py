@@ -187,7 +187,10 @@ class EpisodeSet:
 HIDDEN = "hidden"
 """Set whose seed is secret while its round is open."""
 
-ROUNDS = ("e76c8d8f25682f5d213e102e5a6c9f8c1dacdda5b06a2f9253b854cdfcc3eef8",)
+ROUNDS = (
+    "e76c8d8f25682f5d213e102e5a6c9f8c1dacdda5b06a2f9253b854cdfcc3eef8",
+    "0056d0ee1382a169b2a08d8757cbfe11d3c5786e5d70d6c291c91d79297ae01c",
+)
 """Commitments to the salts of all rounds, the first round first."""
 
 SETS: Mapping[str, EpisodeSet] = MappingProxyType(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -59,23 +60,30 @@ def value_tables(results: Sequence[Results]) -> str:
         "| task | arms | closed loop | return | V-stop | V-feedback | V over fixed sequence |",
         "|---|---:|---|---:|---:|---:|---:|",
     ]
-    for task in TASKS:
-        own = _entries(results, task, "test")
+    for task, set_name in product(TASKS, ("test", HIDDEN)):
+        own = _entries(results, task, set_name)
         if ADAPTIVE not in own:
             continue
-        closed = max(
-            (own[name] for name in CLOSED_LOOP if name in own),
-            key=lambda each: float(each.returns.mean()),
-        )
-        lengths = [each.returns for name, each in own.items() if name.startswith("fixed_")]
-        best = max(lengths, key=lambda returns: float(returns.mean()), default=None)
-        stopping, open_loop = (
-            own[name].returns if name in own else None for name in ("fixed", "open_loop")
-        )
-        pairs = ((stopping, best), (closed.returns, open_loop), (closed.returns, stopping))
-        played = [_short(task), str(len(closed.truth)), closed.entry, _signed(closed.returns)]
-        lines.append(_line([*played, *(_difference(*pair) for pair in pairs)]))
+        lengths = _best(own, [name for name in own if name.startswith("fixed_")])
+        sequence = _best(own, [name for name in own if name.startswith("fixed")])
+        stopping, open_loop = (_best(own, [name]) for name in ("fixed", "open_loop"))
+        closed = _best(own, CLOSED_LOOP)
+        pairs = ((stopping, lengths), (closed, open_loop), (closed, sequence))
+        assert closed is not None
+        words = _short(task) + ", hidden" * (set_name == HIDDEN)
+        told = [words, str(len(closed.truth)), closed.entry, _signed(closed.returns)]
+        lines.append(_line([*told, *(_difference(*map(_returns, pair)) for pair in pairs)]))
     return "\n".join(lines)
+
+
+def _best(own: ByEntry, names: Sequence[str]) -> Results | None:
+    """Entry of the highest return among names, if one of them has played."""
+    found = [own[name] for name in names if name in own]
+    return max(found, key=lambda each: float(each.returns.mean()), default=None)
+
+
+def _returns(of: Results | None) -> Array | None:
+    return None if of is None else of.returns
 
 
 def leaderboard(results: Sequence[Results]) -> str:

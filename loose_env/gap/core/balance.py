@@ -393,15 +393,19 @@ class Balance:
         changed[:, actuator] -= size * np.concatenate(slopes)
         return (self.given - self.given_by(changed)) / size
 
-    def stepped_acceleration(self) -> Array:
-        """Acceleration at the samples beyond its mean, right after held commands step (T, joints).
+    def at_samples(self, actuator: int, between: str) -> Array:
+        """Acceleration at the samples beyond its mean between them (T, joints).
 
-        A held command acts half an interval late on the mean; an accelerometer that is read at the
-        step sees it at once.
+        By one actuator's commands, as "commands" hold them from sample to sample or "straight"
+        lines join them. An accelerometer that is read as a held command steps sees all of the step,
+        which acts half an interval late on the mean.
         """
-        ahead = self.given_by(self.motion.stacked("sampled")) - self.given
+        sampled, mean = self.commands.copy(), self.commands.copy()
+        sampled[:, actuator] = self.motion.stacked("sampled")[:, actuator]
+        mean[:, actuator] = self.motion.stacked(between)[:, actuator]
         mass = _dense(self._nominal, self._masses(self._nominal, self.position))
-        return np.asarray(np.linalg.solve(mass, ahead[..., None])[..., 0])
+        beyond = self.given_by(sampled) - self.given_by(mean)
+        return np.asarray(np.linalg.solve(mass, beyond[..., None])[..., 0])
 
     def _masses(self, model: mujoco.MjModel, position: Array) -> Array:
         """Packed mass matrices at some positions (T, nC)."""
@@ -608,7 +612,7 @@ class Balance:
         total = np.sum(self.noise_of(joint, frequency, operator), axis=1) + 1e-300
         if floor:
             total = total + (_MODEL * self.machine.load_scales[joint]) ** 2
-        if np.isfinite(torque[joint]):
+        if np.isfinite(torque[joint]) and (self.forms == "inverse").any():
             total = total + torque[joint] ** 2
         return np.asarray(np.sqrt(total))
 

@@ -49,7 +49,7 @@ class Finding:
     probability: float  # Probability that the machine has it, or one of `confusable` in its place
     alone: float  # Probability that the machine has it
     confusable: tuple[tuple[str, str], ...]
-    """Other effects beside its place that explain the data nearly as well."""
+    """Other effects near its place that may be there without it."""
     z: float  # Largest coefficient over its standard deviation
     by_run: float  # Rise of twice the log likelihood of held-out runs
     by_stretch: float  # The same of held-out stretches of all runs
@@ -76,11 +76,11 @@ class Decision:
 def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> Decision:
     """Say what of a pruned set is named, with the values of an exact fit if there is one."""
     gains = _gains(selection, fit)
-    near, weights = _near(selection, fit)
+    near = _near(selection, fit)
     chances: dict[tuple[str, str], float] = {}
-    for names, weight in zip(near, weights, strict=True):
+    for names, weight in near:
         for name in names:
-            chances[name] = chances.get(name, 0.0) + float(weight)
+            chances[name] = chances.get(name, 0.0) + weight
     after = held_out_rms(selection, fit)
     before = _before(selection)
     open_ = _unexplained(before, after)
@@ -101,13 +101,15 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
         z = float(np.max(np.abs(x) / sd))
         by_run, by_stretch = (float(g[number]) for g in gains)
         alike = _confusable(selection, term, chances)
-        chance = float(sum(w for names, w in zip(near, weights, strict=True) if names & alike))
+        chance = sum(weight for names, weight in near if names & alike)
+        without = [(names, weight) for names, weight in near if term.name not in names]
+        instead = [n for n in alike if sum(w for names, w in without if n in names) > _RIVAL]
         held = max(by_run, by_stretch) if min(by_run, by_stretch) > CONTRADICTED else -np.inf
         findings.append(
             Finding(
                 term=term, values=values, low=ends.min(axis=0), high=ends.max(axis=0),
                 probability=chance, alone=min(chances[term.name], chance),
-                confusable=tuple(sorted(alike - {term.name})),
+                confusable=tuple(sorted(instead)),
                 z=z, by_run=by_run, by_stretch=by_stretch,
                 doubt=_doubt(chance, z > _Z, held, bool(open_[_main(selection, fit, term)])),
             )
@@ -167,6 +169,7 @@ def decide_simulated(
     for other, weight in zip(visited, weights / weights.sum(), strict=True):
         for term in other.terms:
             chances[term.name] = chances.get(term.name, 0.0) + float(weight)
+    wide = _left_to_cells(selection, fit)
     gains, left = _simulated_gains(selection, exact, best)
     before, after = _before(selection), held_out_rms(selection, fit)
     simulated = exact.by_joint()
@@ -178,7 +181,8 @@ def decide_simulated(
     shown = {term.name: open_[_main(selection, fit, term)] for term in fit.terms}
     findings = []
     for number, (term, values) in enumerate(zip(best.terms, best.values, strict=True)):
-        ends = np.stack(_simulated_ends(best, number))
+        off = np.stack(_simulated_ends(best, number)) - values
+        ends = values + np.sign(off) * np.hypot(off, wide[number])
         sure = not term.effect.interval_includes_null(ends.min(axis=0), ends.max(axis=0))
         gain, chance = float(gains[number]), min(chances[term.name], 1.0)
         findings.append(
@@ -294,7 +298,7 @@ def _gains(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
     return one[1:] - one[0], other[1:] - other[0]
 
 
-def _near(selection: Selection, fit: SetFit) -> tuple[list[set[tuple[str, str]]], Array]:
+def _near(selection: Selection, fit: SetFit) -> list[tuple[set[tuple[str, str]], float]]:
     """Effects and probability of the sets near the answer."""
     form = Form(selection, fit.powers, fit)
     forms = {t.form for t in fit.terms}
@@ -309,7 +313,8 @@ def _near(selection: Selection, fit: SetFit) -> tuple[list[set[tuple[str, str]]]
     near = [f for f in (*selection.fits.values(), fit) if f.allowed]
     least = min(f.total for f in near)
     weights = np.exp(-0.5 * np.array([f.total - least for f in near]))
-    return [{t.name for t in f.terms} for f in near], weights / weights.sum()
+    weights /= weights.sum()
+    return [({t.name for t in f.terms}, float(w)) for f, w in zip(near, weights, strict=True)]
 
 
 def _confusable(
@@ -323,6 +328,21 @@ def _confusable(
         for name, chance in chances.items()
         if chance > _RIVAL and chance < 1 - _RIVAL and name[1] in near and name in members
     }
+
+
+def _left_to_cells(selection: Selection, fit: SetFit) -> list[Array]:
+    """Half widths of intervals by what a simulation holds: tolerances, and what laws miss (P,)."""
+    _, sized = selection.sized(fit)
+    own = np.arange(len(sized.numbers)) >= selection.evidence.tolerances
+    covariance, effects = _missed(selection, sized), np.ix_(own, own)
+    covariance[effects] += np.linalg.inv(sized.normal)[effects]
+    covariance[effects] -= np.linalg.inv(sized.normal[effects])
+    found = []
+    for term in fit.terms:
+        at = sized.places(selection.evidence.columns_of(term))
+        low, high = _ends(term, sized.values[at], covariance[np.ix_(at, at)])
+        found.append(np.abs(high - low) / 2)
+    return found
 
 
 def _ends(term: Term, x: Array, covariance: Array) -> Array:
@@ -381,9 +401,30 @@ def _covariance(selection: Selection, fit: SetFit) -> Array:
     count = len(stretches)
     jackknife = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, 0))
     wider = np.maximum(jackknife / np.sqrt(np.diag(laplace)), 1.0)
-    # of what a law misses about half looks like more or less of it
-    missed = 0.5 * selection.evidence.inexact[fit.numbers] * fit.values
-    return np.asarray(laplace * np.outer(wider, wider) + np.diag(missed**2))
+    return np.asarray(laplace * np.outer(wider, wider) + _missed(selection, fit))
+
+
+def _missed(selection: Selection, fit: SetFit) -> Array:
+    """Covariance by what the columns of tolerances and laws miss.
+
+    Of what a law misses about half looks like more or less of the effect; and a torque constant
+    scales what the effects take, not only what the nominal model needs.
+    """
+    evidence = selection.evidence
+    found = np.diag((0.5 * evidence.inexact[fit.numbers] * fit.values) ** 2)
+    effects = np.where(fit.numbers < evidence.tolerances, 0.0, fit.values)
+    widths = dict(n.scaled for n in evidence.nuisances if n.scaled)
+    for k, channel in enumerate(evidence.channels):
+        own, at, local = np.intersect1d(fit.numbers, channel.columns, return_indices=True)
+        if channel.joint not in widths or not len(own):
+            continue
+        rows = channel.rows[:, local]
+        weight = selection.weights(k, fit.powers[k])[channel.cell]
+        slope = np.zeros(len(fit.numbers))
+        slope[at] = rows.T @ (weight * (rows @ effects[at]))
+        moved = widths[channel.joint] * np.linalg.solve(fit.normal, slope)
+        found += np.outer(moved, moved)
+    return found
 
 
 def _before(selection: Selection) -> Array:

@@ -178,7 +178,9 @@ class Exact:
             )  # fmt: skip
             found = solved.x
             rows = self._residuals([hypothesis(found)])[0][0]
-            normal = solved.jac.T @ solved.jac + 1e-9 * np.eye(len(found))
+            # rows repeat a discrepancy, which counts for as many values as in the likelihood
+            counted = self._values(channel)[:, None] * solved.jac
+            normal = solved.jac.T @ counted + 1e-9 * np.eye(len(found))
             spread = np.sqrt(np.diag(np.linalg.inv(normal)))
         parts = np.split(found, cuts) if terms else []
         return ExactFit(
@@ -305,12 +307,17 @@ class Exact:
 
     def _score(self, rows: Array, channel: IndexArray) -> float:
         """Minus twice the log likelihood with a discrepancy in each channel."""
-        windows, total = len(self.simulator.trials), 0.0
+        total = 0.0
         for k in np.unique(channel):
             own = rows[channel == k]
-            values = LEAST_VALUES * windows + SHARE_VALUES * len(own)
+            values = self._values(channel[channel == k]).sum()
             total += values * np.log1p(max(float(own @ own) - len(own), 0.0) / values)
         return float(total)
+
+    def _values(self, channel: IndexArray) -> Array:
+        """Values of the discrepancy for which each row stands."""
+        count = np.bincount(channel)[channel]
+        return np.asarray(LEAST_VALUES * len(self.simulator.trials) / count + SHARE_VALUES)
 
 
 def _by_channel(rows: Array, channel: IndexArray) -> Array:

@@ -79,11 +79,6 @@ class Readings:
             )
         return found - self.foretold
 
-    def accelerated(self, more: Array) -> Array:
-        """Change of the readings by more acceleration of the joints (T, R)."""
-        position, speed, acceleration = self._states
-        return self.of(self.model, position, speed, acceleration + more) - self.foretold
-
     def of(self, model: mujoco.MjModel, q: Array, v: Array, a: Array) -> Array:
         """Readings of a model along a motion of all its joints (T, R)."""
         data = mujoco.MjData(model)
@@ -115,9 +110,11 @@ class Readings:
     def foretold_variance(self, reading: int, frequency: Array) -> Array:
         """Variance of a foretold reading by the noise of the positions (F,)."""
         turn = 2 * np.pi * frequency[:, None]
-        moved = self._gains[0, reading] ** 2 + (turn * self._gains[1, reading]) ** 2
-        moved = moved + (turn**2 * self._gains[2, reading]) ** 2
-        return np.asarray(moved @ self.motion.noise[0] ** 2)
+        position, speed, _ = self.motion.noise
+        # the speed is the derived one, and the acceleration that of both readings
+        moved = (self._gains[0, reading] ** 2 + (turn * self._gains[1, reading]) ** 2) * position**2
+        known = 1 / position**2 + (turn / speed) ** 2
+        return np.asarray(np.sum(moved + (turn**2 * self._gains[2, reading]) ** 2 / known, axis=1))
 
     def _moved(self, model: mujoco.MjModel) -> bool:
         """Whether an edit moves or tilts anything that a sensor stands on."""

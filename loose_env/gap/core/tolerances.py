@@ -118,6 +118,8 @@ class Nuisance:
     operator: Array  # Change of the mean inertia, damping and stiffness (3, joints, joints)
     edit: Edit | None = None
     """Edit of a spec by a number of standard deviations; None if no model has it."""
+    scaled: tuple[int, float] | None = None
+    """Joint whose measured torque is scaled, and by how much; `change` has the nominal part."""
     late: tuple[int, float] | None = None
     """Actuator whose commands are shifted, and by how much [s]."""
 
@@ -223,6 +225,7 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 name=f"torque constant of {name}",
                 change=balance.change(tolerances.torque * gain),
                 operator=tolerances.torque * balance.operator * one[:, None],
+                scaled=(joint, tolerances.torque),
             )
             log_step = balance.motion.runs[0].log_step
             # of the smear not of the reading: its noise would be smeared as well
@@ -297,10 +300,20 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     motion, joints = balance.motion, len(balance.machine.joints)
     foretold = balance.readings.foretold
     if motion.sensors and not balance.released.all():
-        # read right before or right after a command steps, or anywhere between
-        seen = balance.readings.accelerated(balance.stepped_acceleration())
-        change = np.hstack([np.zeros((len(seen), joints)), seen])
-        yield _shift("steps of commands in readings", change, balance)
+        # a reading is of an instant, and commands step or bend there or nearby; each joint gives
+        # way by an inertia of its own, which an effect may change
+        for number, name in enumerate(balance.machine.actuators):
+            bends = balance.at_samples(number, "straight")
+            slopes = [rates(own, motion.step) for own in motion.split(bends)]
+            for what, beyond in (
+                ("steps", balance.at_samples(number, "commands")),
+                ("bends", bends),
+                ("shift of bends", motion.runs[0].log_step * np.concatenate(slopes)),
+            ):
+                for joint, moved in enumerate(beyond.T):
+                    seen = balance.readings.turned(joint, [0 * moved, 0 * moved, moved])
+                    change = np.hstack([np.zeros((len(seen), joints)), seen])
+                    yield _shift(f"{what} of {name} in readings", change, balance)
     step = motion.runs[0].log_step
     for name in balance.encoders:
         forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
