@@ -428,8 +428,8 @@ def _missed(selection: Selection, fit: SetFit) -> Array:
 
 
 def _before(selection: Selection) -> Array:
-    """Residual of the nominal model in each channel (C,)."""
-    return np.array([np.sqrt(c.power.sum() / c.count.sum()) for c in selection.evidence.channels])
+    """Held-out residual of the nominal model within its tolerances in each channel (C,)."""
+    return held_out_rms(selection, selection.solve(()))
 
 
 def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
