@@ -143,6 +143,8 @@ class Motion:
     """Times at which the windows begin and end [s], shape (N + 1,)."""
     chosen: NDArray[np.intp]
     """Windows that are compared, shape (T,)."""
+    positions: Array
+    """Positions, shape (T, nq) [rad or m]."""
     readings: Array
     """Sensor data that the model implies, shape (T, nsensordata)."""
     torques: Array
@@ -190,7 +192,13 @@ def motion_of(machine: Machine, run: Run, window_s: float = 0.0) -> Motion | Non
     torques = needed_torques(model, qpos, qvel, qacc, readings)
     known = frozenset(measured) | frozenset(run.pose or {})
     return Motion(
-        run=run, edges=edges, chosen=chosen, readings=readings, torques=torques, known=known
+        run=run,
+        edges=edges,
+        chosen=chosen,
+        positions=qpos,
+        readings=readings,
+        torques=torques,
+        known=known,
     )
 
 

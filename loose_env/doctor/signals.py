@@ -25,6 +25,7 @@ from loose_env.doctor.machine import (
     filled,
     forces_of,
     motion_of,
+    needed_torques,
     positions_of,
     servos_of,
 )
@@ -76,6 +77,10 @@ _LENGTHS = {"millimetres beside metres": 1e3, "metres beside millimetres": 1e-3}
 _POINTS = 500
 """Samples of a run that are looked at where the rows need no motion."""
 
+BESIDE_GRAVITY = 0.1
+"""Share of the mean square torque that commands lack which gravity leaves, below which they lack
+gravity: friction and payloads are more beside it."""
+
 _COMMANDED = Defect(
     "units", "error", "the model follows a command that the machine was not given",
     "import the column with its unit, or with sign = -1",
@@ -106,6 +111,11 @@ _DISAGREE = Defect(
 _NOT_SI = Defect(
     "units", "error", "the transmission to the tool is wrong by that factor",
     'import the columns with their unit (unit = "g"), or convert them',
+)  # fmt: skip
+_WEIGHTLESS = Defect(
+    "gravity", "warning", "under these commands the model falls",
+    'set gravcomp="1" for the bodies of the model, as the controller does, or give measured '
+    "torques in place of the commands",
 )  # fmt: skip
 _NO_GRAVITY = Defect(
     "gravity", "note", "its axes cannot be checked against gravity",
@@ -238,6 +248,7 @@ def check_forces(machine: Machine, blocks: Sequence[Motion]) -> Iterator[Finding
             )
         )
     yield from _between_runs(machine, [motion.run for motion in blocks])
+    yield from _weightless(machine, blocks)
     for (_, column), pairs in needed.items():
         yield from contradictions(
             Comparison(
@@ -249,6 +260,25 @@ def check_forces(machine: Machine, blocks: Sequence[Motion]) -> Iterator[Finding
                 friction=True,
             )
         )
+
+
+def _weightless(machine: Machine, blocks: Sequence[Motion]) -> Iterator[Finding]:
+    """Tell motor commands to which the controller adds gravity by itself."""
+    lacking = beside = 0.0
+    for motion in blocks:
+        if motion.run.excited or not set(machine.joints) <= motion.known:
+            continue
+        still = np.zeros((2, len(motion.positions), machine.model.nv))
+        weight = needed_torques(machine.model, motion.positions, *still)
+        for joint, (_, given) in forces_of(machine, motion.run, commands_only=True).items():
+            dof = int(machine.model.jnt_dofadr[machine.model.joint(joint).id])
+            lacks = motion.torques[:, dof] - motion.mean(given)
+            lacking += float(lacks @ lacks)
+            beside += float(np.sum((lacks - weight[:, dof]) ** 2))
+    if beside < BESIDE_GRAVITY * lacking:
+        share = 1 - beside / lacking
+        found = f"gravity is {share:.0%} of what the motor commands lack of the torque needed"
+        yield _WEIGHTLESS.at("ctrl", found, share, unit="1")
 
 
 def _between_runs(machine: Machine, runs: Sequence[Run]) -> Iterator[Finding]:

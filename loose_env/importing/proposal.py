@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -220,7 +220,11 @@ def _signals(
     coded = {key: _coding([own[key].values for own in read if key in own]) for key in keys}
     step, bases = 0.0, []
     for own in read:
-        plain = {i: _decoded(own[key], coded[key]) for i, key in enumerate(keys) if key in own}
+        plain = {
+            i: replace(own[key], values=decoded(own[key].values, *coded[key]))
+            for i, key in enumerate(keys)
+            if key in own
+        }
         own_step, base = on_one_base(plain)
         step = step or own_step
         bases.append(base)
@@ -267,15 +271,6 @@ def _coding(runs: Sequence[np.ndarray]) -> tuple[float | None, int | None]:
     """Coding that most of the runs with jumps have."""
     found = [coding_of(values) for values in runs]
     return next((each for each in found if each != (None, None)), (None, None))
-
-
-def _decoded(samples: Samples, coding: tuple[float | None, int | None]) -> Samples:
-    if coding == (None, None):
-        return samples
-    return Samples(
-        place=samples.place, origin_ns=samples.origin_ns, time=samples.time,
-        values=decoded(samples.values, *coding), unit=samples.unit,
-    )  # fmt: skip
 
 
 # ------------------------------------------------------------------------- text

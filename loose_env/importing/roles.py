@@ -75,6 +75,8 @@ _ROWS = 2000
 """Rows of which torques are computed where several motions are tried."""
 _CLEARER = 0.1
 """Score of explained torques by which exchanged states have to do better than named ones [1]."""
+_ORDER = 1e-6
+"""Score by which equal channels go to the joints in the file's order [1]."""
 _MOST = 80
 """Channels that are compared with each other."""
 _STRIDES = 12
@@ -119,6 +121,8 @@ class Match(NamedTuple):
     sign: int = 1
     per: float = 0.0
     """Torque that the model needs for each of its units [N·m or N]; 0 where friction hides it."""
+    near: float = 0.0
+    """Closeness of its values, which tells apart joints that all follow the same course [1]."""
 
 
 @dataclass(eq=False)
@@ -324,28 +328,42 @@ class Roles:
         self,
         scored: Sequence[tuple[float, int, Vector]],
         relations: dict[int, tuple[float, str]],
-    ) -> Iterator[tuple[float, int, Vector]]:
+    ) -> list[tuple[float, int, Vector]]:
         """The vector for whose motion the model needs the torques of another one."""
-        full = [each for each in scored if set(each[2].members) == set(self.joints)]
-        best = 0.6
-        found: list[tuple[float, int, Vector]] = []
-        for score, i, vector in [each for each in full if each[0] > -2.0]:
-            for unit in ("rad", "deg"):
-                self._move({j: Scaling(unit).si(s.runs) for j, s in vector.members.items()}, _ROWS)
-                for other in [each[2] for each in full if self.needed]:
-                    pairs = [(j, s, vector.members[j]) for j, s in other.members.items()]
-                    roles = {s.meaning.role for _, s, _ in pairs}
-                    shared = {s for _, s, _ in pairs} & {p for _, _, p in pairs}
-                    if shared or roles - {"", "torque"}:
-                        continue
-                    told = [self._explained(j, s) for j, s, _ in pairs]
-                    whole, alone = (float(np.mean([t[k] for t in told])) for k in (0, 1))
-                    moves = np.mean([abs(self._alike(s, p).correlation) for _, s, p in pairs])
-                    if whole > best and (roles == {"torque"} or (alone > _NAME and moves < whole)):
-                        best, found = whole, [(score + 4 * whole, i, vector)]
-                        why = f"the torque that the model needs for it is in the log ({whole:.2f})"
-                        relations |= {s.sort: (0.0, why) for s in vector.members.values()}
-        return iter(found)
+        best: tuple[float, list[tuple[float, int, Vector]]] = (0.0, [])
+        for score, i, vector in scored:
+            if score > -2.0 and set(vector.members) == set(self.joints):
+                for unit in ("rad", "deg"):
+                    own = {j: Scaling(unit).si(s.runs) for j, s in vector.members.items()}
+                    self._move(own, _ROWS)
+                    whole, _ = self._loads(vector.members)
+                    if whole > best[0]:
+                        best = (whole, [(score + 4 * whole, i, vector)])
+        for *_, vector in best[1]:
+            why = f"the torque that the model needs for it is in the log ({best[0]:.2f})"
+            relations |= {s.sort: (0.0, why) for s in vector.members.values()}
+        return best[1]
+
+    def _loads(self, positions: Mapping[str, Signal]) -> tuple[float, dict[str, Signal]]:
+        """Vector that is most like the torques of positions, and how much; 0 where none is."""
+        best: tuple[float, dict[str, Signal]] = (0.6, {})
+        for members in (v.members for v in self.vectors if self.needed):
+            if not set(positions) <= set(members) or any(
+                s.meaning.role not in ("", "torque") or s.sort in self.used or not s.moves
+                for s in members.values()
+            ):  # fmt: skip
+                continue
+            told, moves = [], []
+            for joint, p in positions.items():
+                s = members[joint]
+                told.append(self._explained(joint, s))
+                moves.append(max(abs(self._alike(s, p).correlation), abs(speed_in(p, s).evidence)))
+            named = all(s.meaning.role == "torque" for s in members.values())
+            whole = float(np.mean([abs(t.whole) - _off_size(t) * (not named) for t in told]))
+            clear = np.mean([abs(t.alone) for t in told]) > _NAME and np.mean(moves) < whole
+            if whole > best[0] and (named or clear):
+                best = (whole, {j: members[j] for j in positions})
+        return best if best[1] else (0.0, {})
 
     def _move(self, motion: dict[str, list[Array]], rows: int = 0) -> None:
         """Take a motion of the joints: its velocities, and the torques that the model needs."""
@@ -391,6 +409,10 @@ class Roles:
     def _take_rest(self) -> None:
         """Velocity, torque and command of every joint, by the largest scores in sum."""
         candidates = self._free()
+        _, loads = self._loads({j: s for j, (s, _, _) in self.positions.items()})
+        for joint, s in loads.items():
+            s.meaning = replace(s.meaning, role="torque")
+            self.places.setdefault(s.sort, joint)
         places: list[tuple[str, Role]] = [
             (t.name, role)
             for t in self.joints.values()
@@ -400,8 +422,10 @@ class Roles:
         table = [[self._match(j, role, s) for s in candidates] for j, role in places]
         scores = np.array([[self._score(m, s) for m, s in zip(row, candidates, strict=True)]
                            for row in table]).reshape(len(places), len(candidates))  # fmt: skip
+        near = np.array([[_NAME * m.near for m in row] for row in table]).reshape(scores.shape)
+        order = _ORDER * np.outer(np.arange(len(places)), np.arange(len(candidates)))
         chosen: dict[int, Match] = {}
-        for i, k in zip(*linear_sum_assignment(-scores), strict=True):
+        for i, k in zip(*linear_sum_assignment(-scores - near - order), strict=True):
             match, s = table[i][k], candidates[k]
             if scores[i, k] >= ALIKE and not match.why:
                 chosen[k] = match
@@ -500,7 +524,7 @@ class Roles:
         words = f"correlation {value:.2f} with the torque that the model needs at {joint!r}, and "
         evidence = abs(value) if named or abs(value) > moves else 0.0
         if not named and evidence:  # a size in no unit speaks against it
-            evidence -= min(_UNIT, 0.5 * _UNIT * abs(math.log(max(told.per, 1e-9))))
+            evidence -= _off_size(told)
         per = told.per if abs(told.alone) >= _TRUSTED or not named else 0.0
         sign = -1 if value < 0 else 1
         return Match(joint, "torque", evidence, f"{words}friction", "", sign, per)
@@ -528,11 +552,11 @@ class Roles:
             if abs(load) > value > 0:
                 why = f"it is more like a torque ({load:.2f})"
         words += "" if why else f", the joint follows it by {like.lag:.3g} s"
-        # Joints that all follow the same course differ in where they are.
-        evidence = value * (1 + 0.5 * _NAME * near) if value > 0 else 0.5 * abs(value)
+        evidence = value if value > 0 else 0.5 * abs(value)
         if drive == "torque" and s.meaning.role == "":
             evidence = min(evidence, 0.99 * self._as_torque(joint, s, False).evidence)
-        return Match(joint, "command", evidence, words, why, 1 if value >= 0 else -1)
+        sign = 1 if value >= 0 else -1
+        return Match(joint, "command", evidence, words, why, sign, near=near * max(value, 0.0))
 
     # --------------------------------------------------------------------- lines
 
@@ -646,9 +670,7 @@ class Roles:
     def _told_by(self, torques: Mapping[str, Signal]) -> float:
         """How well the model explains torques: correlation, less what their size is off."""
         told = [self._explained(j, s) for j, s in torques.items()]
-        return float(np.mean([
-            abs(t.alone) - min(_UNIT, 0.5 * _UNIT * abs(math.log(max(t.per, 1e-9)))) for t in told
-        ]))  # fmt: skip
+        return float(np.mean([abs(t.alone) - _off_size(t) for t in told]))
 
     def _exchange(self, a: str, b: str) -> None:
         """Exchange all columns of two joints, commands included."""
@@ -704,6 +726,11 @@ class Roles:
         for s in self.signals:
             if s.sort not in taken:
                 yield s, self.why.get(s.sort, "no role")
+
+
+def _off_size(told: Torque) -> float:
+    """What the size of a torque speaks against it where no name and no unit does [1]."""
+    return min(_UNIT, 0.5 * _UNIT * abs(math.log(max(told.per, 1e-9))))
 
 
 def _takes(s: Signal, role: Role, target: JointTarget) -> bool:

@@ -168,21 +168,15 @@ def needed_torques(
             if name not in joints:
                 x = position[:, leader] if leader >= 0 else np.zeros(length)
                 position[:, names.index(name)] = np.polynomial.polynomial.polyval(x, poly)
-        if length < 3:
-            for name in names:
-                found[name].append(np.zeros(length))
-            continue
-        position = np.asarray(ndimage.uniform_filter1d(position, SMOOTHED, axis=0))
-        velocity = np.gradient(position, step, axis=0)
-        acceleration = np.gradient(velocity, step, axis=0)
-        position, velocity, acceleration = (
-            each[::every] for each in (position, velocity, acceleration)
-        )
-        torque = np.empty_like(position)
-        for i in range(len(position)):
-            data.qpos[:], data.qvel[:], data.qacc[:] = position[i], velocity[i], acceleration[i]
-            mujoco.mj_inverse(model, data)
-            torque[i] = data.qfrc_inverse
+        torque = np.zeros((len(position[::every]), model.nv))
+        if length > 2:
+            position = np.asarray(ndimage.uniform_filter1d(position, SMOOTHED, axis=0))
+            velocity = np.gradient(position, step, axis=0)
+            motion = (position, velocity, np.gradient(velocity, step, axis=0))
+            for i, row in enumerate(zip(*(each[::every] for each in motion), strict=True)):
+                data.qpos[:], data.qvel[:], data.qacc[:] = row
+                mujoco.mj_inverse(model, data)
+                torque[i] = data.qfrc_inverse
         for j, name in enumerate(names):
             found[name].append(torque[:, j])
     return found

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from loose_env.typing import Array
 
 _LOOKED_AT = 200  # lines
 _PREAMBLE = 40  # lines above a table, at most
+_HEAD = 2 * (_LOOKED_AT + _PREAMBLE)  # lines, blank ones among them
 _LONGEST_LINE = 2**20
 _MOST_COLUMNS = 10_000
 _EXACT = 2**53
@@ -169,19 +171,17 @@ def _by_arrow(path: Path, head: _Head) -> Cells | None:
 def _by_cells(path: Path, name: str, layout: CsvLayout, names: list[str]) -> Cells:
     lines: list[int] = []
     whole: list[list[str]] = []
-    with _open_text(path, name, layout.encoding) as file:
-        rows = _rows(file, name, layout)
-        for _ in range(layout.skip_after_header + (1 if layout.header else 0)):
-            next(rows, None)
-        for line, row in rows:
-            # A nameless last column is left by a separator at the end.
-            if len(row) < len(names) and not (len(row) == len(names) - 1 and not names[-1]):
-                raise InvalidData(
-                    f"{name}: line {line}: {len(row)} cells, and {len(names)} columns are named; "
-                    "the row was cut short, or the separator is another"
-                )
-            lines.append(line)
-            whole.append(row)
+    rows = _rows(_text(path, name, layout.encoding), name, layout)
+    above = layout.skip_after_header + (1 if layout.header else 0)
+    for line, row in itertools.islice(rows, above, None):
+        # A nameless last column is left by a separator at the end.
+        if len(row) < len(names) and not (len(row) == len(names) - 1 and not names[-1]):
+            raise InvalidData(
+                f"{name}: line {line}: {len(row)} cells, and {len(names)} columns are named; "
+                "the row was cut short, or the separator is another"
+            )
+        lines.append(line)
+        whole.append(row)
     cells: list[NDArray[Any] | list[str]] = [
         [row[i] if i < len(row) else "" for row in whole] for i in range(len(names))
     ]
@@ -247,8 +247,8 @@ def _labelled(
 
 def _told(path: Path, name: str, layout: CsvLayout) -> _Head:
     """Names and first rows of a table whose layout a mapping states."""
-    with _open_text(path, name, layout.encoding) as file:
-        rows = [row for _, row in itertools.islice(_rows(file, name, layout), _LOOKED_AT)]
+    found = _rows(_text(path, name, layout.encoding), name, layout)
+    rows = [row for _, row in itertools.islice(found, _LOOKED_AT)]
     if not rows:
         raise InvalidData(f"{name}: there is no table after {layout.skip} lines skipped")
     names = _header_of(rows[0], layout)
@@ -264,14 +264,20 @@ def _told(path: Path, name: str, layout: CsvLayout) -> _Head:
 
 def _recognised(path: Path, name: str) -> _Head:
     """Layout of a table, found out: the split that reads most cells as numbers is the one meant."""
-    encoding = _encoding(path, name)
-    best: _Head | None = None
+    start, best = "", None
+    for encoding in _ENCODINGS:
+        try:
+            start = "".join(itertools.islice(_lines(_text(path, name, encoding), name), _HEAD))
+            break
+        except InvalidData:
+            if encoding == _ENCODINGS[-1]:
+                raise
     for separator in (",", ";", "\t", "|", " "):
         for decimal in (".", ","):
             if separator == decimal:
                 continue
             layout = CsvLayout(separator=separator, decimal=decimal, encoding=encoding)
-            found = _split(path, name, layout)
+            found = _split(start, name, layout)
             if found is not None and (best is None or found.numbers > best.numbers):
                 best = found
     if best is None:
@@ -282,14 +288,13 @@ def _recognised(path: Path, name: str) -> _Head:
     return best
 
 
-def _split(path: Path, name: str, layout: CsvLayout) -> _Head | None:
+def _split(text: str, name: str, layout: CsvLayout) -> _Head | None:
     """Head of a table by a layout; None where no row of numbers is followed by its like."""
     lines: list[tuple[int, list[str]]] = []
     for skip in range(_PREAMBLE):  # a quote in the words above the table may not be closed
         try:
-            with _open_text(path, name, layout.encoding) as file:
-                rows_of = _rows(file, name, replace(layout, skip=skip))
-                lines = list(itertools.islice(rows_of, _LOOKED_AT))
+            rows_of = _rows(text, name, replace(layout, skip=skip))
+            lines = list(itertools.islice(rows_of, _LOOKED_AT))
             break
         except InvalidData:
             continue
@@ -339,57 +344,35 @@ def _header_of(row: list[str], layout: CsvLayout) -> list[str]:
     return [" ".join(cell.split()).lstrip("#").strip() or "" for cell in row]
 
 
-def _encoding(path: Path, name: str) -> Encoding:
-    for encoding in _ENCODINGS[:-1]:
-        try:
-            with _open_text(path, name, encoding) as file:
-                while file.read(2**20):
-                    pass
-            return encoding
-        except InvalidData:
-            continue
-    return _ENCODINGS[-1]
+def _text(path: Path, name: str, encoding: str) -> str:
+    """Text of a file; what cannot be read or decoded is refused."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise unreadable(name, error) from None
+    if (raw[:2] in (b"\xff\xfe", b"\xfe\xff")) != (encoding == "utf-16"):
+        raise InvalidData(f"{name}: the file looks like UTF-16; give encoding = 'utf-16'"
+                          if encoding != "utf-16" else f"{name}: it is not UTF-16")  # fmt: skip
+    try:
+        return raw.decode("utf-8-sig" if encoding == "utf-8" else encoding)
+    except UnicodeError as error:
+        raise InvalidData(
+            f"{name}: it is not {encoding}: {str(error)[:120]}; give encoding = 'latin-1', "
+            "'cp1252' or 'utf-16' with the source"
+        ) from None
 
 
-class _open_text:
-    """Opens a file as text; what cannot be read or decoded is refused."""
-
-    def __init__(self, path: Path, name: str, encoding: str) -> None:
-        self.path, self.name, self.encoding = path, name, encoding
-
-    def __enter__(self) -> IO[str]:
-        try:
-            with self.path.open("rb") as raw:
-                start = raw.read(2)
-            if start in (b"\xff\xfe", b"\xfe\xff") and self.encoding != "utf-16":
-                raise InvalidData(
-                    f"{self.name}: the file looks like UTF-16; give encoding = 'utf-16'"
-                )
-            own = "utf-8-sig" if self.encoding == "utf-8" else self.encoding
-            self.file = open(self.path, encoding=own, newline="")
-        except OSError as error:
-            raise unreadable(self.name, error) from None
-        return self.file
-
-    def __exit__(self, _: Any, error: BaseException | None, __: Any) -> None:
-        self.file.close()
-        if isinstance(error, UnicodeError):
-            raise InvalidData(
-                f"{self.name}: it is not {self.encoding}: {str(error)[:120]}; give encoding = "
-                "'latin-1', 'cp1252' or 'utf-16' with the source"
-            ) from None
-
-
-def _rows(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, list[str]]]:
+def _rows(text: str, name: str, layout: CsvLayout) -> Iterator[tuple[int, list[str]]]:
     """Rows of a table from its line of names on, each with its line; blank lines are left out.
 
     Lines that the layout skips may be anything; they are not looked at as a table.
     """
-    lines = _lines(file, name)
-    for _ in itertools.islice(lines, layout.skip):
-        pass
+    lines = _lines(text, name)
     reader = csv.reader(
-        lines, delimiter=layout.separator, skipinitialspace=layout.separator == " ", strict=True
+        itertools.islice(lines, layout.skip, None),
+        delimiter=layout.separator,
+        skipinitialspace=layout.separator == " ",
+        strict=True,
     )
     try:
         for row in reader:
@@ -407,14 +390,12 @@ def _rows(file: IO[str], name: str, layout: CsvLayout) -> Iterator[tuple[int, li
         ) from None
 
 
-def _lines(file: IO[str], name: str) -> Iterator[str]:
-    number = 0
-    while line := file.readline(_LONGEST_LINE):
-        number += 1
-        if len(line) == _LONGEST_LINE and line[-1] not in "\r\n":
+def _lines(text: str, name: str) -> Iterator[str]:
+    for number, line in enumerate(io.StringIO(text, newline="")):
+        if len(line) > _LONGEST_LINE:
             raise InvalidData(
-                f"{name}: line {number} is longer than {_LONGEST_LINE} characters; is it a table "
-                "in text?"
+                f"{name}: line {number + 1} is longer than {_LONGEST_LINE} characters; is it a "
+                "table in text?"
             )
         yield line
 

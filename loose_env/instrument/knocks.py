@@ -168,8 +168,9 @@ def _sliding(slides: Array) -> Array:
 
 
 def reversals(loads: Loads, speed: Array, period: float) -> Array:
-    """Ringing that friction foretells (n, GRID): each motor turning round."""
-    turned = (np.sign(speed) != np.sign(np.roll(speed, 1, 0))).astype(float).T
+    """Ringing that friction foretells (n, GRID): each motor turning round, faster is louder."""
+    turned = (np.sign(speed) != np.sign(np.roll(speed, 1, 0))) * np.abs(np.gradient(speed, axis=0))
+    turned = turned.T
     loud = (loads.turns[: len(turned)] ** 2).sum(-1)
     found: Array = rung(turned, _REVERSAL_S, period) * loud[:, None]
     return found

@@ -10,7 +10,8 @@ import numpy as np
 from loose_env.instrument import knocks
 from loose_env.instrument.arm import BOLTS, GEARS, ROCKS, PoseModel, SuspectArm, place_name
 from loose_env.instrument.motion import Gears, accelerations, rotor_speeds
-from loose_env.instrument.records import GRID, Record
+from loose_env.instrument.records import Record
+from loose_env.instrument.ringing import GRID, amplitude
 from loose_env.instrument.signals import Multisine
 from loose_env.typing import Array, IndexArray
 
@@ -21,10 +22,10 @@ RIGID_GAPS_MM = (0.01, 0.04)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Heard:
-    """What rang in a session, and what loads it rang under; R records, n joints."""
+    """What rang in a session, and what loads it rang under; R records, B bands, n joints."""
 
     amplitude: tuple[Array, ...]
-    """Amplitude of the top band in each pose (GRID,)."""
+    """Amplitude of what repeats in each band, in each pose (B, GRID)."""
     friction: tuple[Array, ...]
     """Amplitude that reversals of friction foretell in each (n, GRID)."""
     elastic: tuple[knocks.Loads, ...]
@@ -46,7 +47,8 @@ class Rhythm:
     directions: Array
     """Directions of seats (D, 3), link frame."""
     timing: Array
-    """Correlation of foretold and heard amplitude beyond friction, all poses together (H,)."""
+    """Correlation of foretold and heard amplitude beyond friction, all poses and bands together
+    (H,)."""
     gap_mm: Array
     """Clearance at which it is highest (H,) [mm]."""
     throws: Array
@@ -79,14 +81,19 @@ def hear(
         Records of the healthy day, one for each, whose ringing is taken off.
     """
     period = signal.period_s
-    ring = 2 * np.pi * 0.8 * records[0].band_hz[1]
+    ring = 2 * np.pi * 0.8 * records[0].ring.bands_hz[0][1]
     stiffening = gears.rotor - 0.5 * gears.spring / ring**2
-    amplitude, friction, free = [], [], []
+    bands = range(min(len(r.ring.bands_hz) for r in (*records, *(healthy or ()))))
+    rang, friction, free = [], [], []
     elastic: list[knocks.Loads] = []
     rigid: list[knocks.Loads] = []
     for k, (record, model) in enumerate(zip(records, models, strict=True)):
-        quiet = record.floor if healthy is None else _DAY * healthy[k].envelope
-        amplitude.append(np.sqrt(np.maximum(record.envelope - quiet, 0)))
+        usual = (record if healthy is None else healthy[k]).ring
+        energy = np.array([record.ring.repeating(b, spectrum=usual.spectrum) for b in bands])
+        if healthy is not None:
+            then = [usual.repeating(b, spectrum=usual.spectrum) for b in bands]
+            energy -= _DAY * np.maximum(then, 0)
+        rang.append(amplitude(energy))
         for follows, kept in ((False, elastic), (True, rigid)):
             moved = accelerations(record, model, gears, k, period, rigid=follows)
             kept.append(knocks.loads_of(model, moved, gears.rotor))
@@ -94,7 +101,7 @@ def hear(
         friction.append(np.sqrt(knocks.reversals(elastic[-1], speed, period)))
         free.append(knocks.loads_of(model, np.zeros((1, arm.n)), stiffening))
     return Heard(
-        amplitude=tuple(amplitude),
+        amplitude=tuple(rang),
         friction=tuple(friction),
         elastic=tuple(elastic),
         rigid=tuple(rigid),
@@ -105,8 +112,8 @@ def hear(
 
 
 _DAY = 1.3
-"""What the top band of a healthy arm rings on another day, over this one, in energy [1]: friction
-changes by 15 % with temperature (Bittencourt and Gunnarsson 2012)."""
+"""What a healthy arm rings on another day, over this one, in energy [1]: friction changes by 15 %
+with temperature (Bittencourt and Gunnarsson 2012)."""
 
 
 def rhythm_of(heard: Heard, directions: Array) -> Rhythm:
@@ -185,7 +192,7 @@ def correlation(
     Parameters
     ----------
     heard : sequence of ndarray
-        Amplitude of the top band in each pose (GRID,).
+        Amplitude in each band and pose (B, GRID).
     told : sequence of ndarray
         Amplitude that each hypothesis foretells (H, GRID).
     friction : sequence of ndarray
@@ -196,31 +203,38 @@ def correlation(
     Returns
     -------
     correlation : ndarray
-        Of each hypothesis (H,); 0 where friction foretells the same.
+        Of each hypothesis (H,), what it explains in each band taken together; 0 where friction
+        foretells the same.
     share : float
-        Of the variance heard that friction explains.
+        Of the variance heard in the highest band that friction explains.
     chance : float
         Highest correlation of any hypothesis with the shifted amplitudes; 0 without shifts.
     """
-    y = np.concatenate(heard)
-    base = np.vstack([np.ones(len(y)), np.concatenate(friction, 1)])
+    y = np.concatenate(heard, 1)
+    base = np.vstack([np.ones(y.shape[1]), np.concatenate(friction, 1)])
     base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-12)
     span = np.linalg.svd(base, full_matrices=False)[2]
     x = np.concatenate(told, 1)
     before = np.linalg.norm(x - x.mean(1, keepdims=True), axis=1)
-    variance = float(((y - y.mean()) ** 2).sum())
-    y = y - span.T @ (span @ y)
     x = x - (x @ span.T) @ span
     size = np.linalg.norm(x, axis=1)
-    clear = size > 0.1 * before
-    found = np.where(clear, x @ y / np.maximum(size * np.linalg.norm(y), 1e-30), 0.0)
+    x = np.where(size > 0.1 * before, 1 / np.maximum(size, 1e-30), 0.0)[:, None] * x
+
+    def agreement(y: Array) -> tuple[Array, Array]:
+        """Of every hypothesis, and what friction leaves of each band."""
+        left = y - (y @ span.T) @ span
+        norm = np.linalg.norm(left, axis=1)
+        each = x @ left.T / np.maximum(norm, 1e-30)
+        # Bands are unlike witnesses of the same knocks: what they leave unexplained multiplies.
+        return np.sqrt(1 - np.prod(1 - np.clip(each, 0, 1) ** 2, axis=1)), norm
+
+    found, left = agreement(y)
     chance = 0.0
     for shift in () if shifts is None else shifts:
-        moved = np.concatenate([np.roll(a, int(k)) for a, k in zip(heard, shift, strict=True)])
-        moved = moved - span.T @ (span @ moved)
-        by = np.where(clear, x @ moved / np.maximum(size * np.linalg.norm(moved), 1e-30), 0.0)
-        chance = max(chance, float(by.max()))
-    return found, 1 - float(y @ y) / max(variance, 1e-30), chance
+        moved = [np.roll(a, int(k), -1) for a, k in zip(heard, shift, strict=True)]
+        chance = max(chance, float(agreement(np.concatenate(moved, 1))[0].max()))
+    variance = float(((y[0] - y[0].mean()) ** 2).sum())
+    return found, 1 - float(left[0] ** 2) / max(variance, 1e-30), chance
 
 
 def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
@@ -231,7 +245,7 @@ def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
     throws : ndarray
         Direction of each hypothesis by pose (R, H, 3).
     covariances : sequence of ndarray
-        Of the top band, noise taken off, the model's frame (3, 3) [m²/s⁴].
+        Of what repeats in the highest band, the model's frame (3, 3) [m²/s⁴].
     """
     power = np.array([max(float(np.trace(c)), 1e-12) for c in covariances])
     # Poses that hardly rang say little about direction.

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
 from loose_env.instrument.arm import PoseModel, SuspectArm
-from loose_env.instrument.records import GRID, Record
+from loose_env.instrument.records import Record
+from loose_env.instrument.ringing import GRID
 from loose_env.instrument.signals import Multisine
 from loose_env.typing import Array, ComplexArray, IndexArray
 

@@ -26,16 +26,17 @@ from loose_env.instrument.locate import (
 from loose_env.instrument.motion import Gears, fit_gears
 from loose_env.instrument.plan import Plan, read_plan
 from loose_env.instrument.poses import is_tested_share, tested_share
-from loose_env.instrument.records import GRID, Record, Unusable, exchanged, followed_hz
+from loose_env.instrument.records import Record, Unusable, exchanged, followed_hz
 from loose_env.instrument.reference import Change, change, pairs
 from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
+from loose_env.instrument.ringing import GRID, amplitude
 from loose_env.instrument.signals import LEAST_BANDWIDTH_HZ, Multisine
 from loose_env.recording import Recording
 from loose_env.typing import Array
 from loose_env.version import __version__
 
 _SHOWN = 100
-"""Samples of an envelope in the result."""
+"""Samples of a rhythm in the result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,14 +283,14 @@ def _gears(
 
 def _seen(arm: SuspectArm, record: Record, signal: Multisine) -> RunSeen:
     lines = np.arange(1, len(record.tool))
-    thinned = record.envelope.reshape(_SHOWN, GRID // _SHOWN).mean(1)
+    thinned = record.ring.repeating(0).reshape(_SHOWN, GRID // _SHOWN).mean(1)
     return RunSeen(
         file=record.name,
         condition=record.condition,
         pose=dict(zip(arm.joints, record.pose.round(5).tolist(), strict=True)),
         used=True,
         repeats=round(record.repeats, 3),
-        heard=tuple(np.sqrt(np.maximum(thinned - record.floor, 0)).round(5).tolist()),
+        heard=tuple(amplitude(np.maximum(thinned, 0)).round(5).tolist()),
         lines_hz=tuple((lines / signal.period_s).tolist()),
         lines=tuple(np.linalg.norm(record.tool[lines], axis=1).round(6).tolist()),
     )
@@ -356,18 +357,20 @@ class _Finished:
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
         """Runs with what the best place foretells, and the healthy day's lines."""
         session = self.found.session
-        scale = sum(float(a @ t) for a, t in zip(heard.amplitude, told, strict=True)) / max(
-            sum(float(t @ t) for t in told), 1e-30
-        )
         own = {record.name: k for k, record in enumerate(session.suspect)}
+        thin = [t.reshape(_SHOWN, GRID // _SHOWN).mean(1) for t in told]
+        seen = {run.file: np.array(run.heard) for run in session.runs if run.condition == "suspect"}
+        rang = [seen[name] for name in own]
+        scale = sum(float(a @ t) for a, t in zip(rang, thin, strict=True)) / max(
+            sum(float(t @ t) for t in thin), 1e-30
+        )
         found = []
         for run in session.runs:
             k = own.get(run.file)
             if k is not None:
                 each = asdict(run)
                 if loose:
-                    thinned = told[k].reshape(_SHOWN, GRID // _SHOWN).mean(1) * scale
-                    each["foretold"] = tuple(thinned.round(5).tolist())
+                    each["foretold"] = tuple((thin[k] * scale).round(5).tolist())
                 if session.healthy:
                     then = np.linalg.norm(session.healthy[k].tool[1:], axis=1)
                     each["healthy_lines"] = tuple(then.round(6).tolist())
@@ -465,7 +468,7 @@ def _places(
             verdict = "suspect"
             alone = rank == 0 and chance > 1 - _LISTED
             why = (
-                "the top band rings in its rhythm"
+                "the tool rings in its rhythm"
                 if alone
                 else "the session does not tell it from the other suspects"
             )

@@ -1,4 +1,4 @@
-"""One run as a periodic record: lines of joints and tool, and the envelope of the top band."""
+"""One run as a periodic record: lines of joints and tool, and what rings above them."""
 
 from __future__ import annotations
 
@@ -6,26 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from loose_env.instrument.arm import SuspectArm
+from loose_env.instrument.ringing import TOP_BAND, Ringing, ringing
 from loose_env.instrument.signals import Multisine
 from loose_env.recording import Run
 from loose_env.typing import Array, ComplexArray
 
-GRID = 1000
-"""Samples of a period on which loads and envelopes are compared."""
-_TOP_BAND = (0.6, 0.9)
-"""The band that rings, as shares of the highest frequency that the sensor passes [1]."""
-_ENVELOPE_S = 0.004
-"""Time over which the top band's energy is smoothed [s]: a seat's knock rings about as long."""
-_OUTLIER = 4.0
-"""Energy over the median of the other periods from which a sample is somebody else's [1]."""
 _STANDARD_GRAVITY = 9.81
-REPEATS = 0.60
-"""Correlation of the envelope between periods from which the shaking causes it [1]."""
-_LOUD = 3.0
-"""Energy of the top band over its floor from which there is a rhythm to repeat [1]."""
 _SWELLS = 0.65
 """Share of the lead that is left when the swelling motion is seen [1]."""
 _SEEN = 0.1
@@ -58,22 +46,11 @@ class Record:
     """Mean reading (3,) [m/s²]."""
     motion: float
     """Rms of the tool's motion in the band of the lines [m/s²]."""
-    band_hz: tuple[float, float]
-    """The top band [Hz]."""
-    envelope: Array
-    """Energy of the top band over a period, median of the periods (GRID,) [m²/s⁴]."""
-    quiet: float
-    """Mean of it in the quietest period at each instant: what strikes there is not foreign."""
-    floor: float
-    """Energy of the top band that is noise [m²/s⁴]."""
-    covariance: Array
-    """Of the top band, noise taken off, sensor frame (3, 3) [m²/s⁴]."""
+    ring: Ringing
+    """What rings above the lines."""
     repeats: float
-    """Correlation of the top band's envelope between periods [1]: near 1 for what the shaking
+    """Correlation of the highest band's energy between periods [1]: near 1 for what the shaking
     causes, near 0 for a striking cable."""
-    foreign: bool
-    """True if what rings is not the machine's: it is loud and does not repeat. The envelope is
-    then that of the quietest period at each instant, in which a cable strikes least."""
     remarks: tuple[str, ...] = ()
 
 
@@ -117,12 +94,11 @@ def read_run(
         return useless("a channel holds no number", "check the logger's columns")
     rate, highest = float(1 / np.median(np.diff(t))), float(signal.hertz.max())
     passes = min(corner_hz or np.inf, 0.45 * rate / 0.9)
-    band = [_TOP_BAND[0] * passes, min(_TOP_BAND[1] * passes, 0.45 * rate)]
-    if band[0] <= highest:
+    if TOP_BAND[0] * passes <= highest:
         return useless(
             f"it holds {passes:.3g} Hz at most, and the signal itself reaches {highest:.3g} Hz: "
             "no band is left for what knocks",
-            f"log at {2 * highest / _TOP_BAND[0]:.0f} Hz or more with an accelerometer that passes "
+            f"log at {2 * highest / TOP_BAND[0]:.0f} Hz or more with an accelerometer that passes "
             "half of it, or plan with a lower --bandwidth-hz",
         )
     window = _moving(t, q)
@@ -163,8 +139,8 @@ def read_run(
     if 0.8 < np.linalg.norm(gravity) < 1.2 and np.any(arm.model.opt.gravity):
         scale = _STANDARD_GRAVITY
         remarks.append("the accelerometer is logged in g: taken as such")
-    ring = _ringing(t, tool * scale, rate, (band[0], band[1]), first, periods, signal.period_s)
-    envelope, quiet, floor, covariance, repeats, foreign = ring
+    ring = ringing(t, tool * scale, first, periods, signal.period_s, top=passes, highest=highest)
+    repeats, foreign = ring.struck()
     if foreign:
         remarks.append(
             f"what rings does not repeat with the shaking (correlation {repeats:.2f}): a cable, a "
@@ -181,13 +157,8 @@ def read_run(
         tool_noise=read_noise * scale**2,
         gravity=gravity * scale,
         motion=float(np.sqrt(0.5 * (np.abs(excited) ** 2).sum())),
-        band_hz=(band[0], band[1]),
-        envelope=envelope,
-        quiet=quiet,
-        floor=floor,
-        covariance=covariance,
+        ring=ring,
         repeats=repeats,
-        foreign=foreign,
         remarks=tuple(remarks),
     )
 
@@ -262,43 +233,6 @@ def _in_phase(t: Array, q: Array, first: float, periods: int, top: int, signal: 
         largest = np.take_along_axis(each, np.abs(each).argmax(2)[:, :, None], 2)
         agreed = (np.abs(largest) + 0.1 * largest).sum((1, 2))
     return first + float(shift[agreed.argmax()])
-
-
-def _ringing(
-    t: Array,
-    tool: Array,
-    rate: float,
-    band: tuple[float, float],
-    first: float,
-    periods: int,
-    period: float,
-) -> tuple[Array, float, float, Array, float, bool]:
-    """Envelope of the top band, quiet mean, floor, covariance, repeats, and if it is foreign."""
-    sos = butter(4, band, "bandpass", fs=rate, output="sos")
-    h = sosfiltfilt(sos, tool - tool.mean(0), axis=0)
-    n = max(1, round(_ENVELOPE_S * rate))
-    energy = np.convolve((h**2).sum(1), np.ones(n) / n, "same")
-    at = first + (np.arange(periods)[:, None] + np.arange(GRID) / GRID) * period
-    each = np.interp(at, t, energy)
-    median = np.median(each, 0)
-    rest = t < first - 1.1
-    floor = float(np.median(energy[rest])) if rest.sum() * rate**-1 > 0.15 else np.inf
-    floor = min(floor, float(np.percentile(median, 5)))
-    samples = np.stack([np.interp(at, t, axis) for axis in h.T], -1)
-    near = each <= _OUTLIER * median + 1e-12
-    # Interpolation takes from a band near the sampling's end: directions need the ratio alone.
-    own = samples[near]
-    covariance = own.T @ own / max(len(own), 1)
-    total = np.trace(covariance)
-    covariance *= max(float(median.mean()), 1e-18) / max(total, 1e-18)
-    covariance -= np.eye(3) * floor / 3
-    wide = np.sqrt(np.apply_along_axis(np.convolve, 1, each, np.ones(10) / 10, "same"))
-    alike = np.corrcoef(wide)[np.triu_indices(periods, 1)]
-    repeats = float(np.median(alike))
-    foreign = repeats < REPEATS and float(median.mean()) > _LOUD * floor
-    least = each.min(0)
-    kept = least if foreign else median
-    return kept, float(least.mean()), floor, covariance, repeats, foreign
 
 
 def followed_hz(

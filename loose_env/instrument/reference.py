@@ -48,7 +48,7 @@ class Features:
     """What a record says without any model, over the tool's motion (R,) [dB]."""
 
     top: Array
-    """Energy of the top band."""
+    """Energy that repeats in each band above the lines (R, B)."""
     even: Array
     """Even lines, which nothing excites: seats, and play under a one-sided load."""
     odd: Array
@@ -64,10 +64,8 @@ def features(records: Sequence[Record], signal: Multisine) -> Features:
         noise = record.tool_noise[lines].sum(1).mean()
         return float(max(power - noise, _CLEAR * noise) / max(record.motion**2, 1e-12))
 
-    # The quietest period at each instant: a cable that strikes is no part of the machine.
-    top = [max(r.quiet - r.floor, 0.1 * r.floor) for r in records]
     return Features(
-        top=decibels(np.array([t / r.motion**2 for t, r in zip(top, records, strict=True)])),
+        top=decibels(np.array([r.ring.levels / r.motion**2 for r in records])),
         even=decibels(np.array([share(r, even) for r in records])),
         odd=decibels(np.array([share(r, signal.silent) for r in records])),
     )
@@ -75,7 +73,7 @@ def features(records: Sequence[Record], signal: Multisine) -> Features:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Change:
-    """What changed since the healthy session, in the pose that gained most [dB]."""
+    """What changed since the healthy session, in the pose and band that gained most [dB]."""
 
     top: float
     even: float

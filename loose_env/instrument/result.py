@@ -73,9 +73,9 @@ class RunSeen:
     why: str = ""
     """Reason why it was not, and what to do."""
     repeats: float = 0.0
-    """Correlation of the top band's envelope between periods [1]."""
+    """Correlation of the top band's energy between periods [1]."""
     heard: tuple[float, ...] = ()
-    """Amplitude of the top band over a period [m/s²], a hundred samples."""
+    """Amplitude of what repeats in the top band over a period [m/s²], a hundred samples."""
     foretold: tuple[float, ...] = ()
     """Amplitude that the best place foretells, at its best scale [m/s²]."""
     lines_hz: tuple[float, ...] = ()

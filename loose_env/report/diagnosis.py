@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _EVIDENCE = {
     "rhythm": ("Correlation of the best place's foretold knocks with what was heard", "", "rhythm"),
-    "top_db": ("Rise of the top band over the healthy session", " dB", "top_db"),
+    "top_db": ("Rise of the ringing over the healthy session", " dB", "top_db"),
     "even_db": ("Rise of the even lines", " dB", ""),
     "odd_db": ("Rise of the odd lines left out", " dB", ""),
     "stiff": ("Growth of the tool's motion that the healthy gears leave", "", "stiff"),
@@ -187,7 +187,7 @@ def _evidence_table(d: Diagnosis) -> Table:
     for name, value in d.evidence.items():
         words, unit, setting = _EVIDENCE.get(name, (name, "", ""))
         if setting == "rhythm" and d.reference:
-            setting = "rhythm_beside"  # a lower limit holds where the top band was quieter
+            setting = "rhythm_beside"  # a lower limit holds where it was quieter
         limit = d.settings.get(setting)
         rows.append(
             {

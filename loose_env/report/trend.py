@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "rhythm": "rhythm of the best place: correlation",
-    "top_db": "top band over the first session [dB]",
+    "top_db": "ringing over the first session [dB]",
 }
 _SHORT = {"rhythm": "Rhythm", "top_db": "Top band"}
 _TICKS = 8  # sessions named on an axis

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.base import Problem
-from loose_agents.belief import Situation, Tracker, make_estimator, tuning_name
+from loose_agents.belief import (
+    Situation,
+    Tracker,
+    make_estimator,
+    tuning_name,
+    usual_estimator,
+)
 from loose_agents.policies.choice import (
     POLICIES,
     ConstantPolicy,
@@ -22,7 +28,7 @@ from loose_agents.registry import make_agent
 
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisSettings, EpisodeBatch
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 
 @pytest.fixture(scope="module")
@@ -187,3 +193,13 @@ def test_expected_information_does_not_depend_on_the_candidates_beside(problem, 
         alone = information.of(faults, poses[one], torque[one], durations[one])
         assert alone.information[0] == pytest.approx(together.information[k], rel=1e-9)
         assert alone.sure[0] == pytest.approx(together.sure[k], rel=1e-9)
+
+
+def test_rivals_share_the_learned_posterior_only_where_it_was_trained_for_the_task() -> None:
+    rules = DiagnosisSettings(durations=(0.2,))
+    trained, weak = (Problem.of(arm, rules) for arm in (planar(4), planar(4).with_levels([1, 2])))
+    assert (usual_estimator(trained), usual_estimator(weak)) == ("amortised", "posterior")
+    agents = [make_agent(name, weak) for name in ("greedy", "open_loop", "constant", "look_ahead")]
+    assert {type(agent.estimator.posterior).__name__ for agent in agents} == {"FaultPosterior"}
+    with pytest.raises(InvalidData, match="trained for levels"):
+        make_estimator("amortised", weak)

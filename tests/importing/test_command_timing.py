@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -114,6 +115,30 @@ def test_the_doctor_tells_drives_that_act_before_held_commands(tmp_path: Path) -
     lines = dict.fromkeys(run.controls, CommandTiming(mode="linear"))
     assert not examined(tmp_path / "linear", replace(run, commands=lines))
     assert not examined(tmp_path / "true", played(held=True))
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_the_doctor_tells_motor_commands_without_gravity(tmp_path: Path, whole: bool) -> None:
+    xml = re.sub(r"<position (name=\S+ joint=\S+) [^/]*/>", r"<motor \1/>", ARM)
+    model = mujoco.MjModel.from_xml_string(xml)
+    data, rows = mujoco.MjData(model), []
+    for k in range(8000):
+        mujoco.mj_forward(model, data)
+        added = 120 * (reference(data.time) - data.qpos) - 8 * data.qvel
+        data.ctrl[:] = added + data.qfrc_bias
+        if k % 4 == 0:
+            rows.append([data.time, *(data.ctrl if whole else added), *data.qpos])
+        mujoco.mj_step(model, data)
+    time, *columns = np.array(rows).T
+    run = Run(
+        name="r", time=time, controls=dict(zip(("lift", "bend"), columns[:2], strict=True)),
+        sensors=dict(zip(("lift_pos", "bend_pos"), columns[2:], strict=True)),
+    )  # fmt: skip
+    found = examine(write_recording(tmp_path / "rec", model_xml=xml, runs=[run])).findings
+    told = [one for one in found if one.check == "gravity"]
+    assert [one.consequence for one in told] == ["under these commands the model falls"] * (
+        not whole
+    )
 
 
 def examined(folder: Path, run: Run) -> list:

@@ -351,3 +351,24 @@ def test_words_of_a_servo_are_ticks(home: Path, motion: Motion) -> None:
     found = {each.column: each.scaling for each in proposal.columns if not each.open}
     assert set(found) == ALL
     assert all(each.scale == pytest.approx(2 * np.pi / 4096) for each in found.values())
+
+
+def test_equal_commands_go_to_the_joints_in_the_order_of_the_file(
+    home: Path, motion: Motion
+) -> None:
+    same = np.repeat(motion.command[:, :1], 3, axis=1)
+    follow = np.repeat(motion.position[:, :1], 3, axis=1)
+    follow += 5e-4 * np.random.default_rng(0).normal(size=follow.shape)
+    found = lines(table(home / "log.csv", motion.time, same, follow))
+    assert [found[f"ctrl.{command}"][0] for command in COMMANDS] == ["2", "3", "4"]
+
+
+def test_torques_with_much_friction_are_told_by_their_whole_vector(
+    home: Path, motion: Motion
+) -> None:
+    dry = np.array([3.0, 3.0, 1.5]) * np.tanh(20 * motion.velocity)
+    source = table(home / "log.csv", motion.time, motion.position, motion.velocity,
+                   motion.torque + dry)  # fmt: skip
+    found = lines(source)
+    own = [found[f"torque.{joint}"] for joint in JOINTS]
+    assert own == [(channel, "N*m", 1) for channel in ("8", "9", "10")]

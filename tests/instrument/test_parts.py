@@ -17,7 +17,8 @@ from loose_env.instrument.arm import ROCKS
 from loose_env.instrument.knocks import knocks, rung, sphere
 from loose_env.instrument.locate import correlation
 from loose_env.instrument.motion import accelerations, fit_gears, links_of, mounted, softening, wave
-from loose_env.instrument.records import GRID, Record, followed_hz, read_run
+from loose_env.instrument.records import Record, followed_hz, read_run
+from loose_env.instrument.ringing import GRID
 from loose_env.instrument.signals import Multisine, multisine
 from loose_env.recording import Run
 from tests.instrument.machine import JOINTS, NOMINAL, RATE, REST, Truth, played, simulated
@@ -124,7 +125,7 @@ def test_correlation_takes_off_what_friction_explains() -> None:
     friction, knock = rng.random((1, 1000)), rng.random((1, 1000))
     heard = 3 * friction[0] + knock[0]
     told = [np.vstack([knock, friction])]
-    found, share, chance = correlation([heard], told, [friction], np.array([[300], [500]]))
+    found, share, chance = correlation([heard[None]], told, [friction], np.array([[300], [500]]))
     assert abs(chance) < 0.2
     assert found[0] == pytest.approx(1.0) and found[1] == 0.0 and share > 0.8
 

@@ -82,7 +82,7 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
         for name in names:
             chances[name] = chances.get(name, 0.0) + weight
     after = held_out_rms(selection, fit)
-    before = _before(selection)
+    before = _without_effects(selection, fit)
     open_ = _unexplained(before, after)
     freely, sized = selection.sized(fit)
     covariance = _covariance(freely, sized)
@@ -171,7 +171,7 @@ def decide_simulated(
             chances[term.name] = chances.get(term.name, 0.0) + float(weight)
     wide = _left_to_cells(selection, fit)
     gains, left = _simulated_gains(selection, exact, best)
-    before, after = _before(selection), held_out_rms(selection, fit)
+    before, after = _without_effects(selection, fit), held_out_rms(selection, fit)
     simulated = exact.by_joint()
     for k, channel in enumerate(selection.evidence.channels):
         if channel.joint in simulated:
@@ -427,20 +427,32 @@ def _missed(selection: Selection, fit: SetFit) -> Array:
     return found
 
 
-def _before(selection: Selection) -> Array:
-    """Residual of the nominal model in each channel (C,)."""
-    return np.array([np.sqrt(c.power.sum() / c.count.sum()) for c in selection.evidence.channels])
+def _without_effects(selection: Selection, fit: SetFit) -> Array:
+    """Held-out residual of each channel without a set's effects, tolerances as beside them (C,).
+
+    Alone, tolerances would be pulled far to stand in for what is missing.
+    """
+    total, evidence = np.zeros(len(selection.evidence.channels)), selection.evidence
+    count = np.zeros_like(total)
+    for held in folds_of(selection, fit.terms)[0]:
+        own = selection.without(held, fit).values[: evidence.tolerances]
+        for k, channel in enumerate(evidence.channels):
+            at = channel.columns < evidence.tolerances
+            left = channel.residual - channel.rows[:, at] @ own[channel.columns[at]]
+            total[k] += channel.by_cell(left**2)[held[k]].sum()
+            count[k] += channel.count[held[k]].sum()
+    return np.asarray(np.sqrt(total / count))
 
 
 def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
     """Channels of which most is left (C,)."""
     share = 1 - (after / before) ** 2
-    return np.asarray((after > LARGE) & (share < EXPLAINED) & (before > LARGE))
+    return np.asarray((after > LARGE) & (share < EXPLAINED))
 
 
 def left_open(selection: Selection, fit: SetFit) -> list[int]:
     """Joints that a set leaves open: much is left, or most of the time says nothing of it."""
-    unexplained = _unexplained(_before(selection), held_out_rms(selection, fit))
+    unexplained = _unexplained(_without_effects(selection, fit), held_out_rms(selection, fit))
     joints = len(selection.evidence.balance.machine.joints)
     return [
         channel.joint
