@@ -68,7 +68,7 @@ def asked_apart(module: str, words: Sequence[str], log: Path, seconds: float) ->
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return False, f"longer than {seconds:.0f} s"
-    lines = log.read_text(encoding="utf-8").strip().splitlines()
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return True, lines[-1] if lines else f"exit code {done.returncode}"
 
 
