@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.recording import joint_sensors
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 _MOVING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _AFFINE_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
@@ -219,6 +219,12 @@ def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def named(names: Sequence[str], mask: Iterable[bool]) -> tuple[str, ...]:
     """Names of elements with a name, of those in a mask."""
     return tuple(name for name, chosen in zip(names, mask, strict=True) if name and chosen)
+
+
+def addresses(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[IndexArray, IndexArray]:
+    """Addresses of joints in positions and in speeds (joints,)."""
+    numbers = [model.joint(name).id for name in joints]
+    return model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
