@@ -691,7 +691,7 @@ def _played(
     found, refused = [], []
     for motion in dict.fromkeys(wanted):
         fitting, planned, reason = scaled_until(motion, checked, tries)
-        if planned is not None and not reason:
+        if planned is not None:
             found.append((fitting, planned))
         else:
             refused.append((motion.described(limits.joints), reason))
