@@ -28,7 +28,7 @@ from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Form, Selection, Set, SetFit, neighbours
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, addresses
 from loose_env.gap.motions import Motion, loaded_poses, long_motions, scaled_until
 from loose_env.gap.output.corrected_model import step_for
 from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed, force_limits
@@ -526,9 +526,7 @@ class Player:
         self._model = corrected.model(
             machine, self._interval / parts, released=self.drive == "none"
         )
-        joints = [self._model.joint(name) for name in machine.joints]
-        self._at = np.array([int(joint.qposadr[0]) for joint in joints])
-        self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
+        self._at, self._dofs = addresses(self._model, machine.joints)
         common = set.intersection(*(set(run.sensors) for run in recording.runs))
         self._sensors = [name for name in machine.sensors if name in common]
         self._noise = _noise([run.sensors for run in recording.runs])
@@ -693,7 +691,7 @@ def _played(
     found, refused = [], []
     for motion in dict.fromkeys(wanted):
         fitting, planned, reason = scaled_until(motion, checked, tries)
-        if planned is not None and not reason:
+        if planned is not None:
             found.append((fitting, planned))
         else:
             refused.append((motion.described(limits.joints), reason))

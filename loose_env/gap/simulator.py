@@ -28,7 +28,7 @@ from loose_env.arms import quiet
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import DrivenEffect, Effect, Readings
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, addresses
 from loose_env.gap.runs import SETTLE, Channel, Trial, steady_activations
 from loose_env.typing import Array, IndexArray
 
@@ -58,18 +58,12 @@ def _has_terms(hypothesis: Hypothesis) -> bool:
     return any(isinstance(e, DrivenEffect) or e.overrides("torque") for e in hypothesis.effects)
 
 
-def _addresses(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[IndexArray, IndexArray]:
-    """Addresses of joints in positions and in speeds (joints,)."""
-    numbers = [model.joint(name).id for name in joints]
-    return model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
-
-
 class _Stepped:
     """Simulations of a batch with torque terms and driven effects, stepped from Python."""
 
     def __init__(self, batch: Batch, joints: Sequence[str], slots: Sequence[_Slot]) -> None:
         self.batch, hypotheses = batch, [slot.hypothesis for slot in slots]
-        self._places, self._dofs = map(_slice, _addresses(slots[0].model, joints))
+        self._places, self._dofs = map(_slice, addresses(slots[0].model, joints))
         self._rows, self._groups = _rows(hypotheses), _groups(hypotheses)
         self._option = slots[0].model.opt
         driven = [effect for own, _ in self._groups for effect, _ in own]
@@ -111,7 +105,8 @@ class _Stepped:
                     found[name][k] = fields[name]
                 rate = fields["qacc"][:, dofs]
             begun = [fields[name][:, dofs].copy() for name in loads]
-            middle = _ahead(now, rate, 0.5 * step)
+            half, (position, speed) = 0.5 * step, now  # at constant acceleration
+            middle = position + half * (speed + 0.5 * half * rate), speed + half * rate
             if self._rows:
                 applied[:, dofs] = _terms(self._rows, middle if looks_ahead else now)
             commands[:] = self._commands(control[:, k], middle)
@@ -175,9 +170,9 @@ def _expand(batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
             batch.expand(name)[:] = np.stack([own[id(model)] for model in models])
 
 
-_Own = NDArray[np.bool_] | slice
-_Rows = Sequence[tuple[Effect, Array, _Own]]  # torque terms, and which simulations have them
-_Groups = Sequence[tuple[_Driven, _Own]]  # driven effects, and which simulations have them
+_Own = NDArray[np.bool_] | slice  # which simulations have a term
+_Rows = Sequence[tuple[Effect, Array, _Own]]  # torque terms
+_Groups = Sequence[tuple[_Driven, _Own]]  # driven effects
 
 
 def _rows(each: Sequence[Hypothesis]) -> _Rows:
@@ -188,11 +183,6 @@ def _rows(each: Sequence[Hypothesis]) -> _Rows:
         for effect, values in own.pairs
         if effect.overrides("torque")
     ]
-
-
-def _those(own: Sequence[bool]) -> _Own:
-    """Mask of simulations, or a slice of all of them."""
-    return slice(None) if all(own) else np.array(own)
 
 
 def _groups(each: Sequence[Hypothesis]) -> _Groups:
@@ -207,6 +197,11 @@ def _groups(each: Sequence[Hypothesis]) -> _Groups:
         stacked = [(m[0][0], np.stack([values for _, values in m], axis=-1)) for m in members]
         found.append((stacked, _those(own)))
     return found
+
+
+def _those(own: Sequence[bool]) -> _Own:
+    """Mask of simulations, or a slice of all of them."""
+    return slice(None) if all(own) else np.array(own)
 
 
 def _terms(rows: _Rows, state: State) -> Array:
@@ -224,12 +219,6 @@ def _terms(rows: _Rows, state: State) -> Array:
                 )
             found[own] += given
     return found
-
-
-def _ahead(now: State, rate: Array, time: float) -> State:
-    """Positions and speeds some time later, at constant acceleration."""
-    position, speed = now
-    return position + time * (speed + 0.5 * time * rate), speed + time * rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +305,7 @@ class Simulator:
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         qpos, qvel, act = batch.qpos, batch.qvel, batch.act
         for k, slot in enumerate(slots):
-            places, dofs = _addresses(slot.model, self.machine.joints)
+            places, dofs = addresses(slot.model, self.machine.joints)
             qpos[k] = slot.model.qpos0
             qpos[k, places], qvel[k, dofs] = slot.trial.position, slot.trial.speed
             values = slot.trial.controls

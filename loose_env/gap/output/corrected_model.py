@@ -15,7 +15,7 @@ from loose_env.arms import copy_files, files_of
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import DrivenEffect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import NominalModel, set_step
+from loose_env.gap.model.nominal_model import NominalModel, addresses, set_step
 from loose_env.gap.output.result import GapResult
 from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
@@ -67,8 +67,7 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:
     for key in spec.keys:  # of nominal length, they would not fit
         key.qpos, key.qvel, key.act = [], [], []
     model = spec.copy().compile()
-    places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
-    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
+    places, dofs = addresses(model, machine.joints)
     for k, key in enumerate(spec.keys):
         position, speed = model.qpos0.copy(), np.zeros(model.nv)
         position[places], speed[dofs] = nominal.key_qpos[k], nominal.key_qvel[k]

@@ -23,7 +23,7 @@ import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import affine_actuators
+from loose_env.gap.model.nominal_model import AT_JOINT, MOVING, affine_actuators
 from loose_env.gap.output.result import NamedEffect, read_result
 from loose_env.io import Checked, Positive, json_text, plain, write_text
 
@@ -150,7 +150,7 @@ class _Source:
     def joints(self) -> tuple[_Joint, ...]:
         """Hinges and slides."""
         model = self.model
-        single = np.flatnonzero(np.isin(model.jnt_type, (_HINGE, _SLIDE))).tolist()
+        single = np.flatnonzero(np.isin(model.jnt_type, MOVING)).tolist()
         return tuple(_joint(model, k) for k in single)
 
     @property
@@ -172,8 +172,6 @@ class _Source:
 
 
 _ALL: tuple[str, ...] = ("*",)  # stands for all parameters of an effect
-_AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _NO_DRIVE = "no actuator drives it"
 _SAME = 1e-6  # relative difference of two gains that are the same
 
@@ -211,7 +209,7 @@ class _Joint:
 
 def _joint(model: mujoco.MjModel, joint: int) -> _Joint:
     """Read a joint from a compiled model."""
-    at_joint = np.isin(model.actuator_trntype, _AT_JOINT)
+    at_joint = np.isin(model.actuator_trntype, AT_JOINT)
     there = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
     # an actuator without a command, as effects add them, is no drive
     own = [int(k) for k in there if model.actuator_ctrlnum[k] > 0]
@@ -225,7 +223,7 @@ def _joint(model: mujoco.MjModel, joint: int) -> _Joint:
         drive["undriven"] = f"the force of {names} is not linear in command, position and speed"
     dof = int(model.jnt_dofadr[joint])
     return _Joint(
-        name=str(model.joint(joint).name), turns=bool(model.jnt_type[joint] == _HINGE),
+        name=str(model.joint(joint).name), turns=bool(model.jnt_type[joint] == MOVING[0]),
         armature=float(model.dof_armature[dof]), frictionloss=float(model.dof_frictionloss[dof]),
         viscous=float(model.dof_damping[dof]), **drive,
     )  # fmt: skip
@@ -283,7 +281,7 @@ class _Parameter:
     low: float  # ends of the 95 % interval; the value itself where none is known
     high: float
     element: str = ""  # "joint", "actuator" or "sensor" of MJCF whose attribute it sets
-    attribute: str = ""  # "" if the effect is no single attribute of one element
+    attribute: str = ""  # "gain" if it scales several; "" if the effect is no single one
     index: int | None = None  # into an attribute with several values
 
     @property
@@ -295,11 +293,6 @@ class _Parameter:
     def unit(self) -> str:
         """Unit, "" for a ratio."""
         return self.effect.units.get(self.parameter, "")
-
-    @property
-    def scales(self) -> bool:
-        """Whether the attribute is the nominal one times the parameter."""
-        return self.effect.kind == "actuator_gain"
 
     @property
     def words(self) -> str:
@@ -373,7 +366,7 @@ def _sysid(source: _Source) -> Export:
             }
         )  # fmt: skip
         given = [repr(value) for value in states[p.name].values()]
-        if p.scales:
+        if p.attribute == "gain":
             given.append(f"_scales({p.where!r}, {_scaled(source, p)})")
         elif p.attribute:
             index = "" if p.index is None else f", {p.index}"
@@ -417,7 +410,7 @@ def _ranges(source: _Source) -> Export:
             "effect": p.effect.kind, "where": p.where, "parameter": p.parameter, "unit": p.unit,
             "value": p.effect.parameters[p.parameter], "low": low, "high": high,
         }  # fmt: skip
-        if p.attribute and not p.scales:
+        if p.attribute not in ("", "gain"):
             index = "" if p.index is None else f"[{p.index}]"
             found["mjcf"] = {
                 "attribute": f"{p.element}/{p.attribute}{index}", "nominal": p.nominal,
