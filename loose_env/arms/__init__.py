@@ -41,8 +41,6 @@ from loose_env.arms.holding import (
 )
 from loose_env.arms.library import (
     BENDING_MODE_HZ,
-    BLOCK_MASS,
-    LINK2_MASS,
     LINK_LENGTH,
     BendingLink2,
     planar,
@@ -72,14 +70,12 @@ from loose_env.arms.model_file import (
 
 __all__ = [
     "BENDING_MODE_HZ",
-    "BLOCK_MASS",
     "COIL",
     "CREST_FACTOR",
     "DESK_ARM",
     "FASTEST_TURN",
     "GRAVITY",
     "HOLDING_MODE_HZ",
-    "LINK2_MASS",
     "LINK_LENGTH",
     "SERVO_ARM",
     "SIX_AXIS_SERVO_ARM",
