@@ -20,7 +20,6 @@ from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.gap import (
     VISIBLE,
     Belief,
-    BeliefSettings,
     Effect,
     Hypothesis,
     HypothesisSet,
@@ -266,8 +265,6 @@ class ModelGapSettings(Checked):
     """Distribution of the hidden machines."""
     prices: GapPrices = field(default_factory=GapPrices)
     """Rewards and prices."""
-    belief: BeliefSettings = field(default_factory=BeliefSettings)
-    """Priors and errors of the belief."""
     kinds: Annotated[tuple[str, ...], _KINDS] = ()
     """Kinds of effect that are hidden and considered; none for the whole catalogue but those that
     the sensors cannot show."""
@@ -442,7 +439,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         self.action_space = spaces.Discrete(len(bank.library) + self.settings.ranks)
         self.machine: HiddenMachine | None = None
         """The hidden machine of the episode."""
-        self.belief = Belief(self.bank, self.settings.belief)
+        self.belief = Belief(self.bank)
         """Belief about it."""
         self.seconds, self.wear = 0.0, 0.0
         self._over = True
@@ -469,7 +466,7 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
             self.bank, self.np_random, count=given.get("count"),
             names=tuple(given.get("names", ())),
         )  # fmt: skip
-        self.belief = Belief(self.bank, self.settings.belief)
+        self.belief = Belief(self.bank)
         self.seconds, self.wear, self._over = 0.0, 0.0, False
         return self._observed(), self._info()
 

@@ -5,7 +5,7 @@ Data flow: model -> runs -> simulator -> core -> output -> servo_arm -> motions 
 """
 
 from loose_env.gap.bank import VISIBLE, MotionBank, Shape, motion_bank
-from loose_env.gap.belief import Belief, BeliefSettings, HypothesisSet, Outlook, outlook
+from loose_env.gap.belief import Belief, HypothesisSet, Outlook, outlook
 from loose_env.gap.core.find import Answer, find_gap
 from loose_env.gap.core.residual import Correlation, Overlay, Played
 from loose_env.gap.core.tolerances import GapSettings, Tolerances
@@ -71,7 +71,6 @@ __all__ = [
     "VISIBLE",
     "Answer",
     "Belief",
-    "BeliefSettings",
     "ChannelVerdict",
     "Correlation",
     "DrivenEffect",

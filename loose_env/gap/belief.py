@@ -16,18 +16,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import Annotated
+from math import comb
 
 import numpy as np
-from annotated_types import Ge, Lt
 
-from loose_env.errors import InvalidSetting
 from loose_env.gap.bank import VISIBLE, Along, MotionBank, MotionEvidence, beyond
 from loose_env.gap.core.find import silent
 from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.tolerances import Tolerances
 from loose_env.inference import information_bound
-from loose_env.io import Checked, Probability, Rule
 from loose_env.typing import Array, IndexArray
 
 _FIRST, _SWAPS = 24, 10
@@ -38,47 +35,12 @@ _CANDIDATES, _SETS, _ESTIMATED = 3000, 40, 8
 _OPEN, _SAMPLES, _LEAST = 16, 32, 1e-3
 """Sets that count as open at most, readings drawn from the prediction of each, and the probability
 of an open set over that of the most probable one, at least."""
+_PRIOR = (0.2, 0.5, 1.0 - 0.2 - 0.5)
+"""Prior probability that none, one and two effects are missing."""
+_LINEARISATION = 0.02  # error of the columns over the length of the residual that they explain [1]
 _DIRECTIONS = 100  # directions over which the error of the columns spreads
 _MISSED = Tolerances().law  # share of its force that the law of an effect misses
 _OUT = 2.0  # standard deviations by which an estimate may lie beyond its bounds
-
-
-@dataclass(frozen=True, kw_only=True)
-class BeliefSettings(Checked):
-    """Priors and errors of the belief.
-
-    Examples
-    --------
-    >>> BeliefSettings(none=0.9, single=0.2)
-    Traceback (most recent call last):
-    ...
-    loose_env.errors.InvalidSetting: none and single are probabilities of at most 1 in all, ...
-    """
-
-    none: Probability = 0.2
-    """Prior probability that no effect is missing."""
-    single: Probability = 0.5
-    """Prior probability that one is; two otherwise."""
-    linearisation: Annotated[float, Rule("a share from 0 to below 1", (Ge(0), Lt(1)))] = 0.02
-    """Error of the columns over the length of the residual that they explain [1]."""
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        super().__post_init__()
-        if self.none + self.single > 1:
-            raise InvalidSetting(
-                "none and single are probabilities of at most 1 in all, got "
-                f"{self.none!r} and {self.single!r}"
-            )
-
-    def log_prior(self, count: int, candidates: int) -> float:
-        """Log prior probability of one set of some number of effects."""
-        if count == 0:
-            return float(np.log(self.none))
-        if count == 1:
-            return float(np.log(self.single / candidates))
-        double = max(1.0 - self.none - self.single, 1e-12)
-        return float(np.log(double / max(candidates * (candidates - 1) / 2, 1)))
 
 
 @dataclass(frozen=True)
@@ -141,12 +103,10 @@ class Belief:
     ----------
     bank : MotionBank
         Evidence of the motions.
-    settings : BeliefSettings, optional
-        Priors and errors.
     """
 
-    def __init__(self, bank: MotionBank, settings: BeliefSettings | None = None) -> None:
-        self.bank, self.settings = bank, settings or BeliefSettings()
+    def __init__(self, bank: MotionBank) -> None:
+        self.bank = bank
         self.sums: dict[int, Array] = {}
         """Motion -> sum of the residuals of its repetitions (R,)."""
         self.counts: dict[int, int] = {}
@@ -194,7 +154,7 @@ class Belief:
             own, repeated = self.bank.evidence[motion], self.counts[motion]
             mean = total / repeated
             square = float(mean @ mean)
-            weight = 1 / (1 / repeated + self.settings.linearisation**2 * square / _DIRECTIONS)
+            weight = 1 / (1 / repeated + _LINEARISATION**2 * square / _DIRECTIONS)
             gram += weight * own.gram
             right += weight * (mean @ own.rows)
             power += weight * square
@@ -204,7 +164,7 @@ class Belief:
     @cached_property
     def posterior(self) -> Posterior:
         """Posterior over sets of effects, given all motions so far."""
-        return _posterior(self.products, self.settings)
+        return _posterior(self.products)
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +260,7 @@ class Products:
         return tuple(sorted(found, key=lambda each: each.name))
 
 
-def _posterior(products: Products, settings: BeliefSettings) -> Posterior:
+def _posterior(products: Products) -> Posterior:
     """Posterior over sets of at most two effects about the nominal model.
 
     Singles are all evaluated. Pairs are those of any effect beside one of the best singles, then
@@ -311,18 +271,19 @@ def _posterior(products: Products, settings: BeliefSettings) -> Posterior:
     chi2, half, _, _ = products.alone
     every, none = np.arange(shapes), np.full(shapes, -1)
     alike = -np.log(np.bincount(candidate, minlength=count)[candidate])
-    nothing = np.array([products.nominal.chi2]), np.array([settings.log_prior(0, count)])
+    priors = [float(np.log(p / max(comb(count, size), 1))) for size, p in enumerate(_PRIOR)]
+    nothing = np.array([products.nominal.chi2]), np.array(priors[:1])
     # members, fit, and log prior less half the log determinant
     rows = [
         (none[:1], none[:1], *nothing),
-        (every, none, chi2, settings.log_prior(1, count) + alike - half),
+        (every, none, chi2, priors[1] + alike - half),
     ]
 
     def pair_up(which: Sequence[int]) -> None:
         for h in which:
             fit, size = products.beside(h)
             fit = np.where(candidate == candidate[h], np.inf, fit)
-            prior = settings.log_prior(2, count) + alike + alike[h]
+            prior = priors[2] + alike + alike[h]
             rows.append((np.full(shapes, h), every, fit, prior - size))
 
     if count > 1:
@@ -428,8 +389,7 @@ def outlook(belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]],
         moved = own.gram @ means
         squares = means.T @ moved
         power = np.diag(squares)
-        eta = belief.settings.linearisation
-        noise = 1.0 + eta**2 * float(weights @ power) / _DIRECTIONS
+        noise = 1.0 + _LINEARISATION**2 * float(weights @ power) / _DIRECTIONS
         apart = power[:, None] - 2 * squares + power  # [i, k] of set i from set k
         found = np.empty_like(apart)
         for k, (fit, precision) in enumerate(zip(fits, precisions, strict=True)):
@@ -483,7 +443,7 @@ def _predictions(belief: Belief) -> tuple[Array, list[tuple[str, ...]], list[_Fi
 
 def _prior_predictions(belief: Belief) -> tuple[Array, list[tuple[str, ...]], list[_Fit]]:
     """Before any motion: no effect, and each candidate at a middle visibility."""
-    bank, settings, free = belief.bank, belief.settings, belief.bank.nuisances
+    bank, free = belief.bank, belief.bank.nuisances
     middle = float(np.sqrt(VISIBLE[0] * VISIBLE[1]))
     fits = [_Fit(np.arange(free), np.zeros(free), np.eye(free), 0.0)]
     for number in range(len(bank.names)):
@@ -496,6 +456,6 @@ def _prior_predictions(belief: Belief) -> tuple[Array, list[tuple[str, ...]], li
         sds = np.append(np.ones(free), np.full(len(mean), 0.45 * np.abs(mean).max()))
         at = np.array([*range(free), *shape.at])
         fits.append(_Fit(at, np.append(np.zeros(free), mean), np.diag(sds**2), 0.0))
-    weights = np.full(len(fits), settings.single / max(len(fits) - 1, 1))
-    weights[0] = settings.none
+    weights = np.full(len(fits), _PRIOR[1] / max(len(fits) - 1, 1))
+    weights[0] = _PRIOR[0]
     return weights / weights.sum(), [(), *((name,) for name in bank.names)], fits

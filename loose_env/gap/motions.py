@@ -296,7 +296,7 @@ def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, PlannedMotion]
         If it does not fit at a twentieth of its size either: in its centre pose, say.
     """
     fitting, planned, reason = scaled_until(motion, partial(check_motion, arm=arm))
-    if planned is None or reason:
+    if planned is None:
         raise InvalidSetting(
             f"{fitting.description} does not fit the arm: {reason}; give another centre pose"
         )
@@ -306,22 +306,23 @@ def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, PlannedMotion]
 def scaled_until(
     motion: Motion, checked: Callable[[Motion], tuple[T | None, str]], tries: int = 8
 ) -> tuple[Motion, T | None, str]:
-    """Reduce a motion until a check has no reason against it; with what it found, and the reason.
+    """Reduce a motion until a check has no reason against it; with what it found, or the reason.
 
     A check that cannot be made raises InvalidSetting.
     """
     for left in reversed(range(tries)):
-        found = None
         try:
             found, reason = checked(motion)
         except InvalidSetting as error:
-            reason = str(error)
-        if not reason or not left:
+            found, reason = None, str(error)
+        if not reason:
+            return motion, found, ""
+        if not left:
             break
         too_far = any(words in reason for words in ("touch", "its range", "would move"))
         slower = motion.speed if too_far else _SHRINK * motion.speed
         motion = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
-    return motion, found, reason
+    return motion, None, reason
 
 
 def loaded_poses(
@@ -399,7 +400,7 @@ def brief_library(arm: ServoArm) -> tuple[Motion, ...]:
 def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
     """Motions that fit the limits of an arm, reduced where need be, each once."""
     tried = [scaled_until(motion, partial(check_motion, arm=arm)) for motion in wanted]
-    fitting = [motion for motion, planned, reason in tried if planned is not None and not reason]
+    fitting = [motion for motion, planned, _ in tried if planned is not None]
     if not fitting:
         raise InvalidSetting(
             "no motion fits the arm: its home pose touches something or takes its torque limits"

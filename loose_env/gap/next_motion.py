@@ -28,10 +28,11 @@ from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.selection import Form, Selection, Set, SetFit, neighbours
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, addresses
 from loose_env.gap.motions import Motion, loaded_poses, long_motions, scaled_until
 from loose_env.gap.output.corrected_model import step_for
 from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed, force_limits
+from loose_env.gap.simulator import sensed
 from loose_env.inference import log_determinant
 from loose_env.io import (
     Checked,
@@ -349,18 +350,17 @@ class Questions:
         """Gains of one motion by the Gram matrices without and with it."""
         if not self.pairs:
             return asked.narrowing(self._named, self.answer.decision.fit.terms, old, joint)
-        return _Gains(
-            pairs=tuple(
+        found = []
+        for pair in self.pairs:
+            one, other, rest = pair.effect, pair.rival, pair.others
+            found.append(
                 PairGain(
-                    effect=NOTHING if pair.effect is None else pair.effect.words,
-                    rival=pair.rival.words,
-                    so_far_nats=pair.nats,
-                    if_effect_nats=asked.apart(pair.effect, pair.rival, pair.others, old, joint),
-                    if_rival_nats=asked.apart(pair.rival, pair.effect, pair.others, old, joint),
+                    effect=NOTHING if one is None else one.words, rival=other.words,
+                    so_far_nats=pair.nats, if_effect_nats=asked.apart(one, other, rest, old, joint),
+                    if_rival_nats=asked.apart(other, one, rest, old, joint),
                 )
-                for pair in self.pairs
-            )
-        )
+            )  # fmt: skip
+        return _Gains(pairs=tuple(found))
 
 
 def _moving(balance: Balance, channel: Channel) -> list[int]:
@@ -400,22 +400,18 @@ class _Asked:
         at = [] if true is None else list(self.columns.get(id(true.term), ()))
         if true is None or not at:
             return 0.0
-        shapes: list[Set] = [()] if other is None else [(shape,) for shape in other.shapes]
-        force, ends = true.coefficients, []
-        for gram in (old, joint):
-            cross = gram[:, at] @ force
-            square = np.array([force @ cross[at]])
-            ends.append(min(self._left(gram, square, cross, rest, shape) for shape in shapes))
-        return 0.5 * max(ends[1] - ends[0], 0.0)
-
-    def _left(self, gram: Array, square: Array, cross: Array, rest: Set, shape: Set) -> float:
-        """Squared distance of a force from what a set of effects can do, and what that costs."""
-        numbers, precision = self.beside((*rest, *shape))
-        # common effects may change by their priors; a law begins at its size
-        own = np.isin(numbers, self.of(shape))
-        centre = np.where(own, self.evidence.centre[numbers], 0.0)
-        normal, slope = gram[np.ix_(numbers, numbers)], cross[numbers][:, None]
-        return float(unexplained(square, slope, normal, precision, centre)[0])
+        force, ends = true.coefficients, np.full(2, np.inf)
+        for shape in [()] if other is None else [(shape,) for shape in other.shapes]:
+            numbers, precision = self.beside((*rest, *shape))
+            # common effects may change by their priors; a law begins at its size
+            own = np.isin(numbers, self.of(shape))
+            centre = np.where(own, self.evidence.centre[numbers], 0.0)
+            for k, gram in enumerate((old, joint)):
+                cross = gram[:, at] @ force
+                square, slope = np.array([force @ cross[at]]), cross[numbers][:, None]
+                normal = gram[np.ix_(numbers, numbers)]
+                ends[k] = min(ends[k], *unexplained(square, slope, normal, precision, centre))
+        return 0.5 * max(float(ends[1] - ends[0]), 0.0)
 
     def narrowing(self, named: Set, terms: Set, old: Array, joint: Array) -> _Gains:
         """Fall of the covariance of named effects beside all others and the tolerances."""
@@ -478,16 +474,15 @@ def _interval(motion: Measured) -> float:
 
 def _stated_speed(model: mujoco.MjModel, unit: Array) -> Array | None:
     """Speed limits that a model states as a custom number (joints,); None if it does not."""
-    for k in range(model.nnumeric):
-        if model.numeric(k).name == "max_speed_rad_s":
-            told = np.asarray(model.numeric(k).data, dtype=float)
-            if told.size not in (1, len(unit)):
-                raise InvalidData(
-                    f"max_speed_rad_s of the model has {told.size} values; it must have one, or "
-                    f"one for each of the {len(unit)} joints (of a slide in m/s)"
-                )
-            return told * unit if told.size == 1 else told
-    return None
+    stated = {(own := model.numeric(k)).name: own.data for k in range(model.nnumeric)}
+    if (told := stated.get("max_speed_rad_s")) is None:
+        return None
+    if told.size not in (1, len(unit)):
+        raise InvalidData(
+            f"max_speed_rad_s of the model has {told.size} values; it must have one, or one for "
+            f"each of the {len(unit)} joints (of a slide in m/s)"
+        )
+    return np.asarray(told * unit if told.size == 1 else told, dtype=float)
 
 
 def drive_of(machine: NominalModel) -> CommandMode:
@@ -531,9 +526,7 @@ class Player:
         self._model = corrected.model(
             machine, self._interval / parts, released=self.drive == "none"
         )
-        joints = [self._model.joint(name) for name in machine.joints]
-        self._at = np.array([int(joint.qposadr[0]) for joint in joints])
-        self._dofs = np.array([int(joint.dofadr[0]) for joint in joints])
+        self._at, self._dofs = addresses(self._model, machine.joints)
         common = set.intersection(*(set(run.sensors) for run in recording.runs))
         self._sensors = [name for name in machine.sensors if name in common]
         self._noise = _noise([run.sensors for run in recording.runs])
@@ -576,11 +569,10 @@ class Player:
         def read(values: Array, sd: Array | float) -> Array:
             return values + noise * sd * rng.standard_normal(values.shape)
 
-        sensors = dict[str, Array]()
-        for sensor in map(self._model.sensor, self._sensors):
-            own = motion.readings[:, int(sensor.adr[0]) :][:, : int(sensor.dim[0])]
-            own = own[:, 0] if own.shape[1] == 1 else own
-            sensors[sensor.name] = read(own, self._noise[sensor.name])
+        sensors = {
+            name: read(sensed(self._model, name, motion.readings), self._noise[name])
+            for name in self._sensors
+        }
         controls, torques = dict[str, Array](), dict[str, Array]()
         if self.drive == "none":
             torques = {
@@ -648,13 +640,9 @@ def choose_next(
         fitting, refused = _played(player, limits, settings, motions)
         say(f"next motion: {len(fitting)} motions, {len(pairs)} open pairs")
         questions = Questions(answer, pairs, player)
-        rates = [
-            gains.value / (planned.time[-1] + _SETUP_S)
-            for gains, (_, planned) in zip(
-                questions.gains([planned for _, planned in fitting]), fitting, strict=True
-            )
-        ]
-        motion, planned = fitting[int(np.argmax(rates))]
+        values = [own.value for own in questions.gains([planned for _, planned in fitting])]
+        seconds = [planned.time[-1] + _SETUP_S for _, planned in fitting]
+        motion, planned = fitting[int(np.argmax(np.divide(values, seconds)))]
         (gains,) = questions.gains([planned])  # if it alone is recorded
     if not gains.tells:
         say("next motion: none tells more than the same runs once more")
@@ -703,7 +691,7 @@ def _played(
     found, refused = [], []
     for motion in dict.fromkeys(wanted):
         fitting, planned, reason = scaled_until(motion, checked, tries)
-        if planned is not None and not reason:
+        if planned is not None:
             found.append((fitting, planned))
         else:
             refused.append((motion.described(limits.joints), reason))

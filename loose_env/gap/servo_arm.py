@@ -260,11 +260,10 @@ class ServoArm(Checked):
     @cached_property
     def home(self) -> Array:
         """Home pose: key "home", else the first key, else the middle of each range (J,)."""
-        model = self.model
-        if self._key is not None:
-            return np.asarray(self.rest_position[self.driven], dtype=float)
-        middle = model.jnt_range.mean(axis=1)
-        return np.asarray(np.where(model.jnt_limited, middle, model.qpos0)[self.driven])
+        model, pose = self.model, self.rest_position
+        if self._key is None:
+            pose = np.where(model.jnt_limited, model.jnt_range.mean(axis=1), pose)
+        return np.asarray(pose[self.driven])
 
     @cached_property
     def _key(self) -> int | None:
@@ -357,13 +356,22 @@ class ServoArm(Checked):
         ndarray (n, 2 J)
             Positions and torques; NaN where the simulation diverged.
         """
-        simulator = Simulator(self.machine, [self._trial(commands)], self.channels, threads=1)
+        count, position = len(commands), self.rest_position
+        position[self.driven] = self.home
+        controls = self.held(commands)[: (count - 1) * self.parts + 1]
+        trial = Trial(
+            name="motion", form="forward", time=np.arange(count) / RATE,
+            measured=np.zeros((count, len(self.channels))), step=self.machine.time_step,
+            steps=len(controls), controls=controls, position=position,
+            speed=np.zeros(self.model.nv), resting=True,
+        )  # fmt: skip
+        simulator = Simulator(self.machine, [trial], self.channels, threads=1)
         return simulator.predict([hypothesis])[0][0]
 
     @property
     def parts(self) -> int:
         """Steps of a simulation from sample to sample."""
-        return round(1.0 / (RATE * float(self.machine.model.opt.timestep)))
+        return round(1.0 / (RATE * self.machine.time_step))
 
     def held(self, commands: Array) -> Array:
         """Commands that act, held, at the steps of a simulation (n · parts, nu).
@@ -373,17 +381,6 @@ class ServoArm(Checked):
         """
         given, late = np.repeat(self.controls(commands), self.parts, axis=0), self.parts // 2
         return np.concatenate([np.repeat(given[:1], late, axis=0), given])[: len(given)]
-
-    def _trial(self, commands: Array) -> Trial:
-        count, step = len(commands), float(self.machine.model.opt.timestep)
-        controls = self.held(commands)[: (count - 1) * self.parts + 1]
-        position = self.rest_position
-        position[self.driven] = self.home
-        return Trial(
-            name="motion", form="forward", time=np.arange(count) / RATE,
-            measured=np.zeros((count, len(self.channels))), step=step, steps=len(controls),
-            controls=controls, position=position, speed=np.zeros(self.model.nv), resting=True,
-        )  # fmt: skip
 
     def measured(self, readings: Array, rng: np.random.Generator) -> Array:
         """Add encoder noise, quantisation and torque noise to readings (n, 2 J)."""

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
-from loose_env.gap.model.effect import DrivenEffect, Readings
+from loose_env.gap.model.effect import DrivenEffect, Effect, Readings
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.model.nominal_model import NominalModel, addresses
 from loose_env.gap.runs import SETTLE, Channel, Trial, steady_activations
 from loose_env.typing import Array, IndexArray
 
@@ -44,28 +44,6 @@ _AT_ONCE = 4_000_000
 would have no simulation."""
 
 
-def _has_torque(hypothesis: Hypothesis) -> bool:
-    """Return whether any effect of a hypothesis is a torque term."""
-    return any(effect.overrides("torque") for effect in hypothesis.effects)
-
-
-def _torque_terms(hypothesis: Hypothesis, position: Array, speed: Array) -> Array:
-    """Sum of the torque terms of a hypothesis (..., joints) [N·m, N]."""
-    found = np.zeros(position.shape)
-    with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
-        for effect, values in hypothesis.pairs:
-            if not effect.overrides("torque"):
-                continue
-            given = np.asarray(effect.torque(position, speed, values))
-            if given.shape != position.shape:
-                raise InvalidData(
-                    f"{effect!r}: torque gives an array of the shape {given.shape}; one number for "
-                    f"each joint is needed, {position.shape} as its position"
-                )
-            found += given
-    return found
-
-
 _Driven = list[tuple[DrivenEffect, Array]]
 """Driven effects in the order in which they act, with values (P,) or by simulation (P, sims)."""
 
@@ -77,13 +55,7 @@ def _driven(hypothesis: Hypothesis) -> _Driven:
 
 def _has_terms(hypothesis: Hypothesis) -> bool:
     """Return whether any effect of a hypothesis has to be applied step by step."""
-    return _has_torque(hypothesis) or bool(_driven(hypothesis))
-
-
-def _addresses(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[IndexArray, IndexArray]:
-    """Addresses of joints in positions and in speeds (joints,)."""
-    numbers = [model.joint(name).id for name in joints]
-    return model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
+    return any(isinstance(e, DrivenEffect) or e.overrides("torque") for e in hypothesis.effects)
 
 
 class _Stepped:
@@ -91,7 +63,7 @@ class _Stepped:
 
     def __init__(self, batch: Batch, joints: Sequence[str], slots: Sequence[_Slot]) -> None:
         self.batch, hypotheses = batch, [slot.hypothesis for slot in slots]
-        self._places, self._dofs = map(_slice, _addresses(slots[0].model, joints))
+        self._places, self._dofs = map(_slice, addresses(slots[0].model, joints))
         self._rows, self._groups = _rows(hypotheses), _groups(hypotheses)
         self._option = slots[0].model.opt
         driven = [effect for own, _ in self._groups for effect, _ in own]
@@ -133,7 +105,8 @@ class _Stepped:
                     found[name][k] = fields[name]
                 rate = fields["qacc"][:, dofs]
             begun = [fields[name][:, dofs].copy() for name in loads]
-            middle = _ahead(now, rate, 0.5 * step)
+            half, (position, speed) = 0.5 * step, now  # at constant acceleration
+            middle = position + half * (speed + 0.5 * half * rate), speed + half * rate
             if self._rows:
                 applied[:, dofs] = _terms(self._rows, middle if looks_ahead else now)
             commands[:] = self._commands(control[:, k], middle)
@@ -197,20 +170,19 @@ def _expand(batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
             batch.expand(name)[:] = np.stack([own[id(model)] for model in models])
 
 
-_Own = NDArray[np.bool_] | slice
-_Rows = Sequence[tuple[Hypothesis, _Own]]  # hypotheses, and which simulations have them
-_Groups = Sequence[tuple[_Driven, _Own]]  # driven effects, and which simulations have them
+_Own = NDArray[np.bool_] | slice  # which simulations have a term
+_Rows = Sequence[tuple[Effect, Array, _Own]]  # torque terms
+_Groups = Sequence[tuple[_Driven, _Own]]  # driven effects
 
 
 def _rows(each: Sequence[Hypothesis]) -> _Rows:
-    """Hypotheses with torque terms, and their simulations."""
-    known = {id(hypothesis): hypothesis for hypothesis in each if _has_torque(hypothesis)}
-    return [(h, _those([other is h for other in each])) for h in known.values()]
-
-
-def _those(own: Sequence[bool]) -> _Own:
-    """Mask of simulations, or a slice of all of them."""
-    return slice(None) if all(own) else np.array(own)
+    """Torque terms of hypotheses with their values, and their simulations."""
+    return [
+        (effect, values, _those([other is own for other in each]))
+        for own in {id(hypothesis): hypothesis for hypothesis in each}.values()
+        for effect, values in own.pairs
+        if effect.overrides("torque")
+    ]
 
 
 def _groups(each: Sequence[Hypothesis]) -> _Groups:
@@ -227,19 +199,26 @@ def _groups(each: Sequence[Hypothesis]) -> _Groups:
     return found
 
 
+def _those(own: Sequence[bool]) -> _Own:
+    """Mask of simulations, or a slice of all of them."""
+    return slice(None) if all(own) else np.array(own)
+
+
 def _terms(rows: _Rows, state: State) -> Array:
-    """Torque terms in a state (sims, joints)."""
+    """Sum of the torque terms in a state (sims, joints) [N·m, N]."""
     position, speed = state
     found = np.zeros(position.shape)
-    for hypothesis, own in rows:
-        found[own] = _torque_terms(hypothesis, position[own], speed[own])
+    with np.errstate(all="ignore"):  # a diverging simulation is detected from its state
+        for effect, values, own in rows:
+            here = position[own]
+            given = np.asarray(effect.torque(here, speed[own], values))
+            if given.shape != here.shape:
+                raise InvalidData(
+                    f"{effect!r}: torque gives an array of the shape {given.shape}; one number for "
+                    f"each joint is needed, {here.shape} as its position"
+                )
+            found[own] += given
     return found
-
-
-def _ahead(now: State, rate: Array, time: float) -> State:
-    """Positions and speeds some time later, at constant acceleration."""
-    position, speed = now
-    return position + time * (speed + 0.5 * time * rate), speed + time * rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,11 +259,8 @@ class Simulator:
                     part = together[first : first + size]
                     found |= zip(part, self._simulate(part), strict=True)
         return [
-            [
-                self._columns(hypothesis, slot.model, found[slot], slot.trial)
-                for slot in slots[self._motion(hypothesis)]
-            ]
-            for hypothesis in hypotheses
+            [self._columns(own, slot, found[slot]) for slot in slots[self._motion(own)]]
+            for own in hypotheses
         ]
 
     def _slots(self, hypothesis: Hypothesis) -> list[_Slot]:
@@ -299,14 +275,8 @@ class Simulator:
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:
         """Key of the motion: hypotheses that differ in readings alone share it."""
-        return (
-            hypothesis.factors.tobytes(),
-            *(
-                (id(effect), values.tobytes())
-                for effect, values in hypothesis.pairs
-                if effect.moves
-            ),
-        )
+        moving = ((id(e), values.tobytes()) for e, values in hypothesis.pairs if e.moves)
+        return hypothesis.factors.tobytes(), *moving
 
     def _layout(self, slot: _Slot) -> object:
         """What simulations of one batch share; those stepped from Python cost by their steps."""
@@ -335,7 +305,7 @@ class Simulator:
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         qpos, qvel, act = batch.qpos, batch.qvel, batch.act
         for k, slot in enumerate(slots):
-            places, dofs = _addresses(slot.model, self.machine.joints)
+            places, dofs = addresses(slot.model, self.machine.joints)
             qpos[k] = slot.model.qpos0
             qpos[k, places], qvel[k, dofs] = slot.trial.position, slot.trial.speed
             values = slot.trial.controls
@@ -353,30 +323,27 @@ class Simulator:
         kept[diverged] = np.nan
         return [slot.trial.at_samples(k) for slot, k in zip(slots, kept, strict=True)]
 
-    def _columns(
-        self, hypothesis: Hypothesis, model: mujoco.MjModel, whole: Array, trial: Trial
-    ) -> Array:
+    def _columns(self, hypothesis: Hypothesis, slot: _Slot, whole: Array) -> Array:
         """Channel values (T, C)."""
         readings: Readings = {}
         for column in dict.fromkeys(channel.column for channel in self.channels):
             prefix, _, name = column.partition(".")
             if prefix == "sensor":
-                sensor = model.sensor(name)
-                start, size = int(sensor.adr[0]), int(sensor.dim[0])
-                values = whole[:, start : start + size]
-                readings[column] = values[:, 0] if size == 1 else values
+                readings[column] = sensed(slot.model, name, whole)
             else:
-                forces = whole[:, model.nsensordata - len(self.machine.actuators) :]
+                forces = whole[:, slot.model.nsensordata - len(self.machine.actuators) :]
                 readings[column] = forces @ self.machine.gears(name)
         for effect, own in hypothesis.pairs:
-            readings = effect.read(trial.time, readings, own)
-        return np.stack(
-            [
-                readings[c.column] if c.axis is None else readings[c.column][:, c.axis]
-                for c in self.channels
-            ],
-            axis=1,
-        )
+            readings = effect.read(slot.trial.time, readings, own)
+        every = [(readings[c.column], c.axis) for c in self.channels]
+        return np.stack([own if axis is None else own[:, axis] for own, axis in every], axis=1)
+
+
+def sensed(model: mujoco.MjModel, name: str, readings: Array) -> Array:
+    """Readings of one sensor (T,), or (T, 3) of a vector, among those of all (T, sensordata)."""
+    sensor = model.sensor(name)
+    own = readings[:, int(sensor.adr[0]) :][:, : int(sensor.dim[0])]
+    return own[:, 0] if own.shape[1] == 1 else own
 
 
 _SIZES = (

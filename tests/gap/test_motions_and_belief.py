@@ -16,7 +16,6 @@ from loose_env.envs import GapPrices, HiddenMachine, MachineDraw
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.gap import (
     Belief,
-    BeliefSettings,
     Motion,
     MotionBank,
     ServoArm,
@@ -224,7 +223,6 @@ def test_a_stored_bank_is_read_and_a_broken_one_computed_anew(tmp_path: Path) ->
         (lambda arm: replace(GOOD, highest=0.5), InvalidSetting, r"highest must be above 0\.5 Hz"),
         (lambda arm: replace(GOOD, amplitude=0.0), InvalidSetting, "amplitude must be positive"),
         (lambda arm: replace(GOOD, joints=(5,)).commands(arm), InvalidSetting, "drives 3 joints"),
-        (lambda arm: BeliefSettings(none=0.8, single=0.4), InvalidSetting, "of at most 1 in all"),
         (lambda arm: MachineDraw(probabilities=(0.5, 0.1, 0.1)), InvalidSetting, "sum to 1"),
         (lambda arm: hidden("rust@joint1"), InvalidSetting, "no candidate 'rust@joint1'; cand"),
     ],

@@ -97,12 +97,12 @@ def test_one_failure_keeps_the_others_and_shows(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(script, "run_sections", here)
-    arguments = ["--out", str(tmp_path), "--seed", "5", "--only", "sizing"]
+    arguments = ["--out", str(tmp_path), "--seed", "5", "--only", "signals"]
     with pytest.raises(SystemExit) as ended:
         script.main([*arguments, "link_finding", "index_tables"])
     assert ended.value.code == 1
     html = (tmp_path / "index.html").read_text(encoding="utf-8")
-    keys = ("sizing", "index_tables", "link_finding")  # in the order of the page
+    keys = ("signals", "index_tables", "link_finding")  # in the order of the page
     places = [html.index(f'<section id="{key}">') for key in keys]
     assert places == sorted(places)
     assert f"reproduce_thesis.py --seed 5 --only {' '.join(keys)}<" in html
@@ -138,7 +138,7 @@ def test_an_error_comes_back_as_the_outcome(monkeypatch: pytest.MonkeyPatch) -> 
 
 def die(key: str, seed: int) -> Outcome:
     """End the process of one section, as a crash of a simulation does."""
-    if key == "sizing":
+    if key == "signals":
         os._exit(3)
     return run_section(key, seed)
 
@@ -147,8 +147,8 @@ def die(key: str, seed: int) -> Outcome:
 def test_a_process_that_dies_takes_no_other_section_along(monkeypatch: pytest.MonkeyPatch) -> None:
     own = run_section("index_tables", 1)
     monkeypatch.setattr(page, "run_section", die)
-    found = {o.key: o for o in run_sections(["sizing", "index_tables"], seed=1)}
-    assert found["sizing"].error == "its process died"
+    found = {o.key: o for o in run_sections(["signals", "index_tables"], seed=1)}
+    assert found["signals"].error == "its process died"
     other = found["index_tables"].section
     assert other is not None and own.section is not None
     assert other.words == own.section.words and other.tables == own.section.tables

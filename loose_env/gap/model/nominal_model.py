@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.recording import joint_sensors
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
-_MOVING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+MOVING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+"""Types of joints of one degree of freedom: hinges, slides."""
 _AFFINE_GAINS = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
 _AFFINE_BIASES = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
-_AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Ways to drive a joint itself, the same for hinges and slides."""
 _LISTED = 6  # names that a sentence lists
 
@@ -45,7 +46,7 @@ class NominalModel:
         for k in range(model.njnt):
             name, body = model.joint(k).name, model.body(int(model.jnt_bodyid[k])).name
             said = f"joint {repr(name) if name else k} of body {body!r}"
-            if model.jnt_type[k] not in _MOVING:
+            if model.jnt_type[k] not in MOVING:
                 raise InvalidData(
                     f"{said} is no hinge and no slide; fix that body in its place, or take it out "
                     "of the model"
@@ -88,7 +89,7 @@ class NominalModel:
         """Joint driven by each actuator, of those that drive a joint."""
         found = {}
         for k, name in enumerate(self.actuators):
-            if int(self.model.actuator_trntype[k]) in _AT_JOINT:
+            if int(self.model.actuator_trntype[k]) in AT_JOINT:
                 found[name] = self.model.joint(int(self.model.actuator_trnid[k, 0])).name
         return found
 
@@ -203,7 +204,7 @@ class NominalModel:
 
     def turns(self, joint: str) -> bool:
         """Return whether a joint is a hinge."""
-        return bool(self.model.jnt_type[self.joint_number(joint)] == _MOVING[0])
+        return bool(self.model.jnt_type[self.joint_number(joint)] == MOVING[0])
 
     def units(self, joint: str) -> tuple[str, str]:
         """Units of a joint's coordinate and of its driving force."""
@@ -219,6 +220,12 @@ def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def named(names: Sequence[str], mask: Iterable[bool]) -> tuple[str, ...]:
     """Names of elements with a name, of those in a mask."""
     return tuple(name for name, chosen in zip(names, mask, strict=True) if name and chosen)
+
+
+def addresses(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[IndexArray, IndexArray]:
+    """Addresses of joints in positions and in speeds (joints,)."""
+    numbers = [model.joint(name).id for name in joints]
+    return model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
@@ -304,7 +311,7 @@ def unused(name: str, taken: Container[str]) -> str:
 def normal_of(machine: NominalModel) -> Array | None:
     """Normal (3,) of the machine's plane of motion, world frame; None if not planar."""
     data = machine.at_zero
-    turning = machine.model.jnt_type == _MOVING[0]
+    turning = machine.model.jnt_type == MOVING[0]
     hinges, slides = data.xaxis[turning], data.xaxis[~turning]
     if not len(hinges):
         return None

@@ -15,11 +15,10 @@ from loose_env.arms import copy_files, files_of
 from loose_env.errors import InvalidData
 from loose_env.gap.model.effect import DrivenEffect
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import NominalModel, set_step
+from loose_env.gap.model.nominal_model import NominalModel, addresses, set_step
 from loose_env.gap.output.result import GapResult
 from loose_env.io import written_beside
 from loose_env.recording import ModelColumns
-from loose_env.typing import Array
 
 _HALVINGS = 3  # times that a step is halved, at most
 
@@ -68,27 +67,20 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:
     for key in spec.keys:  # of nominal length, they would not fit
         key.qpos, key.qvel, key.act = [], [], []
     model = spec.copy().compile()
-    places = [int(model.joint(name).qposadr[0]) for name in machine.joints]
-    dofs = [int(model.joint(name).dofadr[0]) for name in machine.joints]
+    places, dofs = addresses(model, machine.joints)
     for k, key in enumerate(spec.keys):
         position, speed = model.qpos0.copy(), np.zeros(model.nv)
         position[places], speed[dofs] = nominal.key_qpos[k], nominal.key_qvel[k]
         key.qpos, key.qvel = position, speed
-        if model.na:
-            key.act = _states_of_actuators(model, nominal, k)
-
-
-def _states_of_actuators(model: mujoco.MjModel, nominal: mujoco.MjModel, key: int) -> Array:
-    """Activations (na,) of a keyframe; its command for a filter that was added."""
-    state = np.zeros(model.na)
-    for number in range(nominal.nu):  # actuators keep their order
-        at, before = model.actuator_actadr[number], nominal.actuator_actadr[number]
-        count = model.actuator_actnum[number]
-        if before >= 0:
-            state[at : at + count] = nominal.key_act[key, before : before + count]
-        elif at >= 0:
-            state[at : at + count] = nominal.key_ctrl[key, number]
-    return state
+        state = np.zeros(model.na)
+        for number in range(nominal.nu):  # actuators keep their order
+            at, before = model.actuator_actadr[number], nominal.actuator_actadr[number]
+            own = slice(at, at + model.actuator_actnum[number])
+            if before >= 0:
+                state[own] = nominal.key_act[k, before : before + own.stop - at]
+            elif at >= 0:  # a filter that was added has its command
+                state[own] = nominal.key_ctrl[k, number]
+        key.act = state
 
 
 def correction_code(hypothesis: Hypothesis) -> str:
@@ -180,8 +172,8 @@ def write_model(
         xml = spec.to_xml()
     except Exception as error:  # MuJoCo raises ValueError and mujoco.FatalError alike
         raise InvalidData(f"the corrected model does not compile: {error}") from error
-    if notes:
-        said = "\n".join(f"  {_comment(note)}" for note in notes)
+    if notes:  # -- ends a comment of an XML file
+        said = "\n".join(f"  {' '.join(note.split()).replace('--', '−−')}" for note in notes)
         xml = f"<!--\n{said}\n-->\n{xml}"
     copied = [] if source is None else _copy_assets(source.resolve(), path.parent, xml)
 
@@ -191,14 +183,14 @@ def write_model(
             model = mujoco.MjModel.from_xml_path(str(beside))
         except ValueError as error:
             raise InvalidData(f"the corrected model does not compile: {error}") from error
-        _check_columns(machine.model, model)
+        before, after = ModelColumns.of(machine.model).known, ModelColumns.of(model).known
+        lost = [column for column, meaning in before.items() if after.get(column) != meaning]
+        if lost:
+            raise InvalidData(
+                f"the corrected model has no {lost[0]!r} any more: an effect has changed its name"
+            )
 
     return [written_beside(path, write), *copied]
-
-
-def _comment(note: str) -> str:
-    """Escape a line for a comment of an XML file."""
-    return " ".join(note.split()).replace("--", "−−")
 
 
 def _copy_assets(source: Path, folder: Path, xml: str) -> list[Path]:
@@ -209,16 +201,6 @@ def _copy_assets(source: Path, folder: Path, xml: str) -> list[Path]:
         if file.suffix.lower() not in (".xml", ".mjcf") or file.name in xml
     }
     return copy_files(needed, source.parent, folder)
-
-
-def _check_columns(nominal: mujoco.MjModel, model: mujoco.MjModel) -> None:
-    """Raise if a column would refer to nothing, or to another element."""
-    before, after = ModelColumns.of(nominal).known, ModelColumns.of(model).known
-    lost = [column for column, meaning in before.items() if after.get(column) != meaning]
-    if lost:
-        raise InvalidData(
-            f"the corrected model has no {lost[0]!r} any more: an effect has changed its name"
-        )
 
 
 def model_notes(result: GapResult) -> list[str]:

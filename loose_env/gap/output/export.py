@@ -23,7 +23,7 @@ import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap.model.effects.catalogue import CATALOGUE
-from loose_env.gap.model.nominal_model import affine_actuators
+from loose_env.gap.model.nominal_model import AT_JOINT, MOVING, affine_actuators
 from loose_env.gap.output.result import NamedEffect, read_result
 from loose_env.io import Checked, Positive, json_text, plain, write_text
 
@@ -97,8 +97,8 @@ def export_result(
         )
     folder = place if place.is_dir() else place.parent
     model = folder / (result.model or "model.xml")
-    source = _Source(effects=result.effects, path=model, settings=settings or ExportSettings())
-    return TARGETS[target](source, urdf)
+    given = settings or ExportSettings()
+    return TARGETS[target](_Source(effects=result.effects, path=model, settings=given, urdf=urdf))
 
 
 def write_export(folder: str | Path, export: Export) -> list[Path]:
@@ -124,6 +124,7 @@ class _Source:
     effects: tuple[NamedEffect, ...]
     path: Path
     settings: ExportSettings
+    urdf: Path | None
 
     @cached_property
     def spec(self) -> mujoco.MjSpec:
@@ -149,7 +150,7 @@ class _Source:
     def joints(self) -> tuple[_Joint, ...]:
         """Hinges and slides."""
         model = self.model
-        single = np.flatnonzero(np.isin(model.jnt_type, (_HINGE, _SLIDE))).tolist()
+        single = np.flatnonzero(np.isin(model.jnt_type, MOVING)).tolist()
         return tuple(_joint(model, k) for k in single)
 
     @property
@@ -171,8 +172,6 @@ class _Source:
 
 
 _ALL: tuple[str, ...] = ("*",)  # stands for all parameters of an effect
-_AT_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _NO_DRIVE = "no actuator drives it"
 _SAME = 1e-6  # relative difference of two gains that are the same
 
@@ -210,7 +209,7 @@ class _Joint:
 
 def _joint(model: mujoco.MjModel, joint: int) -> _Joint:
     """Read a joint from a compiled model."""
-    at_joint = np.isin(model.actuator_trntype, _AT_JOINT)
+    at_joint = np.isin(model.actuator_trntype, AT_JOINT)
     there = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
     # an actuator without a command, as effects add them, is no drive
     own = [int(k) for k in there if model.actuator_ctrlnum[k] > 0]
@@ -218,13 +217,13 @@ def _joint(model: mujoco.MjModel, joint: int) -> _Joint:
     drive: dict[str, Any] = {}
     if len(own) > 1:
         drive["undriven"] = f"several actuators drive it ({names})"
-    elif own and (not affine_actuators(model)[own[0]] or model.actuator_gainprm[own[0], 1:3].any()):
-        drive["undriven"] = f"the force of {names} is not linear in command, position and speed"
-    elif own:
+    elif own and affine_actuators(model)[own[0]] and not model.actuator_gainprm[own[0], 1:3].any():
         drive = _drive(model, joint, own[0])
+    elif own:
+        drive["undriven"] = f"the force of {names} is not linear in command, position and speed"
     dof = int(model.jnt_dofadr[joint])
     return _Joint(
-        name=str(model.joint(joint).name), turns=bool(model.jnt_type[joint] == _HINGE),
+        name=str(model.joint(joint).name), turns=bool(model.jnt_type[joint] == MOVING[0]),
         armature=float(model.dof_armature[dof]), frictionloss=float(model.dof_frictionloss[dof]),
         viscous=float(model.dof_damping[dof]), **drive,
     )  # fmt: skip
@@ -282,7 +281,7 @@ class _Parameter:
     low: float  # ends of the 95 % interval; the value itself where none is known
     high: float
     element: str = ""  # "joint", "actuator" or "sensor" of MJCF whose attribute it sets
-    attribute: str = ""  # "" if the effect is no single attribute of one element
+    attribute: str = ""  # "gain" if it scales several; "" if the effect is no single one
     index: int | None = None  # into an attribute with several values
 
     @property
@@ -294,11 +293,6 @@ class _Parameter:
     def unit(self) -> str:
         """Unit, "" for a ratio."""
         return self.effect.units.get(self.parameter, "")
-
-    @property
-    def scales(self) -> bool:
-        """Whether the attribute is the nominal one times the parameter."""
-        return self.effect.kind == "actuator_gain"
 
     @property
     def words(self) -> str:
@@ -354,7 +348,7 @@ _SYSID = resources.files("loose_env.gap.output").joinpath("parameters.py.txt").r
 """Program with a ``ParameterDict``, without its parameters."""
 
 
-def _sysid(source: _Source, urdf: Path | None) -> Export:
+def _sysid(source: _Source) -> Export:
     """Write the parameters of the named effects as a ``ParameterDict`` of ``mujoco.sysid``.
 
     ``parameters.py`` builds it with a modifier for each parameter that is one attribute of MJCF;
@@ -362,21 +356,17 @@ def _sysid(source: _Source, urdf: Path | None) -> Export:
     Classes and their arguments are those of MuJoCo 4.0: ``Parameter(name, nominal, min_value,
     max_value, frozen, modifier)``, whose modifier is called with the spec and the parameter.
     """
-    left, states, added = [], {}, ""
+    left, states, added = list[str](), dict[str, dict[str, Any]](), ""
     for p in _parameters(source):
-        state: dict[str, Any] = plain(
+        nominal = p.nominal if isfinite(p.nominal) else p.value
+        states[p.name] = plain(
             {
-                "name": p.name,
-                "nominal": [p.nominal if isfinite(p.nominal) else p.value],
-                "min_value": [p.low],
-                "max_value": [p.high],
-                "value": [p.value],
-                "frozen": not p.attribute or not p.low < p.high,
+                "name": p.name, "nominal": [nominal], "min_value": [p.low], "max_value": [p.high],
+                "value": [p.value], "frozen": not p.attribute or not p.low < p.high,
             }
-        )
-        states[p.name] = state
-        given = [repr(value) for value in state.values()]
-        if p.scales:
+        )  # fmt: skip
+        given = [repr(value) for value in states[p.name].values()]
+        if p.attribute == "gain":
             given.append(f"_scales({p.where!r}, {_scaled(source, p)})")
         elif p.attribute:
             index = "" if p.index is None else f", {p.index}"
@@ -401,12 +391,10 @@ def _scaled(source: _Source, p: _Parameter) -> dict[str, list[float]]:
     names = ["gainprm"]
     names += ["biasprm"] * (p.effect.variant != "command")
     names += ["forcerange"] * bool(not p.effect.variant and actuator.forcelimited[0])
-    nominal: dict[str, list[float]]
-    nominal = plain({n: (np.array(getattr(actuator, n)) / p.value).tolist() for n in names})
-    return nominal
+    return {n: plain((np.array(getattr(actuator, n)) / p.value).tolist()) for n in names}
 
 
-def _ranges(source: _Source, urdf: Path | None) -> Export:
+def _ranges(source: _Source) -> Export:
     """Write a range for every parameter of the named effects, in the form ``loose-ranges/1``.
 
     Each has the parameter's effect, location, unit and interval; where the parameter is one
@@ -422,7 +410,7 @@ def _ranges(source: _Source, urdf: Path | None) -> Export:
             "effect": p.effect.kind, "where": p.where, "parameter": p.parameter, "unit": p.unit,
             "value": p.effect.parameters[p.parameter], "low": low, "high": high,
         }  # fmt: skip
-        if p.attribute and not p.scales:
+        if p.attribute not in ("", "gain"):
             index = "" if p.index is None else f"[{p.index}]"
             found["mjcf"] = {
                 "attribute": f"{p.element}/{p.attribute}{index}", "nominal": p.nominal,
@@ -452,7 +440,7 @@ _Fields = dict[str, float | str | None]
 """Arguments of a class: numbers, and texts of Python; None where one is left out."""
 
 
-def _mjlab(source: _Source, urdf: Path | None) -> Export:
+def _mjlab(source: _Source) -> Export:
     """Write actuator configurations for mjlab.
 
     Fields are those of ``mjlab.actuator`` 1.6 (``ActuatorCfg``, ``DcMotorActuatorCfg`` and the
@@ -495,7 +483,7 @@ def _mjlab(source: _Source, urdf: Path | None) -> Export:
     )
 
 
-def _isaaclab(source: _Source, urdf: Path | None) -> Export:
+def _isaaclab(source: _Source) -> Export:
     """Write actuator configurations for Isaac Lab.
 
     Fields are those of ``isaaclab.actuators`` 2.3 (``ActuatorBaseCfg``, ``IdealPDActuatorCfg``,
@@ -510,11 +498,8 @@ def _isaaclab(source: _Source, urdf: Path | None) -> Export:
         kind = "IdealPDActuatorCfg" if joint.drive else "ImplicitActuatorCfg"
         left += joint.remarks + joint.scale
         left += [] if joint.drive or joint.undriven == _NO_DRIVE else _undriven(source, joint)
-        falls = sum(
-            (e.parameters["static_ratio"] - 1.0) * e.parameters["torque"]
-            for e in source.effects
-            if e.kind == "stribeck_friction" and e.where == joint.name
-        )
+        there = (e for e in source.effects if e.where == joint.name)
+        falls = sum(_fall(e.parameters) for e in there if e.kind == "stribeck_friction")
         own: _Fields = {
             "joint_names_expr": f"[{re.escape(joint.name)!r}]", "stiffness": joint.stiffness,
             "damping": joint.damping, "effort_limit": joint.effort_limit,
@@ -606,7 +591,7 @@ def _module(
 # URDF
 
 
-def _urdf(source: _Source, urdf: Path | None) -> Export:
+def _urdf(source: _Source) -> Export:
     """Write the joint friction of the corrected model as ``<dynamics>`` tags of URDF.
 
     ``damping`` [N·m·s/rad, N·s/m] and ``friction``, the static friction [N·m, N], are its
@@ -616,6 +601,7 @@ def _urdf(source: _Source, urdf: Path | None) -> Export:
     left = source.not_carried(carried)
     listed = "".join(f"\n  - {words}" for words in left).replace("--", "−−")
     lost = [ET.Comment(f" not expressed:{listed}\n")] if left else []
+    urdf, name, head, notes = source.urdf, "dynamics.urdf.xml", "", tuple[str, ...]()
     if urdf is None:
         root = ET.Element("robot", name="dynamics")
         root.append(ET.Comment(" paste each <dynamics> into the <joint> of the same name "))
@@ -623,10 +609,8 @@ def _urdf(source: _Source, urdf: Path | None) -> Export:
         for joint in source.joints:
             kind = "revolute" if joint.turns else "prismatic"
             ET.SubElement(root, "joint", name=joint.name, type=kind)
-        name, head, notes = "dynamics.urdf.xml", "", tuple[str, ...]()
     else:
-        root = _robot(urdf)
-        name, head = urdf.name, '<?xml version="1.0"?>\n'
+        root, name, head = _robot(urdf), urdf.name, '<?xml version="1.0"?>\n'
         notes = (f"paths of meshes in {urdf.name} are relative to the folder of the original",)
     there = {each.get("name"): each for each in root.findall("joint")}
     lacking = sorted({e.where for e in source.effects if e.kind in carried} - set(there))
@@ -668,7 +652,7 @@ def _robot(urdf: Path) -> ET.Element:
 _DEGREE = float(np.pi / 180)
 
 
-def _usd(source: _Source, urdf: Path | None) -> Export:
+def _usd(source: _Source) -> Export:
     """Write drives and joint dynamics of the corrected model as a layer of USD.
 
     Drives have the attributes of ``UsdPhysics.DriveAPI``, whose force is stiffness (target - q) +
@@ -697,9 +681,7 @@ def _usd(source: _Source, urdf: Path | None) -> Export:
             left += [f"the delay of {joint.drive}, {joint.delay:.3g} s"] if joint.delay else []
         elif joint.undriven != _NO_DRIVE:
             left += _undriven(source, joint)
-        schemas = (
-            f'"PhysicsDriveAPI:{axis}", "NewtonJointAPI"' if joint.drive else '"NewtonJointAPI"'
-        )
+        schemas = f'"PhysicsDriveAPI:{axis}", ' * bool(joint.drive) + '"NewtonJointAPI"'
         lines += [f'        over "{_identifier(joint.name)}" (']
         lines += [f"            prepend apiSchemas = [{schemas}]", "        )", "        {"]
         lines += [f"            {key} = {_number(value)}" for key, value in values.items()]
@@ -731,7 +713,7 @@ _ALPHA = 2.0  # exponent of the Stribeck curve in this package
 _SPEED = 0.2  # stribeck speed of BAM where none is identified [rad/s]; without effect there
 
 
-def _bam(source: _Source, urdf: Path | None) -> Export:
+def _bam(source: _Source) -> Export:
     """Write a parameter file of BAM for each hinge with a named effect.
 
     Its keys are ``model`` ("m1" to "m6"), ``actuator``, and parameters by name, as
@@ -766,7 +748,7 @@ def _bam(source: _Source, urdf: Path | None) -> Export:
     )
 
 
-def _drivebam(source: _Source, urdf: Path | None) -> Export:
+def _drivebam(source: _Source) -> Export:
     """Write actuator configurations for Isaac Lab's ``DriveBam``, BAM as a drive of Newton.
 
     Fields are those of ``isaaclab.actuators`` with Newton 1.6 (``BamActuatorCfg``,
@@ -818,31 +800,34 @@ def _bam_hinges(source: _Source, left: list[str]) -> list[tuple[_Joint, dict[str
 
 def _bam_parameters(joint: _Joint, effects: Mapping[str, NamedEffect]) -> dict[str, float | str]:
     """Parameters of one joint; friction that grows with the load is that of model m5."""
-    stribeck, load = effects.get("stribeck_friction"), effects.get("load_friction")
-    fall, speed = 0.0, _SPEED
-    if load is not None:
-        speed = load.parameters.get("speed", _SPEED)
-    if stribeck is not None:
-        fall = (stribeck.parameters["static_ratio"] - 1.0) * stribeck.parameters["torque"]
-        speed = stribeck.parameters["speed"]
+    stribeck, load = (
+        effects[kind].parameters if kind in effects else {}
+        for kind in ("stribeck_friction", "load_friction")
+    )
+    fall = _fall(stribeck)
     found: dict[str, float | str] = {"armature": joint.armature}
     found["friction_base"] = max(joint.frictionloss - fall, 0.0)
-    if stribeck is not None or load is not None:
+    if stribeck or load:
+        speed = {**load, **stribeck}.get("speed", _SPEED)
         found |= {"friction_stribeck": fall, "dtheta_stribeck": speed, "alpha": _ALPHA}
-    if load is not None:
-        share = load.parameters["share"]
+    if load:
         found |= {
-            "load_friction_motor": share,
-            "load_friction_external": load.parameters.get("load_share", 0.0),
-            "load_friction_motor_stribeck": share * (load.parameters.get("static_ratio", 1.0) - 1),
+            "load_friction_motor": load["share"],
+            "load_friction_external": load.get("load_share", 0.0),
+            "load_friction_motor_stribeck": load["share"] * (load.get("static_ratio", 1.0) - 1),
             "load_friction_external_stribeck": 0.0,
         }
     found["friction_viscous"] = joint.viscous
-    found["model"] = "m5" if load is not None else "m2" if stribeck is not None else "m1"
+    found["model"] = "m5" if load else "m2" if stribeck else "m1"
     return found
 
 
-TARGETS: Mapping[str, Callable[[_Source, Path | None], Export]] = {
+def _fall(stribeck: Mapping[str, float]) -> float:
+    """Friction at rest beyond that in motion, by the parameters of a Stribeck friction [N·m, N]."""
+    return (stribeck["static_ratio"] - 1.0) * stribeck["torque"] if stribeck else 0.0
+
+
+TARGETS: Mapping[str, Callable[[_Source], Export]] = {
     "sysid": _sysid,
     "mjlab": _mjlab,
     "isaaclab": _isaaclab,

@@ -47,11 +47,6 @@ class LinkEffect(Effect):
         """Return links that have mass."""
         return links_with_mass(machine)
 
-    @property
-    def own_mass(self) -> float:
-        """Mass of the link [kg]."""
-        return float(self.machine.model.body(self.where).mass[0])
-
     def in_link(self, vector: Array) -> Array:
         """Turn a vector (3,) from the world into the link's frame, at the model's zero."""
         turn = self.machine.at_zero.body(self.where).xmat.reshape(3, 3)
@@ -67,7 +62,8 @@ class LinkMass(LinkEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Added mass."""
-        return (Parameter.sized("mass", "kg", self.own_mass, -0.9, 20, starts=(-0.25, 0.25)),)
+        own = float(self.machine.model.body(self.where).mass[0])
+        return (Parameter.sized("mass", "kg", own, -0.9, 20, starts=(-0.25, 0.25)),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Scale the link's mass and inertia."""
@@ -164,10 +160,13 @@ class Payload(WeightedEffect):
 
     @property
     def axes(self) -> tuple[tuple[float, ...], ...]:
-        """A mass at the tool and beside it along each axis: forces add up by mass and moment."""
+        """A mass at the tool, and beside it along each axis of each way in which it is mounted.
+
+        Forces add up by mass and moment.
+        """
         if not self.variant:
             return ()
-        beside = np.vstack([np.zeros(3), self._off * np.eye(3)])
+        beside = self._off * np.eye(3 * max(len(self.mountings), 1) + 1)[:, 1:]
         return tuple((0.1 * self._moved, *row) for row in beside.tolist())
 
     @property
@@ -230,13 +229,7 @@ class MountedPayload(Payload):
         ways = ["", *(f"_{k}" for k in range(2, len(self.mountings) + 1))]
         return (mass, *(replace(p, name=p.name + way) for way in ways for p in centre))
 
-    @property
-    def axes(self) -> tuple[tuple[float, ...], ...]:
-        """A mass at the tool, and beside it along each axis of each way."""
-        beside = self._off * np.eye(3 * len(self.mountings) + 1)[:, 1:]
-        return tuple((0.1 * self._moved, *row) for row in beside.tolist())
-
-    starts = axes
+    starts = Payload.axes
 
     def plain(self, values: Array, way: int) -> tuple[Payload, Array]:
         """The payload mounted in one way, with its values."""

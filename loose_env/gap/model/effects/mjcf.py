@@ -190,23 +190,16 @@ def keep_motor_side(machine: NominalModel, spec: mujoco.MjSpec, name: str, carri
     A Runge-Kutta or Euler step is unstable for a servo that acts on too little inertia: there it is
     set by the servo's stiffness and damping, whatever the step of the spec is.
     """
-    joint = spec.joint(name)
-    least = MOTOR_SHARE * carried
-    if joint.armature < least:
-        joint.armature = max(least, _stable_servo_inertia(machine, name))
-
-
-def _stable_servo_inertia(machine: NominalModel, joint: str) -> float:
-    """Least inertia [kg·m² or kg] for a stable servo at the machine's step."""
-    model: mujoco.MjModel = machine.model
-    if int(model.opt.integrator) not in _EXPLICIT:
-        return 0.0
-    turn = machine.time_step / FASTEST
-    squares = machine.gears(joint) ** 2
-    affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)
-    stiffness, damping = np.maximum(-(squares @ terms), 0.0)
-    return float(max(stiffness * turn**2, damping * turn))
+    joint, least, model = spec.joint(name), MOTOR_SHARE * carried, machine.model
+    if joint.armature >= least:
+        return
+    if int(model.opt.integrator) in _EXPLICIT:
+        turn = machine.time_step / FASTEST
+        affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
+        terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)
+        stiffness, damping = np.maximum(-(machine.gears(name) ** 2 @ terms), 0.0)
+        least = float(max(least, stiffness * turn**2, damping * turn))
+    joint.armature = least
 
 
 def joint_inertia(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:

@@ -320,18 +320,12 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
         super().__init__(machine, where, variant)
         model, own = machine.model, joint_sensors(machine.model)[where]
         self._encoders, self._rates = own.position, own.velocity
-        self._servos: list[tuple[int, float, float, float]] = [
-            (k, float(model.actuator_gear[k, 0]), *self._gains(k))
-            for k, name in enumerate(machine.actuators)
-            if machine.actuated_joint.get(name) == where and model.actuator_biasprm[k, 1] != 0
-        ]
-
-    def _gains(self, actuator: int) -> tuple[float, float]:
-        """Position and velocity feedback of a servo over the gain of its command."""
-        model = self.machine.model
-        gain = model.actuator_gainprm[actuator, 0] or 1.0
-        bias = model.actuator_biasprm[actuator]
-        return float(bias[1] / gain), float(bias[2] / gain)
+        self._servos: list[tuple[int, float, float, float]] = []
+        for k, name in enumerate(machine.actuators):
+            _, per_angle, per_speed = model.actuator_biasprm[k, :3].tolist()
+            if machine.actuated_joint.get(name) == where and per_angle != 0:
+                gear, gain = float(model.actuator_gear[k, 0]), model.actuator_gainprm[k, 0] or 1.0
+                self._servos.append((k, gear, float(per_angle / gain), float(per_speed / gain)))
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Shift the commands of the joint's servos as the shown position and speed do."""
