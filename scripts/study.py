@@ -17,7 +17,7 @@ from loose_agents.jobs import BackendSettings, ProgressLine, results_of
 import loose_env
 from loose_env.arms import Arm, planar, scara, six_axis, vera
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.io import write_text
+from loose_env.io import plain, write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 MARKS = ("<!-- {}: begin -->", "<!-- {}: end -->")
@@ -64,7 +64,7 @@ def study_rows(
     order : callable, optional
         Key by which rows are sorted; the order of the cases by default.
     digits : int
-        Significant digits of the rows.
+        Significant digits of the rows; four are more than most studies hold.
     unit : str
         What the cases are called.
     backend : BackendSettings
@@ -86,7 +86,7 @@ def study_rows(
 
     with ProgressLine(len(places), done=len(places) - len(missing), unit=unit) as line:
         for position, found in results_of(partial(work, settings=settings), missing, backend):
-            rows = sorted([*rows, *rounded(list(found), digits)], key=order or place)
+            rows = sorted([*rows, *plain(list(found), digits=digits)], key=order or place)
             start = json.dumps(head, indent=1).removesuffix("\n}")
             lines = ",\n".join("  " + json.dumps(row) for row in rows)
             write_text(path, f'{start},\n "rows": [\n{lines}\n ]\n}}\n')
@@ -114,15 +114,6 @@ def read_study(path: Path) -> dict[str, Any]:
     if not isinstance(stored, dict) or not isinstance(stored.get("rows"), list):
         raise InvalidData(f"{path} holds no rows of a study; remove it, or give another file")
     return stored
-
-
-def rounded(value: Any, digits: int = 4) -> Any:
-    """Round all numbers in it; four digits are more than those of most studies hold."""
-    if isinstance(value, dict):
-        return {key: rounded(part, digits) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [rounded(part, digits) for part in value]
-    return float(f"{value:.{digits}g}") if isinstance(value, float) else value
 
 
 def write_between(page: Path, text: str, *, name: str = "tables", new: str | None = None) -> None:

@@ -36,7 +36,7 @@ from loose_env.diagnosis import (
 from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, StructuralLooseness, hypotheses
-from loose_env.io import Count, write_text
+from loose_env.io import Count, plain, write_text
 from loose_env.rig import Job, SimulatedRig
 from scripts.study import arm_named
 
@@ -174,13 +174,6 @@ def _held(page: np.ndarray) -> np.ndarray:
     return page
 
 
-def _short(pages: np.ndarray) -> list[object]:
-    """Three digits of every number, as lists."""
-    if pages.ndim == 1:
-        return [float(f"{v:.3g}") for v in pages]
-    return [_short(page) for page in pages]
-
-
 @dataclass(frozen=True, kw_only=True)
 class Options:
     """Options of the measurement."""
@@ -209,7 +202,7 @@ def measure(options: Options) -> None:
     for name, play in (("slide", False), ("hinge", True)):
         page = table_of([f for f in without if f.play is play])
         pages = pressed_table_of([f for f in found if f.play is play], page)
-        stored[name] = _short(pages)  # type: ignore[assignment]
+        stored[name] = plain(pages.tolist(), digits=3)
     write_text(options.out, json.dumps(stored) + "\n")
     print(f"wrote {options.out}")
 

@@ -38,6 +38,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from loose_env.io import plain
+
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tests" / "golden"
 """The kept figures, a file for each part."""
@@ -45,6 +47,7 @@ MEASURED = ROOT.parent / "shared" / "measured"
 """Recordings of real machines, where there are any; what needs them is skipped elsewhere."""
 DIGITS = 6
 """Significant digits that are kept."""
+_digits = functools.partial(plain, digits=DIGITS)
 SEED = 20260101
 
 # ------------------------------------------------------------------------- environments
@@ -124,8 +127,8 @@ def _actions(env: Any, rng: np.random.Generator, width: int) -> Any:
 def _trace(seen: Sequence[Any], rewards: Sequence[Any], infos: Sequence[Any]) -> dict[str, Any]:
     whole = np.array(seen)
     return {
-        "observations": _digits((whole.astype(float) ** 2).sum(axis=-1)),
-        "rewards": _digits(np.array(rewards)),
+        "observations": _digits((whole.astype(float) ** 2).sum(axis=-1).tolist()),
+        "rewards": _digits(np.array(rewards).tolist()),
         "info": sorted({str(key) for info in infos for key in info}),
         "bits": hashlib.sha256(whole.tobytes() + np.array(rewards).tobytes()).hexdigest()[:16],
     }
@@ -211,7 +214,7 @@ def _episodes(
             action, states = agent.predict(observation[None], states, begin, deterministic=True)
             p = None if states is None else getattr(states[0], "probabilities", None)
             if p is not None:
-                said.append(_digits(p) if probabilities else _digits(np.max(p)))
+                said.append(_digits(np.asarray(p if probabilities else np.max(p)).tolist()))
             steps.append("".join(map(str, np.asarray(action[0]).tolist())))
             observation, reward, terminated, truncated, info = env.step(np.asarray(action[0]))
             total += float(reward)
@@ -690,17 +693,6 @@ def _check_said(because: str, changelog: str) -> None:
             f"CHANGELOG.md does not say {because!r} under what is unreleased; put it there first, "
             "for those whose figures change"
         )
-
-
-def _digits(values: Any) -> Any:
-    """Round every number of a tree to the digits that are kept."""
-    if isinstance(values, Mapping):
-        return {str(key): _digits(value) for key, value in values.items()}
-    if isinstance(values, (list, tuple, np.ndarray)):
-        return [_digits(value) for value in values]
-    if isinstance(values, (float, np.floating)):
-        return float(f"{float(values):.{DIGITS}g}")
-    return values
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -1,17 +1,75 @@
-"""Rows of a suite in JSON lines: run and resumed case by case, with a hash of the code."""
+"""What suites share: their settings, tools in processes of their own, rows that are resumed.
+
+Rows are JSON lines, run and resumed case by case, with a hash of the code.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from loose_env.errors import InvalidSetting
+from loose_env.io import Checked, Count
 
 Row = dict[str, Any]
 Key = TypeVar("Key", int, str)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindSettings(Checked):
+    """Settings of every blind suite."""
+
+    numbers: tuple[str, ...] = ("0-59",)
+    """Cases, as in 7 or 0-59; from 10000 on they are for judging and need a phrase."""
+    phrase: str = ""
+    """Words of which cases for judging are drawn; choose new ones when you judge."""
+    out: Path | None = None
+    """Folder of rows and results; out/gap_suite/TOOL or out/instrument_suite/TOOL by default."""
+    blind: Path | None = None
+    """Folder of recordings and truth, made where they lack; by default beside those of tools."""
+    make: Path | None = None
+    """Write recordings, truth, protocol and commitments into this folder and run nothing."""
+    answers: Path | None = None
+    """Folder of answers, CASE.json each, that are graded in place of a tool's."""
+    show: bool = False
+    """Run nothing, print the table of the kept rows."""
+    afresh: bool = False
+    """Remove kept rows first."""
+    workers: Count = 1
+    """Processes side by side."""
+
+
+def named(name: str, known: str) -> Any:
+    """What stands at ``module:object``; ``known`` are other names that could have been given."""
+    module, colon, place = name.partition(":")
+    if not colon:
+        raise InvalidSetting(f"no tool {name!r}; give {known} or module:object")
+    try:
+        return getattr(importlib.import_module(module), place)
+    except (ImportError, AttributeError) as error:
+        raise InvalidSetting(f"no tool {name!r}: {error}") from error
+
+
+def asked_apart(module: str, words: Sequence[str], log: Path, seconds: float) -> tuple[bool, str]:
+    """Run a module in a process of its own; whether it ended in time, and its last words."""
+    with log.open("w", encoding="utf-8") as said:
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", module, *words], stdout=said, stderr=said, check=False,
+                timeout=seconds, env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return False, f"longer than {seconds:.0f} s"
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return True, lines[-1] if lines else f"exit code {done.returncode}"
 
 
 def kept(path: Path) -> list[Row]:
@@ -54,6 +112,26 @@ def run_cases(
         rows[row[key]] = row
         print(f"{count}/{len(missing)} {say(row)}", flush=True)
     return [rows[number] for number in asked]
+
+
+def blind_rows(
+    given: BlindSettings,
+    file: Path,
+    code: str,
+    numbers: Sequence[int],
+    work: Callable[[int], Row],
+    say: Callable[[Row], str],
+) -> list[Row]:
+    """Rows of cases, kept in a file; those that it lacks are run, or left out by --show."""
+    if given.afresh:
+        file.unlink(missing_ok=True)
+    rows = kept(file)
+    check_code(rows, code, file)
+    if {row["phrase"] for row in rows} - {given.phrase, ""}:
+        raise InvalidSetting(f"{file} has rows of another phrase; give another --out")
+    if given.show:
+        return [row for row in rows if row["number"] in numbers]
+    return run_cases(numbers, work, file, workers=given.workers, say=say)
 
 
 def code_hash(*places: Path) -> str:

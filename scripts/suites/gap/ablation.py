@@ -6,7 +6,6 @@ own rows; those of the method as shipped are the suite's.
 
     python -m scripts.suites.gap.run --numbers 0-59 --ablate --most-seconds 20
     python -m scripts.suites.gap.run --numbers 0-59 --ablate without core.decision --show
-    python -m scripts.suites.gap.ablation                               # table of the numbers
 """
 
 from __future__ import annotations
@@ -264,7 +263,3 @@ def numbers_table() -> str:
         name = own.name.removeprefix("core.")
         lines.append(f"| `{name}` | {own.value:g} | {own.unit} | {own.reason} | {tried} |")
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    print(numbers_table())

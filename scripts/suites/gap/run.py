@@ -26,7 +26,6 @@ import json
 import math
 import resource
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -37,13 +36,13 @@ from typing import Any
 import loose_env
 from loose_env.cli.command import command
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.io import Checked, Count, Positive, write_text
+from loose_env.io import Positive, write_text
 from scripts.suites.blind import commit, numbers_of, sealed_truth
 from scripts.suites.gap import ablation
-from scripts.suites.gap.cases import TOLERANCES, made, name_of
+from scripts.suites.gap.cases import TOLERANCES, made
 from scripts.suites.gap.effects import CATALOGUE, KINDS
 from scripts.suites.gap.grading import failed, grade, methods_table, table, words_of
-from scripts.suites.rows import Row, check_code, code_hash, kept, run_cases
+from scripts.suites.rows import BlindSettings, Row, asked_apart, blind_rows, code_hash, kept, named
 
 ROOT = Path(__file__).resolve().parents[3]
 OUT = ROOT / "out" / "gap_suite"
@@ -90,13 +89,7 @@ def tool_of(name: str) -> Tool:
         if at:
             ablation.changes_of(variant)
         return functools.partial(loose_gap, variant=variant)
-    module, colon, function = name.partition(":")
-    if not colon:
-        raise InvalidSetting(f"no tool {name!r}; give loose_gap or module:function")
-    try:
-        return getattr(importlib.import_module(module), function)  # type: ignore[no-any-return]
-    except AttributeError as error:
-        raise InvalidSetting(f"no tool {name!r}: {module} has no {function!r}") from error
+    return named(name, "loose_gap")  # type: ignore[no-any-return]
 
 
 def ask(tool: str, recording: Path, folder: Path) -> None:
@@ -127,15 +120,7 @@ def run_case(
     shutil.rmtree(folder, ignore_errors=True)  # nothing of an earlier run may be graded
     folder.mkdir(parents=True)
     words = ["--tool", tool, "--recording", str(blind / "recordings" / name), "--out", str(folder)]
-    with (folder / "log.txt").open("w", encoding="utf-8") as log:
-        try:
-            done = subprocess.run(
-                [sys.executable, "-m", "scripts.suites.gap.run", *words],
-                stdout=log, stderr=log, check=False, timeout=LONGEST,
-            )  # fmt: skip
-            ended = f"exit code {done.returncode}"
-        except subprocess.TimeoutExpired:
-            ended = f"longer than {LONGEST:.0f} s"
+    _, ended = asked_apart("scripts.suites.gap.run", words, folder / "log.txt", LONGEST)
     truth = sealed_truth(blind, phrase, name)
     if (folder / "result.json").is_file():
         result, cost = (
@@ -144,8 +129,7 @@ def run_case(
         )
         row |= grade(result, truth) | cost
     else:
-        lines = (folder / "log.txt").read_text(encoding="utf-8").splitlines() or [ended]
-        row |= failed(truth) | {"error": lines[-1]}
+        row |= failed(truth) | {"error": ended}
     return {**row, "seconds": round(time.perf_counter() - begun, 1)}
 
 
@@ -160,26 +144,11 @@ def make(numbers: Sequence[int], phrase: str, folder: Path) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings(Checked):
+class RunSettings(BlindSettings):
     """Which cases, which tool, where."""
 
-    numbers: tuple[str, ...] = ("0-59",)
-    """Cases, as in 7 or 0-59; 60 of them have ten of each world. From 10000 on they are for
-    judging and need a phrase."""
-    phrase: str = ""
-    """Words of which cases for judging are drawn; choose new ones when you judge."""
     tool: str = "loose_gap"
     """Tool that is graded: loose_gap or module:function."""
-    out: Path | None = None
-    """Folder of rows and results; out/gap_suite/TOOL by default."""
-    blind: Path | None = None
-    """Folder of recordings and truth, made where they lack; out/gap_suite/blind by default."""
-    make: Path | None = None
-    """Write recordings, truth, protocol and commitments into this folder and run nothing."""
-    answers: Path | None = None
-    """Folder of answers, CASE.json each, that are graded in place of a tool's."""
-    show: bool = False
-    """Run nothing, print the table of the kept rows."""
     methods: bool = False
     """Run nothing, print the table of all tools on the cases that all of them have."""
     recording: Path | None = None
@@ -189,10 +158,6 @@ class RunSettings(Checked):
     begin so, such as without or core.decision."""
     most_seconds: Positive = LONGEST
     """Of --ablate, cases whose CPU time as shipped was no more [s]."""
-    afresh: bool = False
-    """Remove kept rows first."""
-    workers: Count = 1
-    """Processes side by side."""
 
 
 def code_of(tool: str) -> str:
@@ -251,19 +216,10 @@ def run(given: RunSettings) -> None:
 
 def rows_of(given: RunSettings, tool: str, numbers: Sequence[int], out: Path) -> list[Row]:
     """Rows of a tool, kept in a folder; those that it lacks are run, or left out by --show."""
-    file, code = out / "rows.jsonl", code_of(tool)
-    if given.afresh:
-        file.unlink(missing_ok=True)
-    check_code(kept(file), code, file)
-    if {row["phrase"] for row in kept(file)} - {given.phrase, ""}:
-        raise InvalidSetting(f"{file} has rows of another phrase; give another --out")
-    if given.show:
-        names = {name_of(number, given.phrase) for number in numbers}
-        return [row for row in kept(file) if row["case"] in names]
-    blind, phrase = (given.blind or OUT / "blind").resolve(), given.phrase
+    blind, phrase, code = (given.blind or OUT / "blind").resolve(), given.phrase, code_of(tool)
     common: dict[str, Any] = {"phrase": phrase, "out": out, "blind": blind, "code": code}
     work = functools.partial(run_case, tool=tool, answers=given.answers, **common)
-    return run_cases(numbers, work, file, workers=given.workers, say=line_of)
+    return blind_rows(given, out / "rows.jsonl", code, numbers, work, line_of)
 
 
 def line_of(row: Row) -> str:

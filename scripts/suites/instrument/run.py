@@ -34,7 +34,6 @@ import functools
 import hashlib
 import importlib
 import json
-import subprocess
 import sys
 import tempfile
 import time
@@ -46,12 +45,12 @@ from typing import Annotated, Any, cast
 import loose_env
 from loose_env.cli.command import command, one_of
 from loose_env.errors import InvalidData, InvalidSetting, words_of
-from loose_env.io import Checked, Count, plain, write_text
+from loose_env.io import plain, write_text
 from scripts.suites.blind import commit, committed, numbers_of, sealed_truth
 from scripts.suites.instrument import grading, session
 from scripts.suites.instrument.cases import SERIES, Case, Series, drawn, skipped
 from scripts.suites.instrument.session import Plan
-from scripts.suites.rows import Row, check_code, code_hash, kept, run_cases
+from scripts.suites.rows import BlindSettings, Row, asked_apart, blind_rows, code_hash, named
 
 ROOT = Path(__file__).resolve().parents[3]
 OUT = ROOT / "out" / "instrument_suite"
@@ -67,13 +66,7 @@ GENERATOR = ("machines", "physics", "standins", "sensing", "cases", "session")
 
 def tool_of(name: str) -> Any:
     """A tool by its short name, or as ``module:object``; a class is instantiated."""
-    module, colon, place = NAMED.get(name, name).partition(":")
-    if not colon:
-        raise InvalidSetting(f"no tool {name!r}; give {', '.join(NAMED)} or module:object")
-    try:
-        found = getattr(importlib.import_module(module), place)
-    except (ImportError, AttributeError) as error:
-        raise InvalidSetting(f"no tool {name!r}: {error}") from error
+    found = named(NAMED.get(name, name), ", ".join(NAMED))
     found = found() if isinstance(found, type) else found
     if not (hasattr(found, "plan") and hasattr(found, "diagnose")):
         raise InvalidSetting(f"{name} is no tool; it needs plan(folder) and diagnose(folder)")
@@ -115,14 +108,9 @@ def ask(tool: str, question: str, folder: Path, variant: str = "") -> tuple[Any,
         out = Path(place)
         words = ["--tool", tool, "--ask", question, "--folder", str(folder), "--out", place]
         words += ["--variant", variant] if variant else []
-        try:
-            done = subprocess.run(
-                [sys.executable, "-m", "scripts.suites.instrument.run", *words],
-                capture_output=True, text=True, check=False, timeout=LONGEST,
-            )  # fmt: skip
-            ended = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-        except subprocess.TimeoutExpired:
-            return None, f"longer than {LONGEST:.0f} s"
+        in_time, ended = asked_apart(f"{_HERE}.run", words, out / "log.txt", LONGEST)
+        if not in_time:
+            return None, ended
         if (out / "plan.npz").is_file():
             return session.unpack(out / "plan.npz"), ""
         for name in ("enough.json", "answer.json"):
@@ -287,37 +275,18 @@ def _of_variant(tool: str, folder: Path, variant: str) -> tuple[Any, str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings(Checked):
+class RunSettings(BlindSettings):
     """Which cases, which tool, where."""
 
-    numbers: tuple[str, ...] = ("0-59",)
-    """Cases, as in 7 or 0-59; from 10000 on they are for judging and need a phrase."""
     series: Annotated[str, one_of(SERIES)] = "cases"
     """Sessions, sessions of which files are damaged, or twelve monthly sessions of a machine."""
-    phrase: str = ""
-    """Words of which cases for judging are drawn; choose new ones when you judge."""
     tool: str = "loose"
     """Tool that is graded: loose, its plans three-poses, nine-poses or three-levels, null or
     module:object."""
     plan_of: str = ""
     """Tool whose plan is played; the tool that is graded by default."""
-    out: Path | None = None
-    """Folder of rows; out/instrument_suite/TOOL by default."""
-    blind: Path | None = None
-    """Folder of recordings and truth, played where they lack; out/instrument_suite/blind by
-    default."""
-    make: Path | None = None
-    """Write recordings, truth, protocol and commitments into this folder and run nothing."""
-    answers: Path | None = None
-    """Folder of answers, CASE.json each, that are graded in place of a tool's."""
-    show: bool = False
-    """Run nothing, print the table of the kept rows."""
     ablate: tuple[str, ...] | None = None
     """Judge the same recordings with the tool's variants too; with words, only those."""
-    afresh: bool = False
-    """Remove kept rows first."""
-    workers: Count = 1
-    """Processes side by side."""
     ask: str = ""
     """Ask the tool one thing, plan, enough or diagnose, of --folder, and write it into --out."""
     folder: Path | None = None
@@ -353,19 +322,8 @@ def run(given: RunSettings) -> None:
     variants = _variants(tool, given.ablate)
     for variant in ("", *variants):
         file = out / f"rows{end}{f'@{variant}' if variant else ''}.jsonl"
-        if given.afresh:
-            file.unlink(missing_ok=True)
-        check_code(kept(file), code, file)
-        if {row["phrase"] for row in kept(file) if row["number"] in numbers} - {given.phrase}:
-            raise InvalidSetting(f"{file} has rows of another phrase; give another --out")
-        if given.show:
-            rows = [row for row in kept(file) if row["number"] in numbers]
-        else:
-            each = functools.partial(
-                work, variant=variant, variants=variants, answers=given.answers
-            )
-            rows = run_cases(numbers, each, file, workers=given.workers, say=line_of)
-        found[variant or "as shipped"] = rows
+        each = functools.partial(work, variant=variant, variants=variants, answers=given.answers)
+        found[variant or "as shipped"] = blind_rows(given, file, code, numbers, each, line_of)
     rows = found["as shipped"]
     if not rows:
         raise InvalidSetting(f"no rows of these cases in {out}; run them first")
