@@ -82,7 +82,7 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
         for name in names:
             chances[name] = chances.get(name, 0.0) + weight
     after = held_out_rms(selection, fit)
-    before = _without_effects(selection, fit)
+    before = held_out_rms(selection, fit, effects=False)
     open_ = _unexplained(before, after)
     freely, sized = selection.sized(fit)
     covariance = _covariance(freely, sized)
@@ -171,7 +171,7 @@ def decide_simulated(
             chances[term.name] = chances.get(term.name, 0.0) + float(weight)
     wide = _left_to_cells(selection, fit)
     gains, left = _simulated_gains(selection, exact, best)
-    before, after = _without_effects(selection, fit), held_out_rms(selection, fit)
+    before, after = held_out_rms(selection, fit, effects=False), held_out_rms(selection, fit)
     simulated = exact.by_joint()
     for k, channel in enumerate(selection.evidence.channels):
         if channel.joint in simulated:
@@ -427,23 +427,6 @@ def _missed(selection: Selection, fit: SetFit) -> Array:
     return found
 
 
-def _without_effects(selection: Selection, fit: SetFit) -> Array:
-    """Held-out residual of each channel without a set's effects, tolerances as beside them (C,).
-
-    Alone, tolerances would be pulled far to stand in for what is missing.
-    """
-    total, evidence = np.zeros(len(selection.evidence.channels)), selection.evidence
-    count = np.zeros_like(total)
-    for held in folds_of(selection, fit.terms)[0]:
-        own = selection.without(held, fit).values[: evidence.tolerances]
-        for k, channel in enumerate(evidence.channels):
-            at = channel.columns < evidence.tolerances
-            left = channel.residual - channel.rows[:, at] @ own[channel.columns[at]]
-            total[k] += channel.by_cell(left**2)[held[k]].sum()
-            count[k] += channel.count[held[k]].sum()
-    return np.asarray(np.sqrt(total / count))
-
-
 def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
     """Channels of which most is left (C,)."""
     share = 1 - (after / before) ** 2
@@ -452,7 +435,9 @@ def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
 
 def left_open(selection: Selection, fit: SetFit) -> list[int]:
     """Joints that a set leaves open: much is left, or most of the time says nothing of it."""
-    unexplained = _unexplained(_without_effects(selection, fit), held_out_rms(selection, fit))
+    unexplained = _unexplained(
+        held_out_rms(selection, fit, effects=False), held_out_rms(selection, fit)
+    )
     joints = len(selection.evidence.balance.machine.joints)
     return [
         channel.joint
@@ -509,13 +494,21 @@ def places_of(balance: Balance, channel: int) -> set[str]:
     return at_joint(balance.machine, name) | {"all", "tool", "base"}
 
 
-def held_out_rms(selection: Selection, fit: SetFit) -> Array:
-    """Residual of each channel on held-out data, run by run if there are several."""
-    channels = selection.evidence.channels
-    total, count = np.zeros(len(channels)), np.zeros(len(channels))
+def held_out_rms(selection: Selection, fit: SetFit, *, effects: bool = True) -> Array:
+    """Residual of each channel on held-out data, run by run if there are several (C,).
+
+    Or without the set's effects, with the tolerances as beside them: alone, these would be pulled
+    far to stand in for what is missing.
+    """
+    evidence = selection.evidence
+    total, count = np.zeros((2, len(evidence.channels)))
     for held in folds_of(selection, fit.terms)[0]:
         own = selection.without(held, fit)
-        for k, (channel, power) in enumerate(zip(channels, own.powers, strict=True)):
+        for k, (channel, power) in enumerate(zip(evidence.channels, own.powers, strict=True)):
+            if not effects:
+                at = channel.columns[channel.columns < evidence.tolerances]
+                known = channel.rows[:, : len(at)] @ own.values[at]
+                power = channel.by_cell((channel.residual - known) ** 2)
             total[k] += power[held[k]].sum()
             count[k] += channel.count[held[k]].sum()
     return np.asarray(np.sqrt(total / count))
