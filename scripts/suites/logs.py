@@ -1,24 +1,27 @@
-"""Logs as users have them are guessed and imported rightly, or refused with what to do."""
+"""Table of logs as users have them: guessed, imported and compared with the right answer.
+
+``python -m scripts.suites.logs FOLDER`` reads a folder of cases, each made by its own ``make.py``,
+and prints a row per log: runs and columns right, or the line by which the import refuses it.
+"""
 
 from __future__ import annotations
 
+import argparse
+import contextlib
+import io
 import re
-import shutil
 import subprocess
 import sys
+import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import pi
 from pathlib import Path
 
-import pytest
-
 from loose_env.cli.main import main as loose
 from loose_env.importing import read_mapping
 from loose_env.recording import read_recording
-
-CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
-"""Folders of logs, each with a model and with what makes its files."""
 
 DEG = pi / 180
 Told = dict[str, tuple[str, float]]
@@ -40,6 +43,8 @@ class Log:
     """Length of the shortest run [s]."""
     said: str = ""
     """Pattern of a line that has to be said, by a refusal where there are no runs."""
+    never: tuple[str, ...] = ()
+    """Channels that are no column."""
 
 
 def _joints(names: Sequence[str], sensor: str, channel: str, factor: float) -> Told:
@@ -126,37 +131,98 @@ LOGS = (
 )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The cases with their files made."""
-    if not CASES.is_dir():
-        pytest.skip("the cases are no part of the repository")
-    place = tmp_path_factory.mktemp("cases")
-    shutil.copytree(CASES, place, dirs_exist_ok=True)
-    for script in sorted(place.glob("*/make.py")):
-        subprocess.run([sys.executable, script.name], cwd=script.parent, check=True)
-    return place
-
-
-@pytest.mark.parametrize("log", LOGS, ids=lambda log: f"{log.case}-{log.files[0]}")
-def test_a_log_ends_as_it_should(
-    log: Log, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    case, mapping, out = folder / log.case, tmp_path / "map.toml", tmp_path / "rec"
+def tried(log: Log, folder: Path) -> tuple[str, str]:
+    """Outcome of a log, and the reason where it is wrong."""
+    case = folder / log.case
     files = [str(p) for pattern in log.files for p in sorted(case.glob(pattern))]
-    told = [*files, "--model", str(case / log.model), "--mapping", str(mapping)]
-    failed = loose(["import", "--guess", *told]) or loose(["import", *told, "--out", str(out)])
-    said = "".join(capsys.readouterr())
-    assert bool(failed) is not bool(log.runs), said
-    last = said.strip().splitlines()[-1]
-    assert re.search(log.said, last if failed else said), said
-    if failed:
-        return
-    recording = read_recording(out)
-    assert len(recording.runs) == log.runs
-    assert min(float(each.time[-1]) for each in recording.runs) >= log.seconds
+    with tempfile.TemporaryDirectory() as place:
+        mapping, out = Path(place, "map.toml"), Path(place, "rec")
+        told = ["--model", str(case / log.model), "--mapping", str(mapping)]
+        code, said = run("import", "--guess", *files, *told)
+        if code == 0:
+            code, more = run("import", *files, *told, "--out", str(out))
+            said += more
+        if code:
+            last = said.strip().splitlines()[-1] if said.strip() else ""
+            if log.runs:
+                return "refused", last
+            return ("right: refused" if re.search(log.said, last) else "wrong words"), last
+        if not log.runs:
+            return "wrong", "imported, and to be refused"
+        recording = read_recording(out)
+        wrong = list(differences(log, mapping))
+        if len(recording.runs) != log.runs:
+            wrong.append(f"{len(recording.runs)} runs for {log.runs}")
+        shortest = min(float(each.time[-1]) for each in recording.runs)
+        if shortest < log.seconds:
+            wrong.append(f"{shortest:.3f} s for {log.seconds:g} s")
+        if log.said and not re.search(log.said, said):
+            wrong.append(f"nothing said of {log.said!r}")
+        return ("wrong" if wrong else "right"), "; ".join(wrong)
+
+
+def differences(log: Log, mapping: Path) -> list[str]:
+    """Columns that a mapping has wrong."""
+    found: list[str] = []
     entries = {each.column: each for each in read_mapping(mapping).runs[0].columns}
-    assert entries.keys() == log.columns.keys()
     for column, (channel, factor) in log.columns.items():
-        assert channel in f"{entries[column].key}", column
-        assert entries[column].factor == pytest.approx(factor, rel=0.02), column
+        if column not in entries:
+            found.append(f"no {column}")
+            continue
+        own = entries[column]
+        actual = own.factor
+        if channel not in f"{own.key}" or abs(actual / factor - 1) > 0.02:
+            found.append(
+                f"{column}: {own.key} times {actual:.4g}, not {channel} times {factor:.4g}"
+            )
+    found += [f"{column} is not known" for column in entries if column not in log.columns]
+    return found
+
+
+def run(*words: str) -> tuple[int, str]:
+    """Exit code and all that a command says."""
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told), contextlib.redirect_stderr(told):
+        try:
+            code = loose(list(words))
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+    return code, told.getvalue()
+
+
+def made(source: Path, target: Path) -> None:
+    """Copy a folder of cases, and make their files."""
+    for path in source.rglob("*"):
+        if path.is_file():
+            own = target / path.relative_to(source)
+            own.parent.mkdir(parents=True, exist_ok=True)
+            own.write_bytes(path.read_bytes())
+    for script in sorted(target.glob("*/make.py")):
+        subprocess.run([sys.executable, script.name], cwd=script.parent, check=True)
+
+
+def main() -> None:
+    """Print the table."""
+    given = argparse.ArgumentParser(description=__doc__)
+    given.add_argument("folder", type=Path)
+    given.add_argument("--made", action="store_true", help="the cases' files are there already")
+    told = given.parse_args()
+    with tempfile.TemporaryDirectory() as place:
+        folder = told.folder if told.made else Path(place)
+        if not told.made:
+            made(told.folder, folder)
+        right = 0
+        for log in LOGS:
+            start = time.process_time()
+            outcome, why = tried(log, folder)
+            right += outcome.startswith("right")
+            spent = time.process_time() - start
+            print(
+                f"{log.case[:22]:22} {log.files[0][:24]:24} {outcome:14} {spent:5.1f} s  "
+                f"{why[:300]}"
+            )
+        print(f"{right} of {len(LOGS)} right")
+
+
+if __name__ == "__main__":
+    main()
