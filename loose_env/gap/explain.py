@@ -178,7 +178,7 @@ def solve_gap(
         errors, played = simulated(answer, corrected)
         evidence, machine = selection.evidence, selection.evidence.balance.machine
         own = answer.decision.channels
-        sides = np.stack([held_out_rms(selection, each) for each in (nominal, corrected_fit)])
+        sides = np.stack([held_out_rms(selection, each)[1] for each in (nominal, corrected_fit)])
         if by_simulation := answer.decision.simulated:  # what a balance leaves says little there
             of = [k for k, c in enumerate(evidence.channels) if c.joint < len(machine.joints)]
             sides[:, of] = np.transpose([(own[k].before, own[k].after) for k in of])

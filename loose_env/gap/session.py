@@ -206,7 +206,7 @@ class GapSession:
         return write_model(Path(path), self.balance.machine, self.hypothesis, source=source)
 
     def _left(self, fit: SetFit) -> float:
-        return pooled_rms(self.selection, held_out_rms(self.selection, fit))
+        return pooled_rms(self.selection, held_out_rms(self.selection, fit)[1])
 
     def _number(self, joint: str) -> int:
         names = self.balance.machine.joints

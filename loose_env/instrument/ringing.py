@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 GRID = 1000
 """Samples of a period on which loads and ringing are compared."""
@@ -91,13 +92,17 @@ class Ringing:
         strikes = float(each.mean()) > _STRIKES * float(np.median(each, 0).mean())
         return repeats, repeats < REPEATS and strikes
 
+    @cached_property
+    def _lines(self) -> ComplexArray:
+        return np.asarray(np.fft.rfft(self.waves, axis=1))
+
     def _banded(self, band: int, spectrum: Array | None) -> Array:
         low, high = self.bands_hz[band]
         hertz = np.arange(self.waves.shape[1] // 2 + 1) / self.period_s
         share = ((hertz >= low) & (hertz <= high)).astype(float)
         if spectrum is not None:
             share /= np.sqrt(np.maximum(spectrum, 1e-9 * spectrum.max()))
-        lines = np.fft.rfft(self.waves, axis=1) * share[None, :, None]
+        lines = self._lines * share[None, :, None]
         found: Array = np.fft.irfft(lines, self.waves.shape[1], axis=1)
         return found
 

@@ -393,19 +393,24 @@ class Balance:
         changed[:, actuator] -= size * np.concatenate(slopes)
         return (self.given - self.given_by(changed)) / size
 
-    def at_samples(self, actuator: int, between: str) -> Array:
-        """Acceleration at the samples beyond its mean between them (T, joints).
+    def at_samples(self) -> Iterator[tuple[Array, Array]]:
+        """Acceleration at the samples beyond its mean between them, by each actuator (T, joints).
 
-        By one actuator's commands, as "commands" hold them from sample to sample or "straight"
-        lines join them. An accelerometer that is read as a held command steps sees all of the step,
-        which acts half an interval late on the mean.
+        Where commands are held from sample to sample, and where straight lines join them. An
+        accelerometer that is read as a held command steps sees all of the step, which acts half an
+        interval late on the mean.
         """
-        sampled, mean = self.commands.copy(), self.commands.copy()
-        sampled[:, actuator] = self.motion.stacked("sampled")[:, actuator]
-        mean[:, actuator] = self.motion.stacked(between)[:, actuator]
         mass = _dense(self._nominal, self._masses(self._nominal, self.position))
-        beyond = self.given_by(sampled) - self.given_by(mean)
-        return np.asarray(np.linalg.solve(mass, beyond[..., None])[..., 0])
+        known = {name: self.motion.stacked(name) for name in ("sampled", "commands", "straight")}
+        for actuator in range(self.commands.shape[1]):
+            given = {}
+            for name, values in known.items():
+                commands = self.commands.copy()
+                commands[:, actuator] = values[:, actuator]
+                given[name] = self.given_by(commands)
+            beyond = [given["sampled"] - given[name] for name in ("commands", "straight")]
+            held, straight = np.linalg.solve(mass, np.stack(beyond)[..., None])[..., 0]
+            yield held, straight
 
     def _masses(self, model: mujoco.MjModel, position: Array) -> Array:
         """Packed mass matrices at some positions (T, nC)."""

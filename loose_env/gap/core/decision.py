@@ -81,8 +81,7 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
     for names, weight in near:
         for name in names:
             chances[name] = chances.get(name, 0.0) + weight
-    after = held_out_rms(selection, fit)
-    before = held_out_rms(selection, fit, effects=False)
+    before, after = held_out_rms(selection, fit)
     open_ = _unexplained(before, after)
     freely, sized = selection.sized(fit)
     covariance = _covariance(freely, sized)
@@ -171,7 +170,7 @@ def decide_simulated(
             chances[term.name] = chances.get(term.name, 0.0) + float(weight)
     wide = _left_to_cells(selection, fit)
     gains, left = _simulated_gains(selection, exact, best)
-    before, after = held_out_rms(selection, fit, effects=False), held_out_rms(selection, fit)
+    before, after = held_out_rms(selection, fit)
     simulated = exact.by_joint()
     for k, channel in enumerate(selection.evidence.channels):
         if channel.joint in simulated:
@@ -435,9 +434,7 @@ def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
 
 def left_open(selection: Selection, fit: SetFit) -> list[int]:
     """Joints that a set leaves open: much is left, or most of the time says nothing of it."""
-    unexplained = _unexplained(
-        held_out_rms(selection, fit, effects=False), held_out_rms(selection, fit)
-    )
+    unexplained = _unexplained(*held_out_rms(selection, fit))
     joints = len(selection.evidence.balance.machine.joints)
     return [
         channel.joint
@@ -494,22 +491,20 @@ def places_of(balance: Balance, channel: int) -> set[str]:
     return at_joint(balance.machine, name) | {"all", "tool", "base"}
 
 
-def held_out_rms(selection: Selection, fit: SetFit, *, effects: bool = True) -> Array:
-    """Residual of each channel on held-out data, run by run if there are several (C,).
+def held_out_rms(selection: Selection, fit: SetFit) -> Array:
+    """Residual of each channel on held-out data, run by run if there are several (2, C).
 
-    Or without the set's effects, with the tolerances as beside them: alone, these would be pulled
-    far to stand in for what is missing.
+    Without the set's effects, with the tolerances as beside them, and with them. Alone, tolerances
+    would be pulled far to stand in for what is missing.
     """
     evidence = selection.evidence
-    total, count = np.zeros((2, len(evidence.channels)))
+    total, count = np.zeros((2, len(evidence.channels))), np.zeros(len(evidence.channels))
     for held in folds_of(selection, fit.terms)[0]:
         own = selection.without(held, fit)
         for k, (channel, power) in enumerate(zip(evidence.channels, own.powers, strict=True)):
-            if not effects:
-                at = channel.columns[channel.columns < evidence.tolerances]
-                known = channel.rows[:, : len(at)] @ own.values[at]
-                power = channel.by_cell((channel.residual - known) ** 2)
-            total[k] += power[held[k]].sum()
+            at = channel.columns[channel.columns < evidence.tolerances]
+            left = channel.residual - channel.rows[:, : len(at)] @ own.values[at]
+            total[:, k] += [p[held[k]].sum() for p in (channel.by_cell(left**2), power)]
             count[k] += channel.count[held[k]].sum()
     return np.asarray(np.sqrt(total / count))
 

@@ -179,8 +179,9 @@ class Exact:
             found = solved.x
             rows = self._residuals([hypothesis(found)])[0][0]
             # rows repeat a discrepancy, which counts for as many values as in the likelihood
-            counted = self._values(channel)[:, None] * solved.jac
-            normal = solved.jac.T @ counted + 1e-9 * np.eye(len(found))
+            count = np.bincount(channel)
+            share = (self._values(count) / np.maximum(count, 1))[channel]
+            normal = solved.jac.T @ (share[:, None] * solved.jac) + 1e-9 * np.eye(len(found))
             spread = np.sqrt(np.diag(np.linalg.inv(normal)))
         parts = np.split(found, cuts) if terms else []
         return ExactFit(
@@ -307,17 +308,14 @@ class Exact:
 
     def _score(self, rows: Array, channel: IndexArray) -> float:
         """Minus twice the log likelihood with a discrepancy in each channel."""
-        total = 0.0
-        for k in np.unique(channel):
-            own = rows[channel == k]
-            values = self._values(channel[channel == k]).sum()
-            total += values * np.log1p(max(float(own @ own) - len(own), 0.0) / values)
-        return float(total)
+        count, power = np.bincount(channel), np.bincount(channel, rows**2)
+        values = self._values(count)
+        return float(values @ np.log1p(np.maximum(power - count, 0.0) / values))
 
-    def _values(self, channel: IndexArray) -> Array:
-        """Values of the discrepancy for which each row stands."""
-        count = np.bincount(channel)[channel]
-        return np.asarray(LEAST_VALUES * len(self.simulator.trials) / count + SHARE_VALUES)
+    def _values(self, count: IndexArray) -> Array:
+        """Values of the discrepancy of each channel, of so many rows (C,)."""
+        values = LEAST_VALUES * len(self.simulator.trials) + SHARE_VALUES * count
+        return np.asarray(values, dtype=float)
 
 
 def _by_channel(rows: Array, channel: IndexArray) -> Array:

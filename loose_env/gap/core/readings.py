@@ -46,6 +46,11 @@ class Readings:
         """No change of any reading (T, R)."""
         return np.zeros((len(self.motion.stacked("position")), len(self.motion.sensors)))
 
+    @property
+    def accelerated(self) -> bool:
+        """Whether a reading depends on the joints' acceleration."""
+        return bool(np.any(self._gains[2]))
+
     def has(self, sensor: str) -> bool:
         """Whether a sensor is among them."""
         return any(name == sensor for name, _ in self.motion.sensors)

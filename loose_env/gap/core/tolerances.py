@@ -299,14 +299,15 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Gain, alignment and timing of velocity and inertial sensors."""
     motion, joints = balance.motion, len(balance.machine.joints)
     foretold = balance.readings.foretold
-    if motion.sensors and not balance.released.all():
+    if balance.readings.accelerated and not balance.released.all():
         # a reading is of an instant, and commands step or bend there or nearby; each joint gives
         # way by an inertia of its own, which an effect may change
-        for number, name in enumerate(balance.machine.actuators):
-            bends = balance.at_samples(number, "straight")
+        for name, (steps, bends) in zip(
+            balance.machine.actuators, balance.at_samples(), strict=True
+        ):
             slopes = [rates(own, motion.step) for own in motion.split(bends)]
             for what, beyond in (
-                ("steps", balance.at_samples(number, "commands")),
+                ("steps", steps),
                 ("bends", bends),
                 ("shift of bends", motion.runs[0].log_step * np.concatenate(slopes)),
             ):
