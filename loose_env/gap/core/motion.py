@@ -117,7 +117,26 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     band = float(np.clip(max(ends), LOWEST_HZ, min(0.35 / step, HIGHEST_HZ)))
     thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
     most = _most_of_each([len(log.position) // thin for log in logs])
-    runs = tuple(_run_motion(log, noise, band, thin, most, machine) for log in logs)
+    alone = [
+        [
+            _smoothed(q, None, sd, band, log.step)
+            for q, sd in zip(log.position.T, noise.T, strict=True)
+        ]
+        for log in logs
+    ]
+    found = {}
+    for joint in range(len(machine.joints)):
+        pairs = [
+            (own[joint][1], low_passed(log.speed[:, joint, None], band, log.step)[:, 0])
+            for own, log in zip(alone, logs, strict=True)
+            if np.isfinite(log.speed[:, joint]).all()
+        ]
+        if pairs:
+            found[joint] = _calibration(pairs, noise[:, joint], band, step)
+    runs = tuple(
+        _run_motion(log, own, found, noise, band, thin, most, machine)
+        for log, own in zip(logs, alone, strict=True)
+    )
     if followers.numbers:
         runs = tuple(replace(run, followed=followers.paths(run.position)) for run in runs)
     seen = [[noise_floor(c) for c in log.readings.T] for log in logs]
@@ -227,18 +246,23 @@ def _band_end(log: _Log, noise: Array) -> float:
 
 
 def _run_motion(
-    log: _Log, noise: Array, band: float, thin: int, most: int, machine: NominalModel
+    log: _Log,
+    positions: Sequence[Array],
+    found: Mapping[int, tuple[Array, bool]],
+    noise: Array,
+    band: float,
+    thin: int,
+    most: int,
+    machine: NominalModel,
 ) -> RunMotion:
     """Smooth one log, thin it, and take its middle if it is longer than some samples."""
-    parts, derived = [], []
-    for joint in range(log.position.shape[1]):
-        q, v = log.position[:, joint], log.speed[:, joint]
-        own = _smoothed(q, None, noise[:, joint], band, log.step)
-        derived.append(own[1])
+    parts = []
+    for joint, own in enumerate(positions):
+        v = log.speed[:, joint]
         if np.isfinite(v).all():
-            v = _calibrated(v, own, noise[:, joint], band, log.step)
+            v = _calibrated(v, own, found[joint], band, log.step)
             if _agrees(v, own[1], noise[:, joint], band, log.step):
-                own = _smoothed(q, v, noise[:, joint], band, log.step)
+                own = _smoothed(log.position[:, joint], v, noise[:, joint], band, log.step)
         parts.append(own)
     timings = [log.run.timing(name) for name in machine.actuators]
     lines = [replace(timing, mode="linear") for timing in timings]
@@ -258,7 +282,7 @@ def _run_motion(
         position=kept(whole[0]),
         speed=kept(whole[1]),
         acceleration=kept(whole[2]),
-        derived=kept(np.stack(derived, axis=1)),
+        derived=kept(np.stack([own[1] for own in positions], axis=1)),
         readings=kept(low_passed(log.readings, band, log.step)),
         # through the same filter: a stiff servo acts on a small difference of large signals
         commands=kept(low_passed(log.commands, band, log.step, timings)),
@@ -404,21 +428,37 @@ def _passed(turn: Array, band: float) -> Array:
     return np.asarray(1 / (1 + (turn / (2 * np.pi * _FLAT * band)) ** _ORDER))
 
 
-def _calibrated(v: Array, own: Array, noise: Array, band: float, step: float) -> Array:
-    """Velocity reading with the zero, gain and delay that it has against the position.
+def _calibration(
+    pairs: Sequence[tuple[Array, Array]], noise: Array, band: float, step: float
+) -> tuple[Array, bool]:
+    """Zero, gain and delay between a velocity reading and the speed by the positions, of all runs.
 
-    The noisier of both is the one that is explained: noise of the other attenuates the gain.
+    Of pairs of speed by the positions and reading, and whether the speed is the one explained:
+    the noisier of both is, for noise of the other attenuates the gain. Each frequency weighs by
+    the noise of both there; that of positions grows with it.
     """
-    shown = low_passed(v[:, None], band, step)[:, 0]
-    inner = slice(20, -20)
-    if noise[1] < noise[0] * 2 * np.pi * band / np.sqrt(3):
-        slope = rates(shown, step)
-        terms = np.stack([np.ones_like(v), shown, slope], axis=1)
-        zero, gain, ahead = np.linalg.lstsq(terms[inner], own[1][inner], rcond=None)[0]
-        return np.asarray(zero + gain * v + ahead * slope) if 0.5 < gain < 2 else v
-    terms = np.stack([np.ones_like(v), own[1], own[2]], axis=1)
-    zero, gain, delay = np.linalg.lstsq(terms[inner], shown[inner], rcond=None)[0]
-    return np.asarray((v - zero - delay * own[2]) / gain) if gain > 0.5 else v
+    derived = bool(noise[1] < noise[0] * 2 * np.pi * band / np.sqrt(3))
+    normal, slope = np.zeros((3, 3)), np.zeros(3)
+    for pair in pairs:
+        window = np.hanning(len(pair[0]))
+        turn = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(window), step), float)
+        known, explained = pair[::-1] if derived else pair
+        terms = np.stack([np.ones_like(known), known, rates(known, step)], axis=1)
+        weight = (turn <= 2 * np.pi * band) / ((turn * noise[0]) ** 2 + noise[1] ** 2)
+        wave = np.fft.rfft(terms * window[:, None], axis=0)
+        own = wave.conj().T * weight
+        normal += (own @ wave).real
+        slope += (own @ np.fft.rfft(explained * window)).real
+    return np.asarray(np.linalg.lstsq(normal, slope, rcond=None)[0]), derived
+
+
+def _calibrated(v: Array, own: Array, found: tuple[Array, bool], band: float, step: float) -> Array:
+    """Velocity reading with the zero, gain and delay that it has against the position."""
+    (zero, gain, late), derived = found
+    if derived:
+        slope = rates(low_passed(v[:, None], band, step)[:, 0], step)
+        return np.asarray(zero + gain * v + late * slope) if 0.5 < gain < 2 else v
+    return np.asarray((v - zero - late * own[2]) / gain) if gain > 0.5 else v
 
 
 def _agrees(v: Array, derived: Array, noise: Array, band: float, step: float) -> bool:
