@@ -33,6 +33,9 @@ _FLAT = 1.35
 _ORDER = 16  # its order: flat to 1 % at the end of the band
 _MOST_SAMPLES = 12_000
 """Thinned samples of all runs, at most: minutes of motion; of longer runs the middle is taken."""
+_DISAGREES, _FILTERED = 3.0, 0.02
+"""Difference of a calibrated velocity reading from the derivative of the position up to which it is
+used: its noise standard deviations, or share of it; drives often filter theirs."""
 _NEAR = 0.5
 """Length of a record's end in which its motion is a parabola [periods of the end of the band]."""
 
@@ -132,7 +135,7 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
             if np.isfinite(log.speed[:, joint]).all()
         ]
         if pairs:
-            found[joint] = _calibration(pairs, noise[:, joint], band, step)
+            found[joint] = _Calibration.of(pairs, noise[:, joint], band, step)
     runs = tuple(
         _run_motion(log, own, found, noise, band, thin, most, machine)
         for log, own in zip(logs, alone, strict=True)
@@ -248,7 +251,7 @@ def _band_end(log: _Log, noise: Array) -> float:
 def _run_motion(
     log: _Log,
     positions: Sequence[Array],
-    found: Mapping[int, tuple[Array, bool]],
+    found: Mapping[int, _Calibration],
     noise: Array,
     band: float,
     thin: int,
@@ -259,10 +262,9 @@ def _run_motion(
     parts = []
     for joint, own in enumerate(positions):
         v = log.speed[:, joint]
-        if np.isfinite(v).all():
-            v = _calibrated(v, own, found[joint], band, log.step)
-            if _agrees(v, own[1], noise[:, joint], band, log.step):
-                own = _smoothed(log.position[:, joint], v, noise[:, joint], band, log.step)
+        if joint in found and found[joint].usable and np.isfinite(v).all():
+            v = found[joint].applied(v, own, band, log.step)
+            own = _smoothed(log.position[:, joint], v, noise[:, joint], band, log.step)
         parts.append(own)
     timings = [log.run.timing(name) for name in machine.actuators]
     lines = [replace(timing, mode="linear") for timing in timings]
@@ -428,45 +430,57 @@ def _passed(turn: Array, band: float) -> Array:
     return np.asarray(1 / (1 + (turn / (2 * np.pi * _FLAT * band)) ** _ORDER))
 
 
-def _calibration(
-    pairs: Sequence[tuple[Array, Array]], noise: Array, band: float, step: float
-) -> tuple[Array, bool]:
-    """Zero, gain and delay between a velocity reading and the speed by the positions, of all runs.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Calibration:
+    """How a velocity reading differs from the derivative of the position."""
 
-    Of pairs of speed by the positions and reading, and whether the speed is the one explained:
-    the noisier of both is, for noise of the other attenuates the gain. Each frequency weighs by
-    the noise of both there; that of positions grows with it.
-    """
-    derived = bool(noise[1] < noise[0] * 2 * np.pi * band / np.sqrt(3))
-    normal, slope = np.zeros((3, 3)), np.zeros(3)
-    for pair in pairs:
-        window = np.hanning(len(pair[0]))
-        turn = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(window), step), float)
-        known, explained = pair[::-1] if derived else pair
-        terms = np.stack([np.ones_like(known), known, rates(known, step)], axis=1)
-        weight = (turn <= 2 * np.pi * band) / ((turn * noise[0]) ** 2 + noise[1] ** 2)
-        wave = np.fft.rfft(terms * window[:, None], axis=0)
-        own = wave.conj().T * weight
-        normal += (own @ wave).real
-        slope += (own @ np.fft.rfft(explained * window)).real
-    return np.asarray(np.linalg.lstsq(normal, slope, rcond=None)[0]), derived
+    derived: bool  # Whether the derivative is explained by the reading, not the reverse
+    zero: float  # Constant of what is explained
+    gain: float  # Gain of what explains it
+    late: float  # Coefficient of its rate: a delay
+    usable: bool  # Whether nothing else is between them, beyond their noise
 
+    @classmethod
+    def of(
+        cls, pairs: Sequence[tuple[Array, Array]], noise: Array, band: float, step: float
+    ) -> _Calibration:
+        """Calibrate by the derivative and the reading in all runs.
 
-def _calibrated(v: Array, own: Array, found: tuple[Array, bool], band: float, step: float) -> Array:
-    """Velocity reading with the zero, gain and delay that it has against the position."""
-    (zero, gain, late), derived = found
-    if derived:
-        slope = rates(low_passed(v[:, None], band, step)[:, 0], step)
-        return np.asarray(zero + gain * v + late * slope) if 0.5 < gain < 2 else v
-    return np.asarray((v - zero - late * own[2]) / gain) if gain > 0.5 else v
+        The noisier of both is explained, for noise of the other attenuates the gain. Each frequency
+        weighs by the noise of both there; that of positions grows with it. A reading of a joint
+        that hardly moves stays as it is, its delay within an interval of the log.
+        """
+        derived = bool(noise[1] < noise[0] * 2 * np.pi * band / np.sqrt(3))
+        end = 2 * np.pi * band
+        normal, slope, power, count = np.diag([0.0, 0.0, step**-2]), np.zeros(3), 0.0, 0
+        for pair in pairs:
+            window = np.hanning(len(pair[0]))
+            turn = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(window), step), float)
+            known, explained = pair[::-1] if derived else pair
+            terms = np.stack([np.ones_like(known), known, rates(known, step)], axis=1)
+            noises = [(turn * noise[0]) ** 2, noise[1] ** 2 + 0 * turn]
+            weight = 2 * (turn <= end) / sum(noises) / (window @ window)
+            wave = np.fft.rfft(terms * window[:, None], axis=0)
+            own, shown = wave.conj().T * weight, np.fft.rfft(explained * window)
+            normal, slope = normal + (own @ wave).real, slope + (own @ shown).real
+            # noise of what explains would draw its gain to zero; so it draws it to one
+            slope[1] += (window @ window) * float(weight @ noises[derived])
+            power += float(weight @ np.abs(shown) ** 2)
+            count += 2 * int(np.sum(turn <= end))
+        zero, gain, late = np.linalg.lstsq(normal, slope, rcond=None)[0]
+        left = power - float(slope @ [zero, gain, late])
+        agrees = left <= max(_DISAGREES**2 * count, _FILTERED**2 * power)
+        return cls(
+            derived=derived, zero=float(zero), gain=float(gain), late=float(late),
+            usable=bool(agrees and 0.5 < gain < 2),
+        )  # fmt: skip
 
-
-def _agrees(v: Array, derived: Array, noise: Array, band: float, step: float) -> bool:
-    """Whether a velocity reading is the derivative of the position; drives often filter theirs."""
-    own = _smoothed(np.cumsum(v) * step, None, noise, band, step)[1]
-    off = float(np.std((derived - own)[20:-20]))
-    expected = float(np.hypot(noise[1], noise[0] * 2 * np.pi * band))
-    return off <= max(3 * expected, 0.02 * float(np.std(own)))
+    def applied(self, v: Array, own: Array, band: float, step: float) -> Array:
+        """Velocity reading as the derivative that it stands for."""
+        if self.derived:
+            rate = rates(low_passed(v[:, None], band, step)[:, 0], step)
+            return np.asarray(self.zero + self.gain * v + self.late * rate)
+        return np.asarray((v - self.zero - self.late * own[2]) / self.gain)
 
 
 def _without_jumps(q: Array) -> Array:
