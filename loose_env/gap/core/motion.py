@@ -76,7 +76,7 @@ class Motion:
     runs: tuple[RunMotion, ...]  # The runs
     band: float  # End of the band in which the motion shows over its noise [Hz]
     noise: Array
-    """Noise of a thinned sample's position, speed and torque (3, joints); infinite if not read."""
+    """Noise of a thinned sample's position, speed and torque (3, joints); infinite if not used."""
     sensors: tuple[tuple[str, int], ...]
     """Velocity and inertial sensors read in every run, with the axis, -1 of a scalar."""
     sensor_noise: Array  # Noise of a thinned sample of each of these readings (R,)
@@ -134,8 +134,11 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
             for own, log in zip(alone, logs, strict=True)
             if np.isfinite(log.speed[:, joint]).all()
         ]
-        if pairs:
-            found[joint] = _Calibration.of(pairs, noise[:, joint], band, step)
+        own = _Calibration.of(pairs, noise[:, joint], band, step) if pairs else None
+        if own is not None and own.usable:
+            found[joint] = own
+        else:
+            noise[1, joint] = np.inf
     runs = tuple(
         _run_motion(log, own, found, noise, band, thin, most, machine)
         for log, own in zip(logs, alone, strict=True)
@@ -262,7 +265,7 @@ def _run_motion(
     parts = []
     for joint, own in enumerate(positions):
         v = log.speed[:, joint]
-        if joint in found and found[joint].usable and np.isfinite(v).all():
+        if joint in found and np.isfinite(v).all():
             v = found[joint].applied(v, own, band, log.step)
             own = _smoothed(log.position[:, joint], v, noise[:, joint], band, log.step)
         parts.append(own)

@@ -53,9 +53,9 @@ class Tolerances(Checked):
     """Torque constant, or gain of a servo [share]."""
     velocity_gain: Positive = 0.06
     """Velocity gain of a servo [share]: the same column as viscous friction."""
-    speed_feedback_s: Positive = 0.002
-    """Time by which the speed is late that a servo feeds back [s]: two cycles of 1 ms, for a speed
-    is a difference of filtered positions."""
+    speed_feedback_s: Positive = 0.0005
+    """Time by which the speed is late that a servo feeds back [s]: half a cycle of 1 ms, for a speed
+    is a difference of positions."""
     damping: Positive = 0.06
     """Damping and dry friction that the model has [share]: they change with temperature."""
     offset: Positive = 0.01
