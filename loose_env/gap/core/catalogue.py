@@ -50,7 +50,7 @@ class Column:
     low: float  # Smallest coefficient
     high: float  # Largest coefficient
     eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
-    late: Late = None  # Joint whose positions are read late, and by how much [s]
+    late: Late = None  # Joint whose positions are read late, -1 of a reading, and by how much [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +168,9 @@ def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
         if effect.needs_data_starts:
             return proposed
         return (*effect.starts, *proposed)
+    if effect.is_time_shift and balance.readings.has(effect.where):
+        late = balance.readings.late(effect.where, effect.parameters[0].high)
+        return (*effect.starts, (late,)) if late > effect.parameters[0].low else effect.starts
     if isinstance(effect, DriveLimit):
         joint = balance.machine.joint_number(balance.machine.actuated_joint[effect.where])
         asked, needed = balance.given[:, joint], balance.needed[:, joint]
@@ -276,8 +279,8 @@ def _column(
     """Column with the prior and the bounds of its coefficient."""
     change = forces.with_contact(direction)
     if law:
-        width, joint = LAW_WIDTH, balance.encoders.get(effect.where)
-        late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
+        width, joint = LAW_WIDTH, balance.encoders.get(effect.where, -1)
+        late = (joint, values[0]) if effect.is_time_shift and effect.part == "sensor" else None
         return Column(
             change=balance.change(change), operator=forces.operator, centre=1.0, spread=width,
             low=1 - 2.3 * width, high=1 + 2.3 * width, eased=forces.eased, late=late,

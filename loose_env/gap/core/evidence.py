@@ -421,9 +421,11 @@ def _beside(
     if number >= 0:
         foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
         noisy = foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2
-        return np.outer(noisy, _gains(balance, channel, wide))
+        gains = _gains(balance, channel, wide)
+        gains[[k for k, own in enumerate(late) if own is not None]] = 0.0  # as large, but later
+        return np.outer(noisy, gains)
     for k, own in enumerate(late):
-        if own is not None:
+        if own is not None and own[0] >= 0:
             of_joint = balance.noise_of(channel, turn / (2 * np.pi))[:, own[0]]
             share = of_joint / balance.noise(channel, turn / (2 * np.pi), floor=False) ** 2
             found[:, k] = share * (np.cos(turn * own[1]) - 1)

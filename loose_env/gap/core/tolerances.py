@@ -54,8 +54,8 @@ class Tolerances(Checked):
     velocity_gain: Positive = 0.06
     """Velocity gain of a servo [share]: the same column as viscous friction."""
     speed_feedback_s: Positive = 0.0005
-    """Time by which the speed is late that a servo feeds back [s]: half a cycle of 1 ms, for a speed
-    is a difference of positions."""
+    """Time by which the speed is late that a servo feeds back [s]: half a cycle of 1 ms, as a
+    difference of positions is."""
     damping: Positive = 0.06
     """Damping and dry friction that the model has [share]: they change with temperature."""
     offset: Positive = 0.01
