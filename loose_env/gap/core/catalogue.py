@@ -20,7 +20,8 @@ from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.typing import Array
 
-_MOVING = 20.0  # range of motion over its noise from which a joint moves
+_MOVING = 2.0  # speed, or foretold reading, over its noise from which a joint moves
+_BINS = 50  # frequencies at which that noise is averaged
 LAW_WIDTH = 0.15
 """Prior standard deviation of a law's coefficient about one: shapes are tried a factor of
 sqrt(1.6) apart and refined."""
@@ -112,15 +113,20 @@ def shows(balance: Balance, effect: Effect) -> bool:
     Sensors show where their readings are compared; stops are the business of the exact fit.
     """
     if effect.part == "sensor":
-        return effect.where in balance.encoders or balance.readings.has(effect.where)
+        if effect.where in balance.encoders or not balance.readings.has(effect.where):
+            return effect.where in balance.encoders
+        return not effect.is_time_shift or balance.readings.over_noise(effect.where) > _MOVING
     if isinstance(effect, CommandInterpolation):  # the commands may be known to be lines
         motion = balance.motion
         return not np.array_equal(motion.stacked("straight"), motion.stacked("commands"))
     senses = effect.overrides("sensed_torque")
     if effect.has_stops or not (effect.moves or senses):
         return False
-    joint = effect.part == "joint"  # at rest all forces are constant
-    if joint and not moves_at(balance, balance.machine.joint_number(effect.where)):
+    place = effect.where
+    if isinstance(effect, DriveLimit):
+        place = balance.machine.actuated_joint[place]
+    joint = place in balance.machine.joints  # at rest all forces are constant
+    if joint and not moves_at(balance, balance.machine.joint_number(place)):
         return False
     if effect.drives and balance.released.all():
         return senses and bool((balance.forms == "inverse").any())
@@ -128,9 +134,14 @@ def shows(balance: Balance, effect: Effect) -> bool:
 
 
 def moves_at(balance: Balance, joint: int) -> bool:
-    """Whether a joint moves clearly more than its noise."""
-    reach = float(np.ptp(balance.position[:, joint]))
-    return reach > _MOVING * float(balance.motion.noise[0, joint])
+    """Whether a joint moves clearly more than its noise in some run."""
+    motion = balance.motion
+    turn = 2 * np.pi * np.linspace(0.0, motion.band, _BINS)
+    position, speed, _ = motion.noise[:, joint]
+    noise = turn**2 / (1 / position**2 + turn**2 / speed**2)
+    share = 2 * motion.band * motion.step  # of a sample's noise, in the band
+    moved = max(float(np.var(run.speed[:, joint])) for run in motion.runs)
+    return moved > _MOVING**2 * share * float(np.mean(noise))
 
 
 def shapes(balance: Balance, effect: Effect) -> list[tuple[tuple[tuple[float, ...], ...], bool]]:

@@ -682,7 +682,9 @@ class Form:
         growths, noises = [], []
         for channel, weight, power in zip(evidence.channels, self._weights, powers, strict=True):
             at = channel.columns
-            self.slope[at] += weight @ channel.slope
+            # nothing is earned below the noise
+            earned = weight * (channel.power > channel.count)
+            self.slope[at] += earned @ channel.slope
             self.diagonal[at] += weight @ channel.square
             growth = np.zeros((len(weight), count))
             growth[:, at] = channel.growth
