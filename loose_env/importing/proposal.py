@@ -127,7 +127,7 @@ class Proposal:
 def propose(
     sources: Sequence[str], model: mujoco.MjModel, rate_hz: float | None = None
 ) -> Proposal:
-    """Propose a mapping of files to the columns of a model.
+    r"""Propose a mapping of files to the columns of a model.
 
     Parameters
     ----------
@@ -142,6 +142,18 @@ def propose(
     ------
     InvalidData
         If a file cannot be read or its times are not known.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> xml = '''<mujoco><worldbody><body><joint name="turn"/><geom size=".1"/></body></worldbody>
+    ... <sensor><jointpos name="encoder" joint="turn"/></sensor></mujoco>'''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     rows = "".join(f"{i},{i % 7}\n" for i in range(50))
+    ...     _ = Path(folder, "log.csv").write_text("time [s],angle [deg]\n" + rows)
+    ...     found = propose([f"{folder}/log.csv"], mujoco.MjModel.from_xml_string(xml))
+    >>> [(line.column, line.candidate.key.channel, line.scaling.unit) for line in found.columns]
+    [('sensor.encoder', 'angle [deg]', 'deg')]
     """
     logs, notes, unused = _sources(sources, rate_hz)
     runs = _runs(logs)

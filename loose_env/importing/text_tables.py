@@ -270,7 +270,8 @@ def _split(lines: list[str], separator: str, decimal: str) -> _Head | None:
             rows = list(itertools.islice(_rows(lines, skip, separator), _LOOKED_AT))
             break
         except csv.Error:
-            continue
+            if _count(lines[skip].split(separator)[:1], decimal):
+                return None  # a row of the table, and no words
     for i, (_, row) in enumerate(rows):
         width, numbers = len(row), _count(row, decimal)
         if width < 2 or numbers < 1 or 2 * numbers < width - 1:

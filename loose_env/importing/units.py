@@ -183,8 +183,8 @@ def dates_ns(cells: Sequence[str]) -> NDArray[np.int64] | None:
 
     Examples
     --------
-    >>> dates_ns(["1970-01-01T00:00:01.000000250Z", "02.01.1970 00:00:00"]).tolist()
-    [1000000250, 86400000000000]
+    >>> dates_ns(["1970-01-01T00:00:01.000000250Z", "1970-01-02T00:00:00+01:00"]).tolist()
+    [1000000250, 82800000000000]
     """
     found = [_DATE.fullmatch(cell.strip()) for cell in cells]
     if not found or any(each is None for each in found):
@@ -199,7 +199,9 @@ def dates_ns(cells: Sequence[str]) -> NDArray[np.int64] | None:
     best: NDArray[np.int64] | None = None
     for year, month, day in ((0, 2, 3), (3, 2, 0), (3, 0, 2)):
         try:
-            days = {own[:4]: _day(own[year], own[month], own[day]) for own in groups}
+            days = {
+                own[:4]: _day(own[year], own[month], own[day], first=year == 0) for own in groups
+            }
         except ValueError:
             continue
         own_ns = np.array(clock) + np.array([days[own[:4]] for own in groups])
@@ -208,10 +210,10 @@ def dates_ns(cells: Sequence[str]) -> NDArray[np.int64] | None:
     return best
 
 
-def _day(year: str | None, month: str | None, day: str | None) -> int:
+def _day(year: str | None, month: str | None, day: str | None, *, first: bool) -> int:
     if year is None or month is None or day is None:
         return 0
-    if len(year) not in (2, 4) or len(day) > 2:
+    if len(year) not in ((4,) if first else (2, 4)) or len(day) > 2:
         raise ValueError("no date")
     whole = f"{'20' * (len(year) == 2)}{year}-{int(month):02d}-{int(day):02d}"
     return int(np.datetime64(whole, "ns").astype(np.int64))
