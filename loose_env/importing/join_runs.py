@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidData
-from loose_env.importing.clock_alignment import shift_between
-from loose_env.importing.mapping import ColumnEntry, ImportMapping, RunPlan
+from loose_env.importing.mapping import ColumnEntry, RunPlan
 from loose_env.importing.resampling import bridged, held, median_step, resampled, rows_of
 from loose_env.importing.samples import ChannelKey, Samples
 from loose_env.importing.units import UNITS, column_quantity, unit_named
@@ -40,44 +39,15 @@ class Joined:
     lines: tuple[str, ...]
 
 
-def shifts_of(
-    mapping: ImportMapping, files: Mapping[str, Path], pool: Pool, say: Callable[[str], None]
-) -> dict[str, float]:
-    """Shifts of the sources whose clock is set by another one's [s]."""
-    found = {}
-    for name in files:
-        align = mapping.sources[name].align
-        if align is None:
-            continue
-        own = pool[name, files[name], align.own]
-        other = pool[align.to, files[align.to], align.other]
-        shift = shift_between(
-            f"{mapping.name}: sources.{name}.align ({files[name].name} to {files[align.to].name})",
-            (own.since(other.origin_ns), own.values),
-            (other.time, other.values),
-            most_s=align.most_s,
-            band_hz=align.band_hz,
-            sign=align.sign,
-            least=align.least_correlation,
-        )
-        found[name] = shift.seconds
-        say(
-            f"{files[name].name}: shifted by {shift.seconds:+.6f} s against "
-            f"{files[align.to].name}, correlation {shift.correlation:.3f}"
-        )
-    return found
-
-
 def joined_run(
     plan: RunPlan,
     files: Mapping[str, Path],
     pool: Pool,
-    shifts: Mapping[str, float],
     model: mujoco.MjModel,
 ) -> Joined:
     """Join a run."""
     columns = [
-        _Column(entry, pool[entry.source, files[entry.source], entry.key], shifts, model)
+        _Column(entry, pool[entry.source, files[entry.source], entry.key], model)
         for entry in plan.columns
     ]
     origin = min(column.samples.origin_ns for column in columns)
@@ -134,7 +104,6 @@ class _Column:
         self,
         entry: ColumnEntry,
         samples: Samples,
-        shifts: Mapping[str, float],
         model: mujoco.MjModel,
     ) -> None:
         self.entry, self.samples = entry, samples
@@ -142,13 +111,12 @@ class _Column:
         self.values = values * _factor(entry, samples, model) + entry.offset
         if not np.isfinite(self.values).all():
             raise InvalidData(f"{entry.place}: scaled, its values are too large for a number")
-        self.shift = shifts.get(entry.source, 0.0) - entry.delay_s
         self.longest = bridged(samples.time, entry.gap_s)
         self.step = samples.step
         self.time = samples.time
 
     def place_in_time(self, origin_ns: int) -> None:
-        self.time = self.samples.since(origin_ns) + self.shift
+        self.time = self.samples.since(origin_ns) - self.entry.delay_s
 
     @property
     def last(self) -> float:
@@ -208,7 +176,7 @@ def _ends(plan: RunPlan, columns: list[_Column], origin: int) -> tuple[float, fl
         raise InvalidData(
             f"{plan.place}: its channels have no time in common: {early.samples.place} ends "
             f"{first - last:.6g} s before {late.samples.place} begins. Where clocks differ, set "
-            "offset_s or from_start of a source's time, or align"
+            "offset_s or from_start of a source's time"
         )
     moments = []
     for told, default in ((plan.start, first), (plan.stop, last)):

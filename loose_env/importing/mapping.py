@@ -7,7 +7,6 @@ them. Nothing in a mapping is executed.
 from __future__ import annotations
 
 import datetime
-import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,9 +17,8 @@ from annotated_types import Ge, Le, MaxLen, MinLen
 from pydantic import AfterValidator, ConfigDict, PlainValidator
 
 from loose_env.errors import InvalidData
-from loose_env.importing.dates import date_ns
-from loose_env.importing.samples import ChannelKey, FileKind
-from loose_env.importing.units import unit_named
+from loose_env.importing.samples import ChannelKey
+from loose_env.importing.units import dates_ns, unit_named
 from loose_env.io import restored, whole_of
 from loose_env.recording import Condition, nearest, read_text
 
@@ -28,7 +26,6 @@ MAPPING_FORMAT = "loose-mapping/1"
 """The format read here."""
 
 Sign = Literal[1, -1]
-Encoding = Literal["utf-8", "utf-16", "cp1252", "latin-1"]
 Method = Literal["band", "hold"]
 """Resampling to the run's times: band-limited, or zero-order hold."""
 
@@ -38,7 +35,7 @@ _FORBID = ConfigDict(extra="forbid")
 
 
 def _printable(words: str) -> str:
-    if not words or not (words.isprintable() or words == "\t"):
+    if not words or not words.isprintable():
         raise ValueError("a printable text is needed")
     return words
 
@@ -55,7 +52,7 @@ def _unit(name: str) -> str:
 
 
 def _time_unit(name: str) -> str:
-    if unit_named(name, "unit").quantity != "time":
+    if name and unit_named(name, "unit").quantity != "time":
         raise ValueError(f"{name!r} is no unit of time; s, ms, us, ns are")
     return name
 
@@ -102,7 +99,10 @@ def _moment(value: Any) -> float | int:
     if isinstance(value, datetime.datetime):
         value = value.isoformat()
     if isinstance(value, str):
-        return date_ns(value, "iso", "moment")
+        found = dates_ns([value])
+        if found is None:
+            raise ValueError(f"{value[:60]!r} is no date such as '2024-05-01T10:00:03.5Z'")
+        return int(found[0])
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= _YEAR:
         raise ValueError(
             "seconds after the first time that all columns have, less than a year; give a date in "
@@ -116,7 +116,6 @@ _Names = Annotated[tuple[_Text, ...], AfterValidator(_each_once)]
 _Number = Annotated[float, Ge(-1e18), Le(1e18)]
 _Rate = Annotated[float, Ge(1e-6), Le(1e9)]
 _Seconds = Annotated[float, Ge(1e-9), Le(1e9)]
-_Frequency = Annotated[float, Ge(0.0), Le(1e9)]
 _Pose = Annotated[Mapping[str, float] | Literal["measured"] | None, PlainValidator(_pose)]
 _Moment = Annotated[float | int | None, PlainValidator(_moment)]
 
@@ -128,104 +127,30 @@ class TimeSource:
     __pydantic_config__ = _FORBID
 
     column: str = ""
-    """CSV, HDF5, LeRobot: column of the time; "timestamp" by default in a LeRobot dataset."""
-    unit: Annotated[str, AfterValidator(_time_unit)] = "s"
-    """Unit of a time given as a number."""
+    """Column of the time; that of the format by default, where it has one."""
+    unit: Annotated[str, AfterValidator(_time_unit)] = ""
+    """Unit of the column; the one that the file states, or s, by default."""
     fine: str = ""
     """Column of the nanoseconds within each second of ``column``, where there are two."""
-    date_format: str = ""
-    """CSV: "iso", or a format of Python's ``strptime``, where the column holds dates; recognised
-    from the column by default."""
-    stamp: str = "auto"
-    """MCAP: "auto", the stamp of the header where messages have one that is set, else the log time;
-    or "log", "publish", "header", or the field of the message that holds the time."""
     rate_hz: _Rate | None = None
     """Sampling rate, in the place of any stamps [Hz]."""
-    even: bool = False
-    """Stamps jitter about evenly spaced samples: a straight line through them is taken."""
     from_start: bool = False
     """Time counts from the source's first sample that is taken, not from its dates."""
     offset_s: Annotated[float, Ge(-1e10), Le(1e10)] = 0.0
     """Added to the source's times [s]."""
-    drift_ppm: Annotated[float, Ge(-1e5), Le(1e5)] = 0.0
-    """Rate error of the source's clock, positive where it runs slow [µs/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class CsvLayout:
-    """Layout of a text table."""
-
-    separator: Literal[",", ";", "\t", " ", "|"] = ","
-    decimal: Literal[".", ","] = "."
-    encoding: Encoding = "utf-8"
-    skip: Annotated[int, Ge(0), Le(10_000)] = 0
-    """Lines before the line of names."""
-    header: bool = True
-    """True if there is a line of names; else columns are called "1", "2" and so on."""
-    names: _Names = ()
-    """Names of the columns where ``header`` is false."""
-    skip_after_header: Annotated[int, Ge(0), Le(100)] = 0
-    """Lines between the names and the numbers, such as a line of units."""
-    missing: _Names = ()
-    """Words that stand for a missing sample, beside an empty cell and NaN."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Align:
-    """Two channels of the same motion, from which one clock is aligned to the other."""
-
-    __pydantic_config__ = _FORBID
-
-    to: _Text
-    """Source whose clock is kept."""
-    channel: _Text
-    topic: str = ""
-    to_channel: _Text
-    to_topic: str = ""
-    most_s: Annotated[float, Ge(1e-6), Le(1e5)] = 1.0
-    """Largest shift searched [s]."""
-    band_hz: tuple[_Frequency, _Frequency] | None = None
-    """Frequencies compared; all that both have by default [Hz]."""
-    sign: Sign = 1
-    """-1 where one channel is the negative of the other."""
-    least_correlation: Annotated[float, Ge(0.0), Le(1.0)] = 0.6
-    """Least correlation at which the two count as the same motion [1]."""
-
-    @property
-    def own(self) -> ChannelKey:
-        """Channel of the source that is aligned."""
-        return ChannelKey(self.channel, self.topic)
-
-    @property
-    def other(self) -> ChannelKey:
-        """Channel of the source whose clock is kept."""
-        return ChannelKey(self.to_channel, self.to_topic)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SourceEntry(CsvLayout):
+class SourceEntry:
     """One source: a file, or one file of a kind in each run."""
 
     __pydantic_config__ = _FORBID
 
     file: str = ""
     """Name of the file; a run may name another."""
-    kind: FileKind | None = None
-    """Detected from name and first bytes by default."""
     time: TimeSource = field(default_factory=TimeSource)
     topics: Mapping[_Text, TimeSource] = field(default_factory=dict)
-    """MCAP: topics whose time comes from elsewhere."""
-    align: Align | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse layouts that cannot be."""
-        if self.names and self.header:
-            raise ValueError("names are for a table without a line of them: header = false")
-        if self.separator == self.decimal:
-            raise ValueError(
-                f"separator and decimal are both {self.separator!r}; a table with decimal commas "
-                "has another separator, mostly ';'"
-            )
+    """Topics whose time comes from elsewhere."""
 
     def time_of(self, topic: str) -> TimeSource:
         """Time source of a topic."""
@@ -415,15 +340,6 @@ def read_mapping(file: str | Path) -> ImportMapping:
     runs = whole.get("runs")
     removed = [_removed(run) for run in runs] if isinstance(runs, list) else []
     found = restored(_MappingFile, whole, f"{name}:")
-    for key, source in found.sources.items():
-        if source.align is not None:
-            place = f"{name}: sources.{key}.align"
-            _known(f"{place}.to", source.align.to, found.sources)
-            if source.align.to == key or found.sources[source.align.to].align is not None:
-                raise InvalidData(f"{place}.to is a source that is not aligned itself")
-            low, high = source.align.band_hz or (0.0, 1.0)
-            if low >= high:
-                raise InvalidData(f"{place}.band_hz: {low:g} is not below {high:g}")
     plans = tuple(_plan(name, i, found, removed[i]) for i in range(len(found.runs)))
     return ImportMapping(
         name=name, model=found.model, sources=found.sources, runs=plans, unused=found.unused
@@ -470,13 +386,3 @@ def _known(place: str, source: str, sources: Mapping[str, SourceEntry]) -> None:
             f"{place}: there is no source {source[:60]!r}; there are {', '.join(sources)}"
             f"{nearest(source[:60], list(sources))}"
         )
-
-
-def quoted(words: str) -> str:
-    """Quote text for TOML, whose strings are JSON's but for one control character."""
-    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def printable(words: str) -> str:
-    """Words for a comment of a mapping."""
-    return "".join(c if c.isprintable() else " " for c in words)

@@ -11,17 +11,16 @@ import mujoco
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing.command_timing import timed
-from loose_env.importing.join_runs import Joined, joined_run, shifts_of
+from loose_env.importing.join_runs import Joined, joined_run
 from loose_env.importing.mapping import ImportMapping, RunPlan, read_mapping
-from loose_env.importing.reading import (
-    check_units,
+from loose_env.importing.samples import ChannelKey, Log, Samples
+from loose_env.importing.sources import (
     files_of_runs,
     given_files,
     open_log,
     read_source,
     run_episodes,
 )
-from loose_env.importing.samples import ChannelKey, Log, Samples
 from loose_env.recording import (
     FileFormat,
     ModelColumns,
@@ -112,11 +111,15 @@ def import_recording(
     compiled = load_model(model_file)[1]
     _check_names(plan, compiled)
     files = files_of_runs(plan, given)
-    check_units(plan, files)
     logs = {
-        (name, path): open_log(path, plan.sources[name])
+        (name, path): open_log(path)
         for name, path in dict.fromkeys(pair for own in files for pair in own.items())
     }
+    for run, own in zip(plan.runs, files, strict=True):
+        for column in run.columns:
+            units = logs[column.source, own[column.source]].ambiguous
+            if units and not column.unit:
+                raise InvalidData(f"{column.place}: unit is missing: {units}")
     plan, files = _by_episode(plan, files, logs)
     if session is not None:
         names = [(run.file, run.condition) for run in plan.runs]
@@ -136,8 +139,7 @@ def import_recording(
                 for line in (f"{path.name}: {len(keys)} channels read", *said):
                     say(line)
             pool |= {(name, path, key): each for key, each in pools[place].items()}
-        shifts = shifts_of(plan, own, pool, say)
-        joined.append(joined_run(run, own, pool, shifts, compiled))
+        joined.append(joined_run(run, own, pool, compiled))
         for line in joined[-1].lines:
             say(line)
     if session is not None:
@@ -211,11 +213,6 @@ def _wanted(
     for run, own in zip(plan.runs, files, strict=True):
         for column in run.columns:
             wanted.setdefault((column.source, own[column.source]), {})[column.key] = None
-        for name, path in own.items():
-            align = plan.sources[name].align
-            if align is not None:
-                wanted.setdefault((name, path), {})[align.own] = None
-                wanted.setdefault((align.to, own[align.to]), {})[align.other] = None
     return {place: list(keys) for place, keys in wanted.items()}
 
 

@@ -3,40 +3,29 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.importing.array_files import ENDINGS as ARRAYS
-from loose_env.importing.array_files import open_arrays
-from loose_env.importing.clock_alignment import straightened
+from loose_env.importing.array_files import READERS, open_arrays
 from loose_env.importing.clocks import samples_of
-from loose_env.importing.lerobot import INFO, UNITS, open_lerobot
+from loose_env.importing.lerobot import INFO, open_lerobot
 from loose_env.importing.mapping import ImportMapping, RunPlan, SourceEntry, TimeSource
 from loose_env.importing.messages import open_messages, storages
-from loose_env.importing.samples import (
-    ChannelKey,
-    FileKind,
-    Log,
-    Samples,
-    found_in,
-    natural,
-    unreadable,
-)
+from loose_env.importing.samples import ChannelKey, Log, Samples, found_in, natural
 from loose_env.importing.text_tables import open_text_table
 from loose_env.recording import nearest
 
 Given = Mapping[str, Path]
 """Files of the command line by the names that a mapping may call them."""
 
-_MCAP = b"\x89MCAP0\r\n"
-_ENDINGS: dict[str, FileKind] = {
-    ".mcap": "mcap", ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv", ".log": "csv",
-    ".asc": "csv", ".db3": "rosbag2", ".bag": "rosbag2", ".zstd": "rosbag2", **ARRAYS,
-}  # fmt: skip
+Opener = Callable[[Path, str], Log]
+_OPENERS: dict[str, Opener] = {
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log", ".asc"), open_text_table),
+    **dict.fromkeys((".mcap", ".db3", ".bag", ".zstd"), open_messages),
+    **dict.fromkeys(READERS, open_arrays),
+}
 _UFF = "pyuff reads its time histories: save them with their times as .npz"
 _ADVICE = {
     ".tdms": "export it as CSV",
@@ -64,11 +53,11 @@ def given_files(words: Sequence[str]) -> Given:
         path = Path(rest if named else word)
         if not path.is_file() and not path.is_dir():
             raise InvalidSetting(f"there is no file {str(path)!r}")
-        members = [path] if named or path.is_file() or _folder_kind(path) else _logs_in(path)
+        members = [path] if named or path.is_file() or _folder_opener(path) else _logs_in(path)
         if not members:
             raise InvalidData(
                 f"{path.resolve().name}: a folder without logs; read are folders of a ROS bag, of "
-                f"a LeRobot dataset ({INFO}), or of files that end in {', '.join(_ENDINGS)}"
+                f"a LeRobot dataset ({INFO}), or of files that end in {', '.join(_OPENERS)}"
             )
         names = [each.resolve().name for each in members]
         for each in members:
@@ -88,12 +77,12 @@ def given_files(words: Sequence[str]) -> Given:
 def _logs_in(folder: Path) -> list[Path]:
     """Logs of a folder and, where it has none itself, of the folders in it."""
     members = sorted(folder.iterdir(), key=lambda p: natural(p.name))
-    logs = [p for p in members if p.is_dir() and _folder_kind(p)]
+    logs = [p for p in members if p.is_dir() and _folder_opener(p)]
     logs += [
         p
         for p in members
         if p.is_file()
-        and p.suffix.lower() in _ENDINGS
+        and p.suffix.lower() in _OPENERS
         and not p.stem.lower().startswith(_NOT_LOGS)
         and not (p.suffix == ".json" and any(q.suffix in (".csv", ".parquet") for q in members))
     ]
@@ -111,7 +100,7 @@ def files_of_runs(mapping: ImportMapping, given: Given) -> list[dict[str, Path]]
     found = []
     for run in mapping.runs:
         files = {}
-        for name in dict.fromkeys(_needed(mapping, run)):
+        for name in dict.fromkeys(column.source for column in run.columns):
             entry = mapping.sources[name]
             told = run.sources.get(name, "")
             call = _called(told, name, entry.file, given)
@@ -136,67 +125,27 @@ def files_of_runs(mapping: ImportMapping, given: Given) -> list[dict[str, Path]]
     return found
 
 
-def _folder_kind(path: Path) -> FileKind | None:
-    """Kind of a folder that is one log: a dataset, or the pieces of one bag."""
+def _folder_opener(path: Path) -> Opener | None:
+    """What opens a folder that is one log: a dataset, or the pieces of one bag."""
     dataset = path.joinpath("meta").is_dir() and any(path.glob("data/*/*.parquet"))
     if dataset or path.joinpath(INFO).is_file():
-        return "lerobot"
+        return open_lerobot
     files = storages(path)
     pieces = {re.sub(r"(_\d+)?(\.mcap|\.db3)(\.zstd)?$", "", each.name) for each in files}
     whole = path.joinpath("metadata.yaml").is_file() or pieces == {path.name}
-    return "rosbag2" if files and (whole or len(files) == 1) else None
+    return open_messages if files and (whole or len(files) == 1) else None
 
 
-def kind_of(path: Path, told: FileKind | None = None) -> FileKind:
-    """Kind of a file: the given one, by its ending, else by its first bytes."""
-    if path.is_dir():
-        kind = told or _folder_kind(path)
-        if kind is None:
-            raise InvalidData(
-                f"{path.name}: a folder that is neither a ROS bag nor a LeRobot dataset ({INFO}); "
-                "give the logs in it"
-            )
-        return kind
-    if told is not None:
-        return told
-    try:
-        with path.open("rb") as file:
-            start = file.read(len(_MCAP))
-    except OSError as error:
-        raise unreadable(path.name, error) from None
-    if start == _MCAP:
-        return "mcap"
+def open_log(path: Path) -> Log:
+    """Open a file by its ending, or a folder by what is in it."""
     ending = path.suffix.lower()
-    if ending in _ADVICE:
-        raise InvalidData(f"{path.name}: {ending} is not read; {_ADVICE[ending]}")
-    if ending in _ENDINGS:
-        return _ENDINGS[ending]
-    raise InvalidData(
-        f"{path.name}: of what kind is it? Read are {', '.join(_ENDINGS)}; say kind = 'csv', "
-        "'mcap', 'hdf5' or 'sysid' with the source"
-    )
-
-
-def open_log(path: Path, entry: SourceEntry | None = None) -> Log:
-    """Open a file as a mapping says, or as it seems to be."""
-    kind = kind_of(path, None if entry is None else entry.kind)
-    name = path.resolve().name
-    if kind == "csv":
-        return open_text_table(path, name, entry)
-    if kind in ("mcap", "rosbag2"):
-        return open_messages(path, name)
-    if kind == "lerobot":
-        return open_lerobot(path, name)
-    return open_arrays(path, name, kind)
-
-
-def check_units(mapping: ImportMapping, files: Sequence[Mapping[str, Path]]) -> None:
-    """Refuse columns without a unit where the format leaves the unit open."""
-    for run, own in zip(mapping.runs, files, strict=True):
-        for column in run.columns:
-            kind = kind_of(own[column.source], mapping.sources[column.source].kind)
-            if kind == "lerobot" and not column.unit:
-                raise InvalidData(f"{column.place}: unit is missing: {UNITS}")
+    opener = _folder_opener(path) if path.is_dir() else _OPENERS.get(ending)
+    if opener is None:
+        advice = _ADVICE.get(ending, f"read are {', '.join(_OPENERS)}")
+        raise InvalidData(
+            f"{path.name}: {ending or 'a file without an ending'} is not read; {advice}"
+        )
+    return opener(path, path.resolve().name)
 
 
 def read_source(
@@ -204,13 +153,10 @@ def read_source(
 ) -> dict[ChannelKey, Samples]:
     """Read channels of a source, with its clock as the mapping corrects it."""
     tables = log.tables(episode, keys)
-    found = {}
-    for key in keys:
-        table, channel = found_in(tables, key, log.name)
-        found[key] = replace(
-            samples_of(table, key.channel if channel != key.channel else channel,
-                       entry.time_of(key.topic)),
-        )  # fmt: skip
+    found = {
+        key: samples_of(found_in(tables, key, log.name), key.channel, entry.time_of(key.topic))
+        for key in keys
+    }
     earliest = min((s.origin_ns + round(s.time[0] * 1e9) for s in found.values()), default=0)
     return {k: _corrected(s, entry.time_of(k.topic), earliest) for k, s in found.items()}
 
@@ -274,21 +220,9 @@ def _called(told: str, name: str, file: str, given: Given) -> str | None:
     return next((call for call in (name, file, *stems[:1]) if call in given), None)
 
 
-def _needed(mapping: ImportMapping, run: RunPlan) -> list[str]:
-    """Sources that a run needs, those its clocks are set by included."""
-    names = [column.source for column in run.columns]
-    aligned = (mapping.sources[name].align for name in names)
-    return names + [align.to for align in aligned if align is not None]
-
-
 def _corrected(samples: Samples, time: TimeSource, earliest_ns: int) -> Samples:
     at, origin = samples.time, samples.origin_ns
-    if time.even and time.rate_hz is None:
-        at = straightened(samples.place, at)
-    start = (earliest_ns - origin) * 1e-9
     if time.from_start:
-        at, origin, start = at - start, 0, 0.0
-    if time.drift_ppm:
-        at = np.asarray(start + (at - start) * (1 + 1e-6 * time.drift_ppm))
+        at, origin = at - (earliest_ns - origin) * 1e-9, 0
     # Whole nanoseconds: an offset of years would cost the stamps their microseconds.
     return replace(samples, time=at, origin_ns=origin + round(time.offset_s * 1e9))
