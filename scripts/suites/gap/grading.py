@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from scripts.suites.blind import columns_table, share
-from scripts.suites.gap.cases import FORMAT, WORLDS
+from scripts.suites.gap.cases import FORMAT
+from scripts.suites.gap.worlds import WORLDS
 
 Named = tuple[str, str]
 """Kind and place."""
