@@ -90,22 +90,13 @@ class Case:
     """A case, drawn: everything that its recording is made of."""
 
     number: int
-    name: str
-    """Name of the recording; it tells nothing."""
-    role: str
-    """One of `ROLES`."""
+    phrase: str
     setup: Setup
     motions: tuple[Motion, ...]
     scores: tuple[float, ...]
     """How visible each effect is, in units of which `VISIBLE` is asked."""
     accepted: tuple[tuple[Names, ...], ...]
     """For each effect the sets of names that count as right."""
-    seed: tuple[int, ...]
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """What the model lacks."""
-        return self.setup.effects
 
 
 def seed_of(number: int, phrase: str = "") -> tuple[int, ...]:
@@ -114,7 +105,7 @@ def seed_of(number: int, phrase: str = "") -> tuple[int, ...]:
 
 
 def name_of(number: int, phrase: str = "") -> str:
-    """Name of a case's recording."""
+    """Name of a case's recording; it tells nothing."""
     seed = seed_of(number, phrase)
     return f"case-{hashlib.sha256(repr((seed, 'name')).encode()).hexdigest()[:8]}"
 
@@ -452,8 +443,7 @@ def _near(effect: Effect, setup: Setup) -> Iterator[tuple[str, Place]]:
 
 def draw_case(number: int, phrase: str = "") -> Case:
     """Draw a case by its number."""
-    seed = seed_of(number, phrase)
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    rng = np.random.default_rng(np.random.SeedSequence(seed_of(number, phrase)))
     world, role = world_of(number), role_of(number)
     for _ in range(TRIES):
         setup = draw_setup(world, role, rng)
@@ -471,8 +461,8 @@ def draw_case(number: int, phrase: str = "") -> Case:
             if role != "outside":
                 accepted = accepted_of(effects, setup, visibility)
         return Case(
-            number=number, name=name_of(number, phrase), role=role, motions=motions, scores=scores,
-            setup=dataclasses.replace(setup, effects=effects), accepted=accepted, seed=seed,
+            number=number, phrase=phrase, setup=dataclasses.replace(setup, effects=effects),
+            motions=motions, scores=scores, accepted=accepted,
         )  # fmt: skip
     raise RuntimeError(f"case {number}: no effects that can be seen in {TRIES} draws")
 
@@ -487,10 +477,11 @@ def runs_of(case: Case) -> list[Run]:
 
 def _run_of(case: Case, number: int, motion: Motion) -> Run:
     setup = case.setup
-    rng = np.random.default_rng(np.random.SeedSequence([*case.seed, 2, number]))
-    readings = setup.assemble(number)[1]
+    rng = np.random.default_rng(
+        np.random.SeedSequence([*seed_of(case.number, case.phrase), 2, number])
+    )
     true = setup.run(motion, step=FINE, number=number)
-    found = rounded(setup.noise.added(true, rng), readings)
+    found = rounded(setup.noise.added(true, rng), setup.assemble(number))
 
     def columns(name: str, values: Array) -> dict[str, Array]:
         return {name.format(j + 1): column for j, column in enumerate(values.T)}
@@ -559,7 +550,7 @@ def _true_values(effect: Effect, setup: Setup) -> dict[str, float]:
 
 def _effect_of(case: Case, i: int) -> dict[str, Any]:
     """What is true of an effect."""
-    effect, units = case.effects[i], KINDS[case.effects[i].kind].units
+    effect, units = case.setup.effects[i], KINDS[case.setup.effects[i].kind].units
     slide = effect.place.index >= 0 and case.setup.machine.slide[effect.place.index]
     torque, way = ("N", "m") if slide else ("N·m", "rad")
     return {
@@ -578,13 +569,14 @@ def truth_of(case: Case) -> dict[str, Any]:
     setup, noise = case.setup, case.setup.noise
     neutral = [["command_interpolation", "*"]] if setup.straight and setup.form == SERVO else []
     return {
-        "format": FORMAT, "case": case.name, "number": case.number, "role": case.role,
+        "format": FORMAT, "case": name_of(case.number, case.phrase), "number": case.number,
+        "role": role_of(case.number),
         "world": setup.world, "form": setup.form, "machine": setup.machine.name,
         "joints": setup.machine.joints, "rate": 1 / setup.sample,
         "families": [motion.family for motion in case.motions],
         "link_side": setup.link_side, "servo": setup.servo, "straight": setup.straight,
         "coupled_wrist": setup.coupling, "garbage": setup.garbage, "ignored": list(setup.ignored),
-        "neutral": neutral, "effects": [_effect_of(case, i) for i in range(len(case.effects))],
+        "neutral": neutral, "effects": [_effect_of(case, i) for i in range(len(setup.effects))],
         "tolerances": TOLERANCES,
         "factors": {name: values.tolist() for name, values in setup.factors.items()},
         "noise": {
@@ -596,17 +588,19 @@ def truth_of(case: Case) -> dict[str, Any]:
 
 def write_case(case: Case, folder: Path) -> None:
     """Write a case into `recordings` and `truth` of a folder, the truth last."""
-    setup, own = case.setup, folder / "recordings" / case.name
+    setup, name = case.setup, name_of(case.number, case.phrase)
     model = model_xml(
         setup.machine,
-        drives="" if setup.form == FREE else "position",
+        servos=setup.form != FREE,
         speeds=setup.speeds,
         accelerometer=setup.accelerometer,
         plain=not setup.ideal,
     )
-    write_recording(own, model_xml=model, runs=runs_of(case), overwrite=True)
+    write_recording(
+        folder / "recordings" / name, model_xml=model, runs=runs_of(case), overwrite=True
+    )
     sealed = json.dumps(truth_of(case), indent=1) + "\n"
-    write_text(folder / "truth" / f"{case.name}.json", sealed)
+    write_text(folder / "truth" / f"{name}.json", sealed)
 
 
 def made(number: int, phrase: str, folder: Path) -> str:

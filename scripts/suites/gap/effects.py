@@ -29,28 +29,6 @@ SLIDE_SPEED = 0.2
 """Speed of a slide [m/s] that counts like 1 rad/s of a hinge."""
 
 
-@dataclasses.dataclass(kw_only=True)
-class Readings:
-    """What sensors may do to the signals; changed in place by effects of sensors."""
-
-    rotation: Array = dataclasses.field(default_factory=lambda: np.eye(3))
-    """Reading of the accelerometer = rotation @ truth, of shape (3, 3)."""
-    gain: dict[str, float] = dataclasses.field(default_factory=dict)
-    """Factor by sensor."""
-    bias: dict[str, Array] = dataclasses.field(default_factory=dict)
-    """Constant by sensor, of shape (1,) or (3,)."""
-    delay: dict[str, float] = dataclasses.field(default_factory=dict)
-    """Delay by sensor [s]."""
-    step: dict[str, float] = dataclasses.field(default_factory=dict)
-    """Step by sensor, to which its readings are rounded, noise and all."""
-    torque: Array
-    """Measured over true torque, of shape (n,)."""
-    offset: Array
-    """Constant of the measured torque, of shape (n,) [N m or N]."""
-    straight: bool = False
-    """Whether the drives go in straight lines from command to command."""
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Place:
     """Where an effect sits."""
@@ -108,11 +86,11 @@ class Spot:
 
 
 class At(Spot):
-    """A place of a true arm and its sensors, which are to be changed."""
+    """A place of a true arm with its sensors, which are to be changed."""
 
-    def __init__(self, machine: Machine, place: Place, system: System, readings: Readings) -> None:
+    def __init__(self, machine: Machine, place: Place, system: System) -> None:
         super().__init__(machine, place)
-        self.system, self.readings = system, readings
+        self.system = system
 
     @property
     def body(self) -> int:
@@ -142,6 +120,11 @@ class At(Spot):
         """Add to numbers of the drive, or of all drives."""
         for name, value in values.items():
             self.system.drives[name][slice(None) if self.j < 0 else self.j] += value
+
+    def reads(self, **values: Any) -> None:
+        """Let the sensor say something else, by names of `System.sensors`."""
+        for name, value in values.items():
+            self.system.sensors[name][self.place.name] = value
 
     def spring(
         self, dof: int, load: float, *, stiffness: float, damping_ratio: float, stiffening: float
@@ -377,12 +360,12 @@ def _tilts(at: At, tilt_x: float, tilt_y: float) -> None:
 
 def _misaligned(at: At, **turns: float) -> None:
     # the sensor is turned in the tool's frame
-    at.readings.rotation = rotation(np.array(list(turns.values()))).T @ at.readings.rotation
+    at.system.rotation = rotation(np.array(list(turns.values()))).T @ at.system.rotation
 
 
 def _misread(at: At, factor: float = 1.0, torque: float = 0.0) -> None:
-    at.readings.torque[at.j] *= factor
-    at.readings.offset[at.j] += torque
+    at.system.torque_gain[at.j] *= factor
+    at.system.torque_offset[at.j] += torque
 
 
 # ---------------------------------------------------------------------------------- kinds
@@ -489,7 +472,7 @@ _CATALOGUE = {
         lambda m: _motors(m) + [ALL] * m.joints, (2e-3, 0.04), "", "s", "delay s", At.more),
     "command_interpolation": Kind(
         lambda m: [ALL], (1.0, 1.01), "", "s", "",
-        lambda at: setattr(at.readings, "straight", True), lambda size, at: {}),
+        lambda at: setattr(at.system, "straight", True), lambda size, at: {}),
     "encoder_offset": Kind(  # the servo closes on the shifted reading too
         _zeroed, (8e-3, 0.12), "", "stf", "offset A", At.more, _signed("offset")),
     "gear_eccentricity": Kind(
@@ -502,17 +485,17 @@ _CATALOGUE = {
         _misaligned, _along("turn_x", "turn_y", "turn_z", every=True)),
     "sensor_gain": Kind(
         _inertial, (0.03, 0.3), "", "s", "gain",
-        lambda at, gain: at.readings.gain.update({at.place.name: gain}), _signed("gain", 1.0)),
+        At.reads, _signed("gain", 1.0)),
     "sensor_bias": Kind(
         _inertial, (0.15, 1.5), "", "s", "bias A/s, bias_x m/s², bias_y m/s², bias_z m/s²",
-        lambda at, **p: at.readings.bias.update({at.place.name: np.array(list(p.values()))}),
+        lambda at, **p: at.reads(bias=np.array(list(p.values()))),
         _bias),
     "sensor_delay": Kind(
         lambda m: _inertial(m) + _encoders(m), (3e-3, 0.04), "", "s", "delay s",
-        lambda at, delay: at.readings.delay.update({at.place.name: delay})),
+        At.reads),
     "sensor_quantisation": Kind(
         _encoders, (2e-3, 0.02), "", "s", "step A",
-        lambda at, step: at.readings.step.update({at.place.name: step}),
+        At.reads,
         lambda size, at: {"step": size * at.speed}),
     "base_tilt": Kind(
         lambda m: [_BASE] if hinges(m) else [], (0.015, 0.12), "", "stf",
@@ -603,6 +586,6 @@ def drawn(name: str, spot: Spot, share: float | None = None) -> Effect:
     return Effect(kind=name, place=spot.place, parameters=parameters)
 
 
-def apply_effect(effect: Effect, system: System, readings: Readings, machine: Machine) -> None:
+def apply_effect(effect: Effect, system: System, machine: Machine) -> None:
     """Change an arm and its sensors by an effect, in place."""
-    KINDS[effect.kind].act(At(machine, effect.place, system, readings), **effect.parameters)
+    KINDS[effect.kind].act(At(machine, effect.place, system), **effect.parameters)

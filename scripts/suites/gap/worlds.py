@@ -17,7 +17,6 @@ from scripts.suites.gap.effects import (
     SERVO,
     TORQUE,
     Effect,
-    Readings,
     apply_effect,
 )
 
@@ -210,20 +209,21 @@ class Noise:
         return signals._replace(**noisy)
 
 
-def _read(trace: Signals, readings: Readings, *, inside: int, sample: float) -> Signals:
+def _read(trace: Signals, system: System, *, inside: int, sample: float) -> Signals:
     """Readings without noise; a trace has so many steps in a sample."""
 
     def taken(name: str, values: Array) -> Array:
         # a sensor that is late reads what was there between the samples
-        late = readings.delay.get(name, 0.0) / sample * inside
+        late = system.sensors["delay"].get(name, 0.0) / sample * inside
         if late:
             at, grid = np.arange(0, len(values), inside) - late, np.arange(len(values))
             values = np.stack([np.interp(at, grid, column) for column in values.T], axis=1)
         else:
             values = values[::inside]
         if name == ACCELEROMETER:
-            values = values @ readings.rotation.T
-        return values * readings.gain.get(name, 1.0) + readings.bias.get(name, 0.0)
+            values = values @ system.rotation.T
+        gain, bias = system.sensors["gain"], system.sensors["bias"]
+        return np.asarray(values * gain.get(name, 1.0) + bias.get(name, 0.0))
 
     def joints(word: str, values: Array) -> Array:
         columns = (values[:, [j]] for j in range(values.shape[1]))
@@ -233,16 +233,16 @@ def _read(trace: Signals, readings: Readings, *, inside: int, sample: float) -> 
         position=joints("pos", trace.position),
         velocity=joints("vel", trace.velocity),
         acceleration=taken(ACCELEROMETER, trace.acceleration),
-        torque=trace.torque[::inside] * readings.torque + readings.offset,
+        torque=trace.torque[::inside] * system.torque_gain + system.torque_offset,
         joint_acceleration=trace.joint_acceleration[::inside],
     )
-    return rounded(found, readings)
+    return rounded(found, system)
 
 
-def rounded(signals: Signals, readings: Readings) -> Signals:
+def rounded(signals: Signals, system: System) -> Signals:
     """Readings of coarse encoders at whole steps."""
     position = signals.position.copy()
-    for sensor, step in readings.step.items():
+    for sensor, step in system.sensors["step"].items():
         column = position[:, int(sensor.removeprefix("joint").removesuffix("_pos")) - 1]
         column[:] = step * np.round(column / step)
     return signals._replace(position=position)
@@ -287,41 +287,36 @@ class Setup:
         """Whether the model is exact but for small errors of its scales."""
         return self.world in IDEAL
 
-    def assemble(self, run: int | None = None) -> tuple[System, Readings]:
-        """The arrays to integrate and what is wrong with the sensors, in a run."""
-        machine, factors, n = self.machine, self.factors, self.machine.joints
-        system = System.build(machine, factors)
-        readings = Readings(
-            torque=factors["constant"].copy(), offset=factors["offset"] * machine.limit
-        )
+    def assemble(self, run: int | None = None) -> System:
+        """The arm and its sensors as they are in a run."""
+        system, n = System.build(self.machine, self.factors), self.machine.joints
         if self.coupling is not None:
             ratio, friction, rotor = self.coupling
             system.cable[:] = (n - 1, n - 2, ratio, 0.0, 0.0, friction, rotor)
         for effect in self.effects:
             if run is None or not effect.runs or run in effect.runs:
-                apply_effect(effect, system, readings, machine)
+                apply_effect(effect, system, self.machine)
         if self.link_side:
             soft = (system.proximal != system.joint_dofs) & ~system.slides[system.proximal]
             system.drives["link_side"] = np.where(soft, system.proximal, -1)
-        return system, readings
+        return system
 
     def run(
         self, motion: Motion, *, step: float = 1e-4, settle: float = 1.2, number: int | None = None
     ) -> Signals:
         """Readings of one run without noise, integrated in steps of this length at most."""
-        system, readings = self.assemble(number)
-        sample = self.sample
+        system, sample = self.assemble(number), self.sample
         inside = _steps_inside(system, self.machine, max(1, round(sample / step)), sample)
         servo = (0, 0.0, 1.0)
         if self.servo is not None and motion.release is None:
             rate, late, smoothing = self.servo
             servo = (max(1, round(inside / sample / rate)), late, smoothing)
-        fine = bool(readings.delay)
+        fine = bool(system.sensors["delay"])
         trace = system.simulate(
             motion.commands, sample=sample, inside=inside, settle=settle, release=motion.release,
-            fine=fine, straight=self.straight or readings.straight, servo=servo,
+            fine=fine, straight=self.straight or system.straight, servo=servo,
         )  # fmt: skip
-        signals = _read(trace, readings, inside=inside if fine else 1, sample=sample)
+        signals = _read(trace, system, inside=inside if fine else 1, sample=sample)
         if self.coupling is not None:  # the drives' own torques are logged
             signals.torque[:, -2] -= self.coupling[0] * signals.torque[:, -1]
         return Signals(*(values[motion.release or 0 :] for values in signals))
