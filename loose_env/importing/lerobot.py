@@ -13,19 +13,18 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.importing.array_files import parquet_columns, vector_columns
-from loose_env.importing.samples import ChannelKey, Log, Table
+from loose_env.importing.samples import ChannelKey, Log, Table, damaged
 from loose_env.recording import read_text
 from loose_env.typing import Array
 
 INFO = "meta/info.json"
 """File that makes a folder a LeRobot dataset."""
-UNITS = (
+_UNITS = (
     "a LeRobot dataset does not say the unit of its states and actions, which depends on the "
     "robot's settings: unit = 'deg', unit = 'rad', or, where they are normalised to -100..100, "
     "unit = 'rad' with scale = (upper - lower) / 200 and offset = (upper + lower) / 2 of the "
     "calibrated range [rad]; 'loose import --guess' proposes one"
 )
-"""The choices of unit for a column, as the error for a missing one gives them."""
 
 _MOST_BYTES = 2**28
 _VERSIONS = ("v2.0", "v2.1", "v3.0")
@@ -60,15 +59,7 @@ def open_lerobot(folder: Path, name: str) -> Log:
         place = f"{name}/{path.relative_to(folder).as_posix()}: {episode}"
         return [_table(whole(path), names[episode], place, info, (words,) if words else ())]
 
-    count = len(names)
-    return Log(
-        name=name,
-        kind="lerobot",
-        words=f"LeRobot dataset {info['codebase_version']}, {count} episode"
-        f"{'s' if count > 1 else ''}, robot {str(info.get('robot_type') or 'unknown')[:40]}",
-        tables=tables,
-        episodes=tuple(names),
-    )
+    return Log(name=name, tables=tables, episodes=tuple(names), ambiguous=_UNITS)
 
 
 def _info(folder: Path, name: str) -> dict[str, Any]:
@@ -108,19 +99,12 @@ def _table(whole: dict[str, Array], number: int, place: str, info: dict[str, Any
             "episodes = '0, 2-5'"
         )
     columns: dict[str, NDArray[Any]] = {}
-    aliases: dict[str, str] = {}
-    units: dict[str, str] = {}
     for key, values in whole.items():
-        if key in _INDICES:
-            continue
-        feature = info["features"].get(key)
-        labels = _labels(
-            feature.get("names") if isinstance(feature, dict) else None, values.shape[1]
-        )
-        own, others = vector_columns(key, values[rows], labels)
-        columns |= own
-        aliases |= others
-        units |= {name: "%" for name in own if any(w in name.lower() for w in _NORMALISED)}
+        if key not in _INDICES:
+            feature = info["features"].get(key)
+            named = feature.get("names") if isinstance(feature, dict) else None
+            columns |= vector_columns(key, values[rows], _labels(named, values.shape[1]))
+    units = {name: "%" for name in columns if any(w in name.lower() for w in _NORMALISED)}
     fps = float(info["fps"])
     times = np.arange(len(rows)) / fps
     if "timestamp" in columns:
@@ -137,11 +121,8 @@ def _table(whole: dict[str, Array], number: int, place: str, info: dict[str, Any
             columns["timestamp"] = _exact(stored, fps)
     else:
         columns["timestamp"] = times
-    return Table(
-        place=place, columns=columns, aliases=aliases, units=units, row_word="frame", done=done,
-        times=columns["timestamp"], kind=f"{len(columns)} columns",
-        note="every column needs a unit: deg, rad, or normalised values by scale and offset",
-    )  # fmt: skip
+    return Table(place=place, columns=columns, units=units, row_word="frame", done=done,
+                 time="timestamp")  # fmt: skip
 
 
 def _exact(stamps: Array, fps: float) -> Array:
@@ -180,10 +161,7 @@ def _read(path: Path, place: str, columns: Sequence[str] | None) -> dict[str, Ar
     try:
         found = parquet_columns(path, columns)
     except Exception as error:  # pyarrow raises OSError, ValueError and its own
-        words = " ".join(str(error).split())[:100]
-        raise InvalidData(
-            f"{place}: no whole Parquet file, cut short or damaged ({words}); download it again"
-        ) from None
+        raise damaged(place, "Parquet file", error, "; download it again") from None
     if "episode_index" not in found:
         raise InvalidData(f"{place}: there is no column 'episode_index'; it is no LeRobot table")
     return {

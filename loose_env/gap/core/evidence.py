@@ -200,7 +200,7 @@ def _compared(balance: Balance, channel: int) -> bool:
         return True
     if balance.seen[:, channel].mean() <= 0.5 or not moves_at(balance, channel):
         return False
-    return len(_grid(balance, channel).pieces) > 0
+    return len(grid_of(balance, channel).pieces) > 0
 
 
 def append(evidence: Evidence, *terms: Term) -> None:
@@ -289,16 +289,12 @@ def _at(wide: Sequence[Change], joint: int) -> Array:
 
 def _rows(balance: Balance, joint: int, stacked: Array) -> _Rows:
     """Whitened rows of some columns (T, K) of a channel."""
-    grid = _grid(balance, joint)
-    parts = []
-    for rows, window, scale, kept in grid.pieces:
-        spectrum = np.fft.rfft(stacked[rows] * window, axis=0)[kept] * scale
-        parts += [spectrum.real, spectrum.imag]
-    return replace(grid.rows, whitened=np.concatenate(parts)[grid.order])
+    grid = grid_of(balance, joint)
+    return replace(grid.rows, whitened=grid.whitened(stacked))
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
+class Grid:
     """How a channel is cut into cells."""
 
     pieces: list[tuple[slice, Array, Array, NDArray[np.intp]]]
@@ -306,10 +302,18 @@ class _Grid:
     order: NDArray[np.intp]  # Order of the rows by cells
     rows: _Rows  # Cells, without rows
 
+    def whitened(self, stacked: Array) -> Array:
+        """Columns (T, K) of the channel as rows in noise standard deviations (R, K)."""
+        parts = []
+        for rows, window, scale, kept in self.pieces:
+            spectrum = np.fft.rfft(stacked[rows] * window, axis=0)[kept] * scale
+            parts += [spectrum.real, spectrum.imag]
+        return np.asarray(np.concatenate(parts)[self.order])
 
-def _grid(balance: Balance, joint: int) -> _Grid:
+
+def grid_of(balance: Balance, joint: int) -> Grid:
     """Cut a channel into cells, once."""
-    cache: dict[int, _Grid] = balance.__dict__.setdefault("_grids", {})
+    cache: dict[int, Grid] = balance.__dict__.setdefault("_grids", {})
     if joint in cache:
         return cache[joint]
     motion, edges, whole = balance.motion, _edges(balance), stretches_of(balance)
@@ -346,7 +350,7 @@ def _grid(balance: Balance, joint: int) -> _Grid:
         whitened=np.empty(0), cell=cell[order], count=np.array(list(counts.values())),
         stretch=stretch, run=runs[stretch], turn=centres[bands],
     )  # fmt: skip
-    cache[joint] = _Grid(pieces, order, found)
+    cache[joint] = Grid(pieces, order, found)
     return cache[joint]
 
 
