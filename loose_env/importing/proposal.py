@@ -61,41 +61,21 @@ class LogSource:
 
     def take_times(self, rate_hz: float | None) -> None:
         """Choose the time of each topic by all files; a file of one table needs one."""
-        chosen: dict[str, tuple[TimeSource, str]] = {}
-        for call, _, tables in self.files:
-            for table in tables:
-                try:
-                    by_rate = TimeSource(rate_hz=rate_hz), ""
-                    told = chosen_time(table) if rate_hz is None else by_rate
-                except InvalidData:
-                    if len(tables) == 1:
-                        raise
-                    continue
-                time, words = chosen.setdefault(table.topic, told)
-                if time != told[0]:
-                    chosen[table.topic] = self._of_all(table.topic, (time, told[0]), call), words
-        for topic, (time, words) in chosen.items():
+        for topic in dict.fromkeys(t.topic for each in self.files for t in each.tables):
+            tables = [t for each in self.files for t in each.tables if t.topic == topic]
+            time, words = TimeSource(rate_hz=rate_hz), ""
+            try:
+                time, words = (time, "") if rate_hz else chosen_time(tables)
+            except InvalidData:
+                if len(self.files[0].tables) == 1:
+                    raise
+                continue
             self.times[topic] = time
             line = time_line(time, words)
             if topic and rate_hz is None:
                 line = f"topics.{quoted(topic)} = {line.removeprefix('time = ')}"
             if time != TimeSource() and line not in self.lines:
                 self.lines.append(line)
-
-    def _of_all(self, topic: str, times: Sequence[TimeSource], call: str) -> TimeSource:
-        """Time that orders the rows of all files."""
-        tables = [t for each in self.files for t in each.tables if t.topic == topic]
-        for time in times:
-            try:
-                for table in tables:
-                    samples_of(table, next(iter(table.columns)), time)
-            except InvalidData:
-                continue
-            return time
-        raise InvalidData(
-            f"{call}: its rows are ordered by another time than those of {self.files[0].call}; "
-            "import the files apart"
-        )
 
 
 class Left(NamedTuple):
