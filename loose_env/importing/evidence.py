@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy import fft, ndimage
@@ -19,6 +19,7 @@ MOST_ROWS = 8192
 """Samples compared of a run, where it moves most; at 1 kHz, 8 s."""
 LONGEST_LAG = 0.5
 """Largest delay searched between a command and the motion that follows it [s]."""
+K = TypeVar("K")
 _WIDTHS = (1, 5, 21)
 """Samples over which a position is averaged before it is differentiated; the best counts."""
 _FALLS = 5.0
@@ -51,8 +52,12 @@ class Signal:
     sign_bit: int | None = None
     whole: bool = False
     """True if all values are whole numbers."""
-    sort: int = field(default=0)
+    sort: int = 0
     """Place among the channels of the log."""
+    defined: bool = False
+    """True if the format defines radians, and N·m."""
+    why: str = ""
+    """Reason for which it has no values."""
 
     @cached_property
     def values(self) -> Array:
@@ -290,7 +295,7 @@ def _jump(values: Array) -> float:
     return float(np.max(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
 
 
-def on_one_base(samples: Mapping[int, Samples]) -> tuple[float, dict[int, Array]]:
+def on_one_base(samples: Mapping[K, Samples]) -> tuple[float, dict[K, Array]]:
     """Channels of one run at the times that all of them have, where they move most."""
     if not samples:
         return 1.0, {}

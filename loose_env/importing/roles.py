@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import mujoco
@@ -130,11 +130,9 @@ class Roles:
 
     model: mujoco.MjModel
     signals: Sequence[Signal]
-    step: float
-    defined: Mapping[str, str] = field(default_factory=dict)
-    """Source -> unit of an angle that its format defines."""
 
     def __post_init__(self) -> None:
+        self.step = self.signals[0].step
         self.joints = {each.name: each for each in joint_targets(self.model)}
         for s in self.signals:
             s.meaning = self._as_named(s)
@@ -368,7 +366,7 @@ class Roles:
             if value >= ALIKE:
                 factor = unit_named(s.unit, "").factor
                 speeds[joint] = 1 / (abs(slope(p.rates[1], s.smooth[1])) * factor)
-        defined = all(self.defined.get(s.source) for _, s in pairs.values())
+        defined = all(s.defined for _, s in pairs.values())
         for joint, scaling in position_scalings(pairs, speeds, defined).items():
             s, _, reason = self.positions[joint]
             target = self.joints[joint]
@@ -498,7 +496,7 @@ class Roles:
         # A torque is of the joint that its name or its place in a vector tells, or of none.
         if (self._label(s) or self.places.get(s.sort, "")) not in ("", joint):
             return Match(joint, "torque")
-        stated = quantity_of(s.unit) in ("torque", "force") or bool(self.defined.get(s.source))
+        stated = quantity_of(s.unit) in ("torque", "force") or s.defined
         if not self.needed and named and stated and self._label(s):
             words = f"torque of {joint!r} by its name; the model's cannot be computed"
             return Match(joint, "torque", _TRUSTED, words, per=1.0)
@@ -562,7 +560,7 @@ class Roles:
         target = self.joints[match.joint]
         unit = "N" if target.slide else "N*m"
         quantity = quantity_of(s.unit)
-        defined = bool(self.defined.get(s.source)) and s.meaning.role == "torque" and not quantity
+        defined = s.defined and s.meaning.role == "torque" and not quantity
         near = 1 / _SAME_UNIT < per < _SAME_UNIT and not quantity
         scaling = Scaling(unit, per or 1.0)
         if quantity == "current" or s.meaning.role == "current":
@@ -705,10 +703,14 @@ class Roles:
             Line(column=column, candidate=s, scaling=scaling, sign=sign, reason=reason, open=True)
         )
 
-    def left(self) -> list[tuple[Signal, str]]:
+    def left(self) -> tuple[Line, ...]:
         """Channels that are not used, each with the reason and what it is most like."""
         taken = {line.candidate.sort for line in (*self.lines.values(), *self.open)}
-        return [(s, self.why.get(s.sort, "no role")) for s in self.signals if s.sort not in taken]
+        return tuple(
+            Line(column="", candidate=s, scaling=Scaling(s.unit), open=True,
+                 reason=self.why.get(s.sort, "no role") if s.values.size else s.why)
+            for s in self.signals if s.sort not in taken
+        )  # fmt: skip
 
 
 def _off_size(told: Torque) -> float:
