@@ -61,6 +61,7 @@ _CONTACTS = ("sliding 0.2%", "sliding 1%", "sliding 4%", "presliding 0.2%")
 """Ways in which dry friction turns at a reversal."""
 _BAND_HZ = 20.0
 """End of the band in which a motion and its forces are compared [Hz]: that of the fastest chirp."""
+_TAPER = 0.05  # taper of a stretch: these motions begin and end at rest
 _STEP = 1e-3  # relative step of derivatives by nominal parameters
 _SPREAD = 0.6
 """Prior standard deviation of nominal parameters, as a share of their tolerance (of a uniform
@@ -69,7 +70,7 @@ VISIBLE = (12.0, 160.0)
 """Visibility that a candidate must reach, and the largest that is considered [noise sd]."""
 _INDISTINGUISHABLE_Z = 2.0
 """Length of a signature beside that of another candidate below which both are one [noise sd]."""
-_FORMAT = "gap evidence 4"  # version of what is stored; a change of the computation changes it
+_FORMAT = "gap evidence 5"  # version of what is stored; a change of the computation changes it
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
 
@@ -292,7 +293,7 @@ def motion_bank(
             words = f"motion {k + 1} of {len(library)}{left}"
             evidence.append(along(key, motion, arm, shaped, say, words))
     bank = MotionBank(arm, tuple(library), tuple(shaped), tuple(evidence), at)
-    bank = _only(bank, {k for k, shape in enumerate(shaped) if _seen(bank, shape)})
+    bank = _only(bank, _seen(bank))
     if not bank.shapes:
         raise InvalidData("no candidate effect can be seen on the battery of this arm")
     twins = _indistinguishable(bank)
@@ -431,7 +432,10 @@ def _evidence(
         balance.residual[:] = 0.0  # what the nominal model leaves is no knock
     found = MotionEvidence(
         np.empty((0, 0), np.float32), nominal,
-        tuple(tuple(grid_of(own, int(j)) for j in arm.driven) for own in along.balances),
+        tuple(
+            tuple(grid_of(balance, int(j), taper=_TAPER) for j in arm.driven)
+            for balance in along.balances
+        ),
         len(planned.desired) / RATE,
         float(np.sum((planned.torque / arm.torque_limits) ** 2)) / RATE,
     )  # fmt: skip
@@ -440,31 +444,28 @@ def _evidence(
     return replace(found, rows=found.whitened(series).astype(np.float32))
 
 
-def _seen(bank: MotionBank, shape: Shape) -> bool:
-    """Whether a shape is visible within its bounds on the motions of reference."""
-    if shape.term.law:
-        return VISIBLE[0] / 4 < bank.visibility(shape, shape.centre) < 4 * VISIBLE[1]
-    return any(
-        bank.visibility(shape, np.eye(len(shape.at))[k] * min(abs(bound), 1e9)) > VISIBLE[0]
-        for k, column in enumerate(shape.term.columns)
-        for bound in (column.low, column.high)
-    )
+def _seen(bank: MotionBank) -> set[int]:
+    """Shapes that show on the motions of reference, of candidates that are clearly visible."""
+    found = set()
+    for k, shape in enumerate(bank.shapes):
+        sizes = [shape.centre]
+        if not shape.term.law:
+            ends = ((min(abs(c.low), 1e9), min(abs(c.high), 1e9)) for c in shape.term.columns)
+            sizes = list(np.diag([max(own) for own in ends]))
+        seen = max(bank.visibility(shape, own) for own in sizes)
+        if seen > VISIBLE[0] / 4 and not (shape.term.law and seen >= 4 * VISIBLE[1]):
+            found.add((k, shape.name, seen > VISIBLE[0]))
+    clear = {name for _, name, clearly in found if clearly}
+    return {k for k, name, _ in found if name in clear}
 
 
 def _only(bank: MotionBank, kept: set[int]) -> MotionBank:
-    """The bank with some of its shapes; a candidate that is never clearly visible goes whole."""
-
-    def clear(shape: Shape) -> bool:
-        return not shape.term.law or bank.visibility(shape, shape.centre) > VISIBLE[0]
-
-    names = {bank.shapes[k].name for k in kept if clear(bank.shapes[k])}
+    """The bank with some of its shapes."""
     columns, found = list(range(bank.nuisances)), []
-    for k in sorted(kept):
-        shape = bank.shapes[k]
-        if shape.name in names:
-            first = len(columns)
-            columns += shape.at
-            found.append(Shape(shape.term, tuple(range(first, len(columns)))))
+    for shape in (bank.shapes[k] for k in sorted(kept)):
+        first = len(columns)
+        columns += shape.at
+        found.append(Shape(shape.term, tuple(range(first, len(columns)))))
     evidence = [replace(e, rows=e.rows[:, columns]) for e in bank.evidence]
     return replace(bank, shapes=tuple(found), evidence=tuple(evidence))
 

@@ -197,40 +197,31 @@ class Products:
     def _beyond(self) -> tuple[Array, Array]:
         """Products that nominal parameters cannot explain, padded by a column of nothing."""
         free = self.bank.nuisances
-        gram = beyond(self.gram, free)
         right = self.right - self.gram[:, :free] @ self.nominal.values
-        return np.pad(gram, ((0, 1), (0, 1))), np.pad(right, (0, 1))
+        return np.pad(beyond(self.gram, free), ((0, 1), (0, 1))), np.pad(right, (0, 1))
 
     @cached_property
     def alone(self) -> tuple[Array, Array, Array, Array]:
         """χ² (H,), half log determinant (H,), coefficients (H, Q) and covariances of one shape."""
-        gram, right = self._beyond
-        at = self.bank.padded
-        return self._solved(gram[at[:, :, None], at[:, None, :]], right[at], self.nominal.chi2)
+        return self._solved(*self._beyond, self.nominal.chi2)
 
     def beside(self, first: int) -> tuple[Array, Array]:
         """χ² and half log determinant of every shape beside a given one (H,)."""
-        gram, right = self._beyond
-        at, (chi2, half, found, covariance) = self.bank.padded, self.alone
-        own = at[first]
-        inner = covariance[first]
-        across = gram[own[:, None, None], at[None]].transpose(1, 0, 2)
-        rest = gram[at[:, :, None], at[:, None, :]] - across.transpose(0, 2, 1) @ inner @ across
-        target = right[at] - np.einsum("q,hqr->hr", found[first], across)
-        fits, halves, _, _ = self._solved(rest, target, float(chi2[first]))
+        (gram, right), (chi2, half, found, covariance) = self._beyond, self.alone
+        across = gram[self.bank.padded[first]]
+        left = gram - across.T @ covariance[first] @ across
+        fits, halves, _, _ = self._solved(left, right - found[first] @ across, float(chi2[first]))
         return fits, halves + half[first]
 
-    def _solved(
-        self, inner: Array, right: Array, total: float
-    ) -> tuple[Array, Array, Array, Array]:
+    def _solved(self, gram: Array, right: Array, total: float) -> tuple[Array, Array, Array, Array]:
         """Every shape in products that others are eliminated from; none beyond its bounds."""
-        prior, centre, low, high = self.bank.priors
-        precision = inner + prior[:, :, None] * np.eye(prior.shape[1])
+        (prior, centre, low, high), at = self.bank.priors, self.bank.padded
+        precision = gram[at[:, :, None], at[:, None, :]] + prior[:, :, None] * np.eye(at.shape[1])
         # columns of very different size: determinants of the scaled matrix
         scale = 1 / np.sqrt(np.diagonal(precision, axis1=1, axis2=2))
         unit = precision * scale[:, :, None] * scale[:, None, :]
         covariance = np.linalg.inv(unit) * scale[:, :, None] * scale[:, None, :]
-        slope = right + prior * centre
+        slope = right[at] + prior * centre
         found = np.einsum("hij,hj->hi", covariance, slope)
         chi2 = total + np.sum(prior * centre**2 - slope * found, axis=1)
         half = 0.5 * np.linalg.slogdet(unit)[1] - np.sum(np.log(scale * np.sqrt(prior)), axis=1)
