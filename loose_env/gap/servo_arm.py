@@ -18,7 +18,7 @@ from loose_env.arms import load_spec
 from loose_env.errors import InvalidData
 from loose_env.gap.model.hypothesis import JOINT, Hypothesis, scale
 from loose_env.gap.model.nominal_model import NominalModel, mass_matrix
-from loose_env.gap.runs import Channel, Trial
+from loose_env.gap.runs import SETTLE, Channel, Trial
 from loose_env.gap.simulator import Simulator
 from loose_env.io import Checked, Positive, Rule
 from loose_env.typing import Array, IndexArray
@@ -131,9 +131,17 @@ def followed(
     interval: float,
     where: tuple[IndexArray, IndexArray],
     command: Callable[[int], None],
+    *,
+    held: bool = True,
 ) -> PlannedMotion:
-    """Simulate a motion from a state, with a command at each sample, contacts included."""
+    """Simulate a motion from a state, with a command at each sample, contacts included.
+
+    Held by its first command before, unless that depends on the state.
+    """
     at, dofs = where
+    if held:
+        command(0)
+        mujoco.mj_step(model, data, round(SETTLE / model.opt.timestep))
     mujoco.mj_forward(model, data)
     before = _touching(model, data)  # what touches at home may
     met, saturated = dict[tuple[str, str], None](), dict[str, None]()
