@@ -1,6 +1,6 @@
 """Import of measured data: ROS bags, tables, files of arrays, LeRobot datasets.
 
-Data flow: samples -> mapping -> clocks -> readers (text_tables, array_files, lerobot, messages) ->
+Data flow: samples -> mapping -> clocks -> readers (text_tables, array_files, messages) ->
 sources -> evidence -> targets, scalings -> roles -> proposal; pipeline.
 """
 

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.importing.array_files import READERS, open_arrays
-from loose_env.importing.lerobot import INFO, open_lerobot
+from loose_env.importing.array_files import INFO, READERS, open_arrays, open_lerobot
 from loose_env.importing.mapping import ImportMapping, RunPlan
 from loose_env.importing.messages import open_messages, storages
 from loose_env.importing.samples import Log, natural
@@ -69,10 +68,7 @@ def _logs_in(folder: Path) -> list[Path]:
     logs += [
         p
         for p in members
-        if p.is_file()
-        and p.suffix.lower() in _OPENERS
-        and not p.stem.lower().startswith(_NOT_LOGS)
-        and not (p.suffix == ".json" and any(q.suffix in (".csv", ".parquet") for q in members))
+        if p.is_file() and p.suffix.lower() in _OPENERS and not p.stem.lower().startswith(_NOT_LOGS)
     ]
     return logs or [log for p in members if p.is_dir() for log in _logs_in(p)]
 

@@ -335,7 +335,7 @@ def positions(path: Path, *, value: Any, at: str = POSITIONS) -> None:
 SPOILT: list[tuple[str, Callable[[Path], object], str]] = [
     ("lerobot", lambda f: (f / "meta/info.json").unlink(), "meta/info.json"),
     ("lerobot", lambda f: cut(f / "meta/info.json"), "not JSON"),
-    ("lerobot", lambda f: info(f, codebase_version="v9.0"), "read are v2.0, v2.1, v3.0"),
+    ("lerobot", lambda f: info(f, codebase_version="v9.0"), "'v9.0' is none of 'v2.0', 'v2.1'"),
     ("lerobot", lambda f: shutil.rmtree(f / "data"), "no Parquet files"),
     ("lerobot", lambda f: cut(f / FRAMES), "cut short or damaged"),
     ("lerobot", lambda f: drop(f, "observation.state"), "no column 'observation.state[elbow.pos]'"),
@@ -352,7 +352,7 @@ SPOILT: list[tuple[str, Callable[[Path], object], str]] = [
     ("sensors.npz", lambda f: cut(f, 0.1), "cut short or damaged"),
     ("sensors.npz", lambda f: np.savez(f, a=np.zeros(3)), "is it a log?"),
     ("sensors.npz", lambda f: np.savez(f, times=np.arange(3.0), data=np.array([{}] * 3)),
-     "holds objects"),
+     "Object arrays cannot be loaded"),
     ("sensors.npz", lambda f: np.savez(f, time=np.arange(20.0), q=np.zeros((19, 3))),
      "there is no column 'q[2]'"),
 ]  # fmt: skip
