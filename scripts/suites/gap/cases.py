@@ -53,8 +53,8 @@ SEED = 53_001
 FORMAT = "gap-truth/2"
 """Format of a file of truth."""
 _TURN = ("one", "two", "none", "one", "many", "one", "outside", "two", "none", "one")
-"""What is missing in sixty successive numbers, ten for each world: nothing, one effect, two, four to
-six, or one that the catalogue lacks."""
+"""What is missing in sixty successive numbers, ten for each world: nothing, one effect, two, four
+to six, or one that the catalogue lacks."""
 VISIBLE = 5.0
 """Standard deviations of its own scatter by which what an effect changes, and no model within
 tolerances explains, exceeds the noise."""
