@@ -1,7 +1,7 @@
 """Import of measured data: ROS bags, tables, files of arrays, LeRobot datasets.
 
-Data flow: samples -> mapping -> clocks -> readers (text_tables, array_files, lerobot, messages) ->
-sources -> evidence -> targets, scalings -> roles -> proposal; join_runs, pipeline.
+Data flow: samples -> mapping -> clocks -> readers (text_tables, array_files, messages) ->
+sources -> evidence -> targets, scalings -> roles -> proposal; pipeline.
 """
 
 from loose_env.importing.command_timing import command_delays, early_by

@@ -1,28 +1,28 @@
-"""Files of named arrays: npz, mat, pt, json, Parquet and HDF5.
+"""Files of named arrays: npz, mat, pt, Parquet and HDF5; LeRobot datasets.
 
-Arrays of one length are the columns of a table; a list of tables, or groups of like names, are
-episodes. A rate or a step beside them is their time where no column is one.
+Arrays of one length are the columns of a table; groups of like names are episodes. A rate or a step
+beside them is their time where no column is one.
 """
 
 from __future__ import annotations
 
 import json
 import re
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.lib import format as npy
+from annotated_types import Gt, Le
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
 from loose_env.importing.samples import ChannelKey, Log, Table, damaged, natural
 from loose_env.importing.units import unit_in
-from loose_env.recording import MOST_VALUES
+from loose_env.io import restored
+from loose_env.recording import MOST_VALUES, read_text
 
 _MOST_BYTES = 2**30
 _FEWEST = 10
@@ -34,7 +34,7 @@ _RATES = re.compile(r"(\w*_?hz|rate|freq|frequency|fs|fps|control_freq|sample_ra
 _STEPS = re.compile(r"(dt|ts|sample_time|timestep|time_step|sampling_time)", re.I)
 _NAMES = ("columns", "names", "labels", "header", "headers", "fields", "joint_names", "joints",
           "channels", "dof_names", "data_columns")  # fmt: skip
-Tree = Any
+Tree = dict[str, Any]
 """Nested tables, lists, arrays, numbers and texts, as a file holds them."""
 
 
@@ -48,7 +48,7 @@ def open_arrays(path: Path, name: str) -> Log:
         return [_table(_episodes(read())[episode], place, read())]
 
     if "" in places and not tables("", None)[0].columns:
-        shapes = [f"{k or 'data'} of {'x'.join(map(str, np.shape(v))) or 'one'}"
+        shapes = [f"{k} of {'x'.join(map(str, np.shape(v))) or 'one'}"
                   for k, v in [*_leaves(read())][:4]]  # fmt: skip
         raise InvalidData(
             f"{name}: it holds no arrays of numbers that share {_FEWEST} or more samples"
@@ -63,56 +63,40 @@ def open_arrays(path: Path, name: str) -> Log:
 
 
 def _episodes(tree: Tree) -> dict[str, Tree]:
-    """Episodes of a tree by name; the tree itself under "" where it has none."""
-    here, key = tree, "episode"
-    while isinstance(here, dict) and not any(map(_is_signal, here.values())):
-        groups = {k: v for k, v in here.items() if _has_signals(v)}
+    """Groups of like names that hold signals; the tree itself under "" where there are none."""
+    here = tree
+    while not any(map(_is_signal, here.values())):
+        groups = {k: v for k, v in here.items() if isinstance(v, dict) and _has_signals(v)}
         if len(groups) != 1:
-            kinds = {(*sorted(v),) if isinstance(v, dict) else () for v in groups.values()}
-            if not groups or kinds == {()} or len(kinds) > 1:
-                break
-            return {k: groups[k] for k in sorted(groups, key=natural)}
-        ((key, here),) = groups.items()
-    if _is_list_of_tables(here):
-        return {f"{key}_{i}": each for i, each in enumerate(here)}
+            alike = len({(*sorted(v),) for v in groups.values()}) == 1
+            return {k: groups[k] for k in sorted(groups, key=natural)} if alike else {"": here}
+        ((_, here),) = groups.items()
     return {"": here}
 
 
-def _has_signals(tree: Tree) -> bool:
-    if isinstance(tree, dict):
-        return any(_is_signal(v) or _has_signals(v) for v in tree.values())
-    return _is_list_of_tables(tree)
-
-
-def _is_list_of_tables(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(
-        isinstance(each, dict) and any(map(_is_signal, each.values())) for each in value
-    )  # fmt: skip
+def _has_signals(tree: Mapping[str, Any]) -> bool:
+    return any(_has_signals(v) if isinstance(v, dict) else _is_signal(v) for v in tree.values())
 
 
 def _is_signal(value: Any) -> bool:
-    matrix = None if isinstance(value, dict) else _matrix(value)
+    matrix = _matrix(value)
     return matrix is not None and max(matrix.shape) >= _FEWEST
 
 
-def _leaves(tree: Tree, key: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+def _leaves(tree: Mapping[str, Any], key: str = "") -> Iterator[tuple[str, Any]]:
     """Arrays, lists, numbers and texts of a tree with the ways to them."""
-    inside: Mapping[str, Any] = tree if isinstance(tree, dict) else {}
-    if isinstance(tree, list) and tree and isinstance(tree[0], dict):
-        rows = [each if isinstance(each, dict) else {} for each in tree]
-        inside = {
-            n: [each.get(n) for each in rows] for n in dict.fromkeys(n for r in rows for n in r)
-        }
-    for name, value in inside.items() if depth < _DEEPEST else ():
-        yield from _leaves(value, f"{key}/{name}" if key else str(name), depth + 1)
-    if not inside and not isinstance(tree, dict) and tree is not None:
-        yield key, tree
+    for name, value in tree.items():
+        own = f"{key}/{name}" if key else str(name)
+        if isinstance(value, dict):
+            yield from _leaves(value, own)
+        else:
+            yield own, value
 
 
 def _table(tree: Tree, place: str, whole: Tree) -> Table:
     """Arrays of a tree that have the length that most of them have, as columns."""
     leaves = dict(_leaves(tree))
-    found = {key or "data": _matrix(value) for key, value in leaves.items()}
+    found = {key: _matrix(value) for key, value in leaves.items()}
     arrays = {k: v for k, v in found.items() if v is not None and v.shape[1] <= _WIDEST}
     lengths = [n for a in arrays.values() for n in {*a.shape} if n >= _FEWEST]
     # Most values lie along the time; of equals the longer one is it.
@@ -205,22 +189,10 @@ def _tree(path: Path, name: str) -> Tree:
 
 
 def _of_npz(path: Path) -> Tree:
-    """Arrays of an archive. Their headers are checked before memory is taken for them."""
-    found: dict[str, Any] = {}
-    with zipfile.ZipFile(path) as archive:
-        members = [each for each in archive.infolist() if each.filename.endswith(".npy")]
-        if sum(each.file_size for each in members) > _MOST_BYTES:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        if sum(each.file_size for each in archive.zip.infolist()) > _MOST_BYTES:
             raise InvalidData(f"more than {_MOST_BYTES} bytes once expanded")
-        for each in members:
-            with archive.open(each) as file:
-                version = npy.read_magic(file)
-                header = npy.read_array_header_1_0 if version == (1, 0) else None
-                shape, _, kind = (header or npy.read_array_header_2_0)(file)
-            if kind.hasobject or kind.itemsize * np.prod(shape, dtype=float) > each.file_size:
-                raise InvalidData(f"{each.filename} is damaged, or holds objects")
-            with archive.open(each) as file:
-                found[each.filename.removesuffix(".npy")] = npy.read_array(file)
-    return found
+        return dict(archive)
 
 
 def _of_mat(path: Path) -> Tree:
@@ -253,21 +225,17 @@ def _of_torch(path: Path) -> Tree:
             return [plain(v) for v in each]
         return each.numpy() if isinstance(each, torch.Tensor) else each
 
-    return plain(whole)
+    return plain(whole) if isinstance(whole, dict) else {"data": plain(whole)}
 
 
-def _of_json(path: Path) -> Tree:
-    return json.loads(path.read_text("utf-8-sig"))
-
-
-def parquet_columns(path: Path, columns: Sequence[str] | None = None) -> dict[str, NDArray[Any]]:
+def parquet_columns(path: Path) -> dict[str, NDArray[Any]]:
     """Columns of numbers of a Parquet table, those of vectors as matrices."""
     import pyarrow as pa
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
-        table = file.read(columns=columns, use_threads=False)
+        table = file.read(use_threads=False)
     found: dict[str, NDArray[Any]] = {}
     for key in table.column_names:
         column, width = table.column(key), 1
@@ -304,9 +272,8 @@ def _of_hdf5(path: Path) -> Tree:
             elif here.dtype.kind in "SO" and len(here.shape) == 1 and len(here) <= _WIDEST:
                 found[key] = [str(v, "utf-8") if isinstance(v, bytes) else str(v) for v in here[()]]
         for key, value in group.attrs.items():
-            if isinstance(value, str):  # robomimic's hold a table
-                with suppress(ValueError, RecursionError):
-                    found[f"@{key}"] = json.loads(value)
+            if isinstance(value, str) and value[:1] == "{":  # robomimic's hold a table
+                found[f"@{key}"] = json.loads(value)
             elif np.ndim(value) == 0:
                 found[f"@{key}"] = value
         return found
@@ -316,7 +283,120 @@ def _of_hdf5(path: Path) -> Tree:
 
 
 READERS: dict[str, Callable[[Path], Tree]] = {
-    ".npz": _of_npz, ".mat": _of_mat, ".pt": _of_torch, ".pth": _of_torch, ".json": _of_json,
+    ".npz": _of_npz, ".mat": _of_mat, ".pt": _of_torch, ".pth": _of_torch,
     ".parquet": parquet_columns, ".hdf5": _of_hdf5, ".h5": _of_hdf5,
 }  # fmt: skip
 """Ending -> reader."""
+
+
+# ------------------------------------------------------------------------- LeRobot
+
+INFO = "meta/info.json"
+"""File that makes a folder a LeRobot dataset."""
+_UNITS = (
+    "a LeRobot dataset does not say the unit of its states and actions, which depends on the "
+    "robot's settings: unit = 'deg', unit = 'rad', or, where they are normalised to -100..100, "
+    "unit = 'rad' with scale = (upper - lower) / 200 and offset = (upper + lower) / 2 of the "
+    "calibrated range [rad]; 'loose import --guess' proposes one"
+)
+
+_INDICES = ("episode_index", "frame_index", "index", "task_index")
+_NORMALISED = ("gripper",)
+"""Joints that the drivers of lerobot normalise to 0..100 whatever the others' unit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Info:
+    """What is needed of ``meta/info.json``."""
+
+    codebase_version: Literal["v2.0", "v2.1", "v3.0"]
+    fps: Annotated[float, Gt(0.0), Le(1e6)]
+    features: Any = None
+    total_episodes: Any = None
+
+
+def open_lerobot(folder: Path, name: str) -> Log:
+    """Open a dataset: its tables say which episodes it has, whatever is missing of ``meta``."""
+    place = f"{name}/{INFO}"
+    if not (folder / INFO).is_file():
+        raise InvalidData(f"{place}: there is no such file, which says the rate and the names; "
+                          "download the dataset again, with its meta")  # fmt: skip
+    try:
+        parsed = json.loads(read_text(folder / INFO, place, 2**28))
+    except (ValueError, RecursionError) as error:
+        raise InvalidData(f"{place}: not JSON: {str(error)[:120]}") from None
+    info = restored(_Info, parsed, f"{place}:")
+
+    @lru_cache(maxsize=2)
+    def whole(path: Path) -> dict[str, NDArray[Any]]:
+        own = f"{name}/{path.relative_to(folder).as_posix()}"
+        try:
+            return parquet_columns(path)
+        except Exception as error:  # pyarrow raises OSError, ValueError and its own
+            raise damaged(own, "Parquet file", error, "; download it again") from None
+
+    where: dict[int, Path] = {}
+    for path in sorted((folder / "data").glob("*/*.parquet")):
+        where |= dict.fromkeys(whole(path).get("episode_index", np.empty(0, int)).tolist(), path)
+    if not where:
+        raise InvalidData(f"{name}/data: there are no Parquet files with a column 'episode_index'; "
+                          "download the dataset again, with its data")  # fmt: skip
+    told, names = info.total_episodes, {f"episode_{number:06d}": number for number in sorted(where)}
+    lacking = isinstance(told, int) and told != len(names)
+    done = [f"{name}: {len(names)} episodes are there, and {INFO} says {told}"] if lacking else []
+
+    def tables(episode: str, _: Sequence[ChannelKey] | None) -> list[Table]:
+        path = where[names[episode]]
+        place = f"{name}/{path.relative_to(folder).as_posix()}: {episode}"
+        return [_frames(whole(path), names[episode], place, info, done)]
+
+    return Log(name=name, tables=tables, episodes=tuple(names), ambiguous=_UNITS)
+
+
+def _frames(
+    whole: dict[str, NDArray[Any]], number: int, place: str, info: _Info, done: Sequence[str]
+) -> Table:
+    """Frames of one episode."""
+    rows = np.flatnonzero(whole["episode_index"] == number)
+    if len(rows) < 2:
+        raise InvalidData(f"{place}: it has {len(rows)} frames; choose others by episodes of the "
+                          "run, such as episodes = [0, 3]")  # fmt: skip
+    columns: dict[str, NDArray[Any]] = {}
+    for key, values in whole.items():
+        if key not in _INDICES:
+            matrix = values[rows].reshape(len(rows), -1).astype(np.float64)
+            feature = info.features.get(key) if isinstance(info.features, dict) else None
+            named = feature.get("names") if isinstance(feature, dict) else None
+            columns |= vector_columns(key, matrix, _names_in(named, matrix.shape[1]))
+    even = np.arange(len(rows)) / info.fps
+    stamps = columns.get("timestamp", even)
+    step = float(np.spacing(np.float32(np.max(np.abs(stamps)))))
+    if step > 0.5 / info.fps:
+        words = f"{place}: its timestamps are float32 of {stamps[0]:.10g} s, which has steps of "
+        done = [*done, f"{words}{step:.3g} s; the frames are taken at {info.fps:g} Hz instead"]
+        stamps = even
+    # Whole frames that were rounded to float32 are taken without the rounding.
+    frames = np.round(stamps * info.fps) / info.fps
+    columns["timestamp"] = frames if np.all(np.abs(frames - stamps) <= max(step, 1e-7)) else stamps
+    units = {name: "%" for name in columns if any(w in name.lower() for w in _NORMALISED)}
+    return Table(place=place, columns=columns, units=units, row_word="frame", done=(*done,),
+                 time="timestamp")  # fmt: skip
+
+
+def _names_in(names: Any, width: int) -> tuple[str, ...]:
+    """Names of the entries of a vector, a list or a table that holds one; else none.
+
+    Examples
+    --------
+    >>> _names_in({"motors": ["hip", "knee"]}, 2), _names_in(["state"], 2)
+    (('hip', 'knee'), ())
+    """
+    if isinstance(names, dict):
+        inside = [own for each in names.values() if (own := _names_in(each, width))]
+        return inside[0] if inside else _names_in([*names], width)  # names as keys
+    if not isinstance(names, list) or not len(names) == width == len(set(map(str, names))):
+        return ()
+    plain = all(
+        isinstance(n, str) and n.isprintable() and n and not set(n) & {*"[]"} for n in names
+    )
+    return tuple(names) if plain else ()

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft, ndimage
 
-from loose_env.importing.join_runs import decoded
 from loose_env.importing.names import Meaning
 from loose_env.importing.samples import ChannelKey, Samples
 from loose_env.typing import Array
@@ -240,6 +239,25 @@ def speed_in(position: Signal, s: Signal) -> Speed:
         ahead = like.lag > _LEADS * s.step and abs(like.correlation) > here + _CLEARER
         lead = like.lag if ahead else 0.0
     return Speed(math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value), value, lead)
+
+
+def decoded(values: Array, period: float | None, sign_bit: int | None) -> Array:
+    """Values without their wrap-around and without a bit for their sign.
+
+    Examples
+    --------
+    >>> decoded(np.array([358.0, 359.0, 0.0, 1.0]), 360, None).tolist()
+    [-2.0, -1.0, 0.0, 1.0]
+    >>> decoded(np.array([32769.0, 2.0]), None, 15).tolist()
+    [-1.0, 2.0]
+    """
+    if sign_bit is not None:
+        high = float(2**sign_bit)
+        values = np.where(values >= high, high - values, values)
+    if period is not None and len(values):
+        values = np.unwrap(values, period=period)
+        values = values - period * np.round(values[0] / period)
+    return values
 
 
 def coding_of(values: Array) -> tuple[float | None, int | None]:

@@ -14,8 +14,7 @@ import numpy as np
 
 from loose_env.errors import InvalidData, LooseEnvError
 from loose_env.importing.clocks import chosen_time, samples_of, time_line
-from loose_env.importing.evidence import Signal, coding_of, on_one_base
-from loose_env.importing.join_runs import decoded
+from loose_env.importing.evidence import Signal, coding_of, decoded, on_one_base
 from loose_env.importing.mapping import MAPPING_FORMAT, TimeSource
 from loose_env.importing.names import meaning_of, quantities
 from loose_env.importing.roles import Line, Roles
@@ -408,7 +407,7 @@ def proposal_text(proposal: Proposal, model: str) -> str:
             lines.append('condition = "suspect"  # or "healthy"')
         episodes = max(len(log.files[i].log.episodes) for log in proposal.logs.values())
         if episodes:
-            lines.append(f'episodes = "all"  # of {episodes}; or such as "0, 3-5"')
+            lines.append(f'episodes = "all"  # of {episodes}; or such as [0, 3]')
     return "\n".join(lines) + "\n"
 
 

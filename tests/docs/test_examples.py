@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -164,9 +162,6 @@ def test_the_page_s_files_become_a_recording(
 
 def test_the_page_s_pieces_of_mappings_are_read(tmp_path: Path) -> None:
     texts = [b.text for b in blocks(ROOT / "docs" / "recordings.md") if b.language == "toml"]
-    whole = tomllib.loads("".join(texts))
-    for column in whole["columns"].values():
-        column["source"] = "daq"
-    (tmp_path / "mapping.json").write_text(json.dumps(whole))
-    found = read_mapping(tmp_path / "mapping.json")
-    assert found.runs[1].pose == {"elbow": pytest.approx(np.pi / 6)}
+    (tmp_path / "mapping.toml").write_text("".join(texts))
+    found = read_mapping(tmp_path / "mapping.toml")
+    assert found.runs[1].pose == {"elbow": 0.52}

@@ -28,7 +28,7 @@ from scripts.suites.gap.arms import MACHINES, Machine, model_xml
 from scripts.suites.gap.dynamics import Signals, exactly
 from scripts.suites.gap.effects import KINDS
 from scripts.suites.gap.effects import Effect as TrueEffect
-from scripts.suites.gap.machine import Motion, TrueArm
+from scripts.suites.gap.worlds import SAMPLE, Motion, Noise, Setup
 from tests.gap.cases.effect_arms import PLANAR
 
 COUNT = 1500
@@ -73,9 +73,11 @@ class Compared:
         nominal = MACHINES[name]
         place = next(p for p in KINDS[kind].places(nominal) if p.name == where)
         true = (TrueEffect(kind=kind, place=place, parameters=parameters),) if lacking else ()
-        arm = TrueArm(machine=nominal, factors=exactly(nominal.joints), effects=true)
+        noise = Noise.draw(nominal, np.random.default_rng(0), SAMPLE)
+        factors = exactly(nominal.joints)
+        arm = Setup(machine=nominal, factors=factors, effects=true, noise=noise)
         self.commands = swing(nominal)
-        signals = arm.run(Motion(commands=self.commands, straight=False))
+        signals = arm.run(Motion(commands=self.commands))
         spec = mujoco.MjSpec.from_string(model_xml(nominal))
         spec.option.timestep, spec.option.integrator = 5e-4, 1
         self.machine = NominalModel(spec)

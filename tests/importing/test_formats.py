@@ -106,7 +106,7 @@ def test_chosen_episodes_alone_are_imported(home: Path, motion: Motion) -> None:
     files = [write_lerobot(home / "set", motion, episodes=4)]
     guessed(home, files)
     text = (home / "map.toml").read_text()
-    (home / "map.toml").write_text(text.replace('episodes = "all"', 'episodes = "1, 3"'))
+    (home / "map.toml").write_text(text.replace('episodes = "all"', "episodes = [1, 3]"))
     names = [Path(run.name).stem for run in imported(home, files).runs]
     assert names == ["set-episode_000001", "set-episode_000003"]
 

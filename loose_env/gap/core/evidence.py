@@ -19,17 +19,21 @@ from loose_env.gap.core.tolerances import Nuisance
 from loose_env.typing import Array
 
 BANDS = 7
-"""Bands of a channel, the first around zero, the others of equal ratio."""
+"""Bands of a channel, the first around zero, the others of equal ratio: three or four a decade, for
+motion, its harmonics and resonances lie apart."""
 STRETCHES = 8
-"""Stretches of a recording, about: enough to see whether a residual repeats."""
+"""Stretches of a recording, about: two of each of four runs tell whether a residual repeats."""
 _MOST_STRETCHES = 16  # stretches whose cells are apart; of more runs, several share theirs
-_SHORTEST_S = 4.0  # shortest stretch [s]
+_SHORTEST_S = 4.0  # shortest stretch [s]: some periods of slow motion
 KNOCK = 16.0
-"""Mean square residual over its local median beyond which a stretch is a knock, not motion."""
+"""Mean square residual over its local median beyond which a stretch is a knock: four times the
+usual amplitude is no motion of the machine's own."""
 _NOISE = 1.1
 """Noise that is believed over its estimate, which takes it for white: filters and rounding colour
 it by some per cent."""
-_REST = 0.01  # speed over the typical one below which a joint is at rest, or four times its noise
+_REST = 0.01
+"""Speed over the typical one below which a joint is at rest (or four times its noise): presliding,
+in which dry friction takes any value."""
 _LEAST_SHARE = 0.01  # mean square of a window below which a stretch has no cells
 _FELT = 0.05
 """Squared noise standard deviations of a standard deviation of tolerance below which it is not

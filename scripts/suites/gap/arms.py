@@ -179,17 +179,10 @@ def _text(*values: float) -> str:
 
 
 def model_xml(
-    machine: Machine,
-    *,
-    drives: str = "position",
-    speeds: bool = True,
-    accelerometer: bool = True,
+    machine: Machine, *, servos: bool = True, speeds: bool = True, accelerometer: bool = True,
     plain: bool = False,
-) -> str:
-    """MJCF of the nominal machine, with position servos, with motors, or "" for no drives.
-
-    `plain` has MuJoCo's usual integrator and time step, as a user's file has.
-    """
+) -> str:  # fmt: skip
+    """MJCF of the nominal machine; plain with MuJoCo's usual integrator and step, as users have."""
     fine = f'timestep="{TIME_STEP:g}" integrator="RK4"'
     option = 'timestep="0.001" integrator="implicitfast"' if plain else fine
     lines = [
@@ -208,17 +201,16 @@ def model_xml(
             f'{indent}  <joint name="joint{number}" type="{kind}" axis="{_text(*m.axis[i])}" '
             f'damping="{_text(m.damping[i])}" armature="{_text(m.armature[i])}"/>',
         ]
-        gains = f'kp="{_text(m.kp[i])}" kv="{_text(m.kv[i])}" ' * (drives == "position")
         motors.append(
-            f'    <{drives} name="motor{number}" joint="joint{number}" {gains}'
-            f'forcerange="{_text(-m.limit[i], m.limit[i])}"/>'
+            f'    <position name="motor{number}" joint="joint{number}" kp="{_text(m.kp[i])}" '
+            f'kv="{_text(m.kv[i])}" forcerange="{_text(-m.limit[i], m.limit[i])}"/>'
         )
         read = ["jointpos", "jointvel"] if speeds else ["jointpos"]
         sensors += [f'    <{x} name="joint{number}_{x[5:]}" joint="joint{number}"/>' for x in read]
     lines.append(f'{indent}  <site name="tool" pos="{_text(*m.end[-1])}"/>')
     lines += ["    " + "  " * i + "</body>" for i in reversed(range(m.joints))]
     lines.append("  </worldbody>")
-    if drives:
+    if servos:
         lines += ["  <actuator>", *motors, "  </actuator>"]
     if accelerometer:
         sensors.append('    <accelerometer name="tool_acc" site="tool"/>')

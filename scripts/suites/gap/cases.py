@@ -22,8 +22,8 @@ from loose_env.io import write_text
 from loose_env.recording import Run, write_recording
 from loose_env.typing import Array
 from scripts.suites.blind import drawn_from
-from scripts.suites.gap.arms import MACHINES, Machine, model_xml, varied
-from scripts.suites.gap.dynamics import NEUTRAL, RATIOS, Factors, Signals, System, exactly, needed
+from scripts.suites.gap.arms import model_xml
+from scripts.suites.gap.dynamics import NEUTRAL, RATIOS, Factors, Signals, System, needed
 from scripts.suites.gap.effects import (
     ACCELEROMETER,
     CATALOGUE,
@@ -37,39 +37,24 @@ from scripts.suites.gap.effects import (
     Spot,
     drawn,
 )
-from scripts.suites.gap.machine import (
-    FAMILIES,
-    SAMPLE,
-    SLIDE_SCALE,
+from scripts.suites.gap.worlds import (
+    SHIFT,
+    TOLERANCES,
+    WORLDS,
     Motion,
-    Noise,
-    TrueArm,
-    free_motion,
-    rich_motion,
+    Setup,
+    draw_motions,
+    draw_setup,
     rounded,
-    shaken_motion,
 )
 
 SEED = 53_001
 """Seed of the development numbers."""
 FORMAT = "gap-truth/2"
 """Format of a file of truth."""
-WORLDS = ("exact", "servo", "torque", "free", "rough", "shaken")
-"""Worlds, by the number's remainder."""
-IDEAL = ("exact", "shaken")
-"""Worlds in which a model is exact but for small errors of its scales."""
-ROLES = ("none", "one", "two", "many", "outside")
-"""What is missing: nothing, one effect, two, four to six, or one that the catalogue lacks."""
 _TURN = ("one", "two", "none", "one", "many", "one", "outside", "two", "none", "one")
-"""Roles of sixty successive numbers, ten for each world."""
-TOLERANCES = {
-    "mass": 0.04, "inertia": 0.20, "armature": 0.20, "damping": 0.10, "kp": 0.04, "kv": 0.10,
-    "x": 0.03, "y": 0.03, "z": 0.03, "zero": 1e-3, "constant": 0.04, "offset": 0.006,
-}  # fmt: skip
-"""Largest error of a model: shares, centres as shares of the link's length, zeros [rad, m], torques
-as shares of the limit. A model errs by half of that, a standard deviation, and never by more."""
-SHIFT = 0.5
-"""Largest shift of the commands [samples], of either sign."""
+"""What is missing in sixty successive numbers, ten for each world: nothing, one effect, two, four
+to six, or one that the catalogue lacks."""
 VISIBLE = 5.0
 """Standard deviations of its own scatter by which what an effect changes, and no model within
 tolerances explains, exceeds the noise."""
@@ -95,38 +80,6 @@ ALIKE = (
 """Kinds that data may not separate; whether they do is computed for each case."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Setup:
-    """A machine in a world: everything but its motions and what it lacks."""
-
-    world: str
-    form: str
-    """Form of the recording."""
-    arm: TrueArm
-    sample: float
-    """Time between two samples of the log [s]."""
-    noise: Noise
-    speeds: bool = True
-    """Whether velocities are recorded."""
-    accelerometer: bool = False
-    """Whether the tool has one."""
-    torques: bool = False
-    """Whether torques are recorded."""
-    straight: bool = False
-    """Whether the drives go in straight lines from command to command."""
-    garbage: str = ""
-    """Column that says nothing."""
-    ignored: tuple[str, ...] = ()
-    """Places of which answers count neither for nor against a tool."""
-    spoiled: tuple[int, ...] = ()
-    """Joints where no effect is put."""
-
-    @property
-    def ideal(self) -> bool:
-        """Whether the model is exact but for small errors of its scales."""
-        return self.world in IDEAL
-
-
 Names = tuple[tuple[str, str], ...]
 """Kinds and places that together are a right answer."""
 
@@ -136,23 +89,13 @@ class Case:
     """A case, drawn: everything that its recording is made of."""
 
     number: int
-    name: str
-    """Name of the recording; it tells nothing."""
-    role: str
-    """One of `ROLES`."""
+    phrase: str
     setup: Setup
-    effects: tuple[Effect, ...]
     motions: tuple[Motion, ...]
     scores: tuple[float, ...]
     """How visible each effect is, in units of which `VISIBLE` is asked."""
     accepted: tuple[tuple[Names, ...], ...]
     """For each effect the sets of names that count as right."""
-    seed: tuple[int, ...]
-
-    @property
-    def arm(self) -> TrueArm:
-        """The true arm."""
-        return dataclasses.replace(self.setup.arm, effects=self.effects)
 
 
 def seed_of(number: int, phrase: str = "") -> tuple[int, ...]:
@@ -161,7 +104,7 @@ def seed_of(number: int, phrase: str = "") -> tuple[int, ...]:
 
 
 def name_of(number: int, phrase: str = "") -> str:
-    """Name of a case's recording."""
+    """Name of a case's recording; it tells nothing."""
     seed = seed_of(number, phrase)
     return f"case-{hashlib.sha256(repr((seed, 'name')).encode()).hexdigest()[:8]}"
 
@@ -174,118 +117,6 @@ def world_of(number: int) -> str:
 def role_of(number: int) -> str:
     """Role of a case by its number."""
     return _TURN[number // len(WORLDS) % len(_TURN)]
-
-
-# ----------------------------------------------------------------------------------- worlds
-
-
-def _slight(rng: np.random.Generator, n: int) -> Factors:
-    """Errors of 1 to 3 % and of random sign of all but centres, zeros and times."""
-    off = {name: rng.uniform(0.01, 0.03, n) * rng.choice([-1, 1], n) for name in RATIOS}
-    return exactly(n) | {name: 1 + each for name, each in off.items()}
-
-
-def _errors(rng: np.random.Generator, machine: Machine, sample: float, shift: bool) -> Factors:
-    """What a model of a real machine never has exactly."""
-
-    def off(*names: str) -> Factors:
-        draws = {name: np.clip(rng.normal(scale=0.5, size=n), -1, 1) for name in names}
-        return {name: NEUTRAL[name] + each * TOLERANCES[name] for name, each in draws.items()}
-
-    n, scale = machine.joints, np.where(machine.slide, SLIDE_SCALE, 1.0)
-    found = off(*RATIOS[:4], "kp", "kv", "constant", "x", "y", "z", "offset")
-    late = rng.uniform(-SHIFT, SHIFT) * sample if shift else 0.0
-    return exactly(n) | found | {"shift": np.full(n, late), "zero": off("zero")["zero"] * scale}
-
-
-def _servo(rng: np.random.Generator, log: float) -> tuple[float, float, float]:
-    """A drive's own rate [Hz], so far above the log's that no delay of it counts."""
-    rate = float(rng.choice([r for r in (1000.0, 2000.0, 4000.0, 8000.0) if r >= 4 * log]))
-    late = float(rng.integers(0, 2)) if rate >= 8 * log else 0.0
-    return rate, late, float(rng.uniform(0.5, 1.0))
-
-
-def draw_setup(world: str, role: str, rng: np.random.Generator) -> Setup:
-    """A machine in a world, with nothing missing yet."""
-    small = {"many": 3, "two": 2}.get(role, 1)  # so many effects need that many joints
-    names = [name for name, machine in MACHINES.items() if machine.joints >= small]
-    chance = rng.random(6)
-    form = {"torque": TORQUE, "free": FREE}.get(world, SERVO)
-    trouble = ""
-    if world == "rough":
-        form = SERVO if chance[0] < 0.5 else TORQUE
-        trouble = "garbage" if chance[1] < 0.4 else "wrist" if chance[1] < 0.7 else "slow"
-    if world == "shaken":
-        names = ["planar3", "spatial3", "scara4", "elbow4"]
-    if trouble == "wrist":
-        names = ["upright6", "redundant7", "elbow4"]
-    if form == FREE:
-        names = [name for name in names if MACHINES[name].hanging is not None]
-        names += ["rig1"] * (2 if small == 1 else 0)
-    machine = varied(MACHINES[str(rng.choice(names))], rng)
-    n = machine.joints
-    if world in IDEAL:
-        arm = TrueArm(machine=machine, factors=_slight(rng, n))
-        return Setup(world=world, form=form, arm=arm, sample=SAMPLE, accelerometer=True,
-                     noise=Noise.draw(machine, rng, SAMPLE))  # fmt: skip
-    if form == FREE:  # one that is let swing has light gears or none
-        machine = dataclasses.replace(
-            machine, damping=0.05 * machine.damping, armature=0.2 * machine.armature,
-            limit=0.12 * machine.limit,
-        )  # fmt: skip
-    rates = {SERVO: (100, 125, 200, 250, 500, 1000), TORQUE: (100, 200, 250, 500, 1000),
-             FREE: (60, 100, 200, 500, 1000)}[form]  # fmt: skip
-    rate = float(rng.choice((30, 50, 60, 100) if trouble == "slow" else rates))
-    last, servo = machine.link(-1), form == SERVO
-    arm = TrueArm(
-        machine=machine,
-        factors=_errors(rng, machine, 1 / rate, shift=servo and bool(chance[2] < 0.6)),
-        link_side=form != TORQUE and bool(chance[3] < 0.5),
-        servo=_servo(rng, rate) if servo else None,
-    )
-    setup = Setup(
-        world=world, form=form, arm=arm, sample=1 / rate, noise=Noise.draw(machine, rng, 1 / rate),
-        speeds=bool(chance[4] < 0.5), accelerometer=servo and bool(rng.random() < 0.3),
-        torques=form == TORQUE or (servo and bool(rng.random() < 0.2)),
-        straight=form == TORQUE or (servo and bool(rng.random() < 0.4)),
-    )  # fmt: skip
-    if trouble == "wrist":
-        ratio = float(rng.choice([-1.0, 1.0]))
-        arm = dataclasses.replace(arm, coupling=(ratio, 0.02 * last.limit, 0.3 * last.armature))
-        return dataclasses.replace(setup, arm=arm, spoiled=(n - 2, n - 1),
-                                   ignored=_places(n - 2) + _places(n - 1))  # fmt: skip
-    if trouble == "garbage":
-        j = int(rng.integers(n))
-        if form == SERVO and setup.speeds:
-            name = f"joint{j + 1}_vel"
-            return dataclasses.replace(setup, garbage=f"sensor.{name}", ignored=(name,))
-        column = f"torque.joint{j + 1}" if form == TORQUE else f"sensor.joint{j + 1}_pos"
-        return dataclasses.replace(setup, garbage=column, spoiled=(j,), ignored=_places(j))
-    return setup
-
-
-def _places(j: int) -> tuple[str, ...]:
-    """Names of all that belongs to a joint."""
-    words = ("joint{}", "motor{}", "link{}", "joint{}_pos", "joint{}_vel")
-    return tuple(word.format(j + 1) for word in words)
-
-
-def draw_motions(setup: Setup, rng: np.random.Generator) -> tuple[Motion, ...]:
-    """The runs of a recording."""
-    machine, sample = setup.arm.machine, setup.sample
-    if setup.form == FREE:
-        seconds = rng.uniform(5.0, 10.0)
-        return tuple(free_motion(rng, machine, seconds=seconds, sample=sample) for _ in range(4))
-    if setup.world == "shaken":
-        # the joint stays the same over runs of other poses, then the next one is shaken
-        first = int(rng.integers(machine.joints))
-        joints = ((first + i % 2) % machine.joints for i in range(4))
-        return tuple(shaken_motion(rng, machine, joint=j, seconds=6.0) for j in joints)
-    slow = setup.form == TORQUE or sample > 0.015
-    seconds = rng.uniform(10.0, 16.0) if slow else rng.uniform(5.0, 9.0)
-    shape: dict[str, Any] = {"seconds": seconds, "sample": sample, "straight": setup.straight}
-    families = [list(FAMILIES)[i] for i in rng.permutation(len(FAMILIES))]
-    return tuple(rich_motion(rng, machine, family=family, **shape) for family in families)
 
 
 # ------------------------------------------------------------------------------- visibility
@@ -312,8 +143,8 @@ class Visibility:
     """What effects change on one run of one machine, beyond noise and tolerances."""
 
     def __init__(self, setup: Setup, motion: Motion, rng: np.random.Generator) -> None:
-        self.setup, self.arm = setup, setup.arm
-        most = round(SEEN / motion.sample) + (motion.release or 0)
+        self.setup = setup
+        most = round(SEEN / setup.sample) + (motion.release or 0)
         self.motion = dataclasses.replace(motion, commands=motion.commands[:most])
         self.balance = setup.form != SERVO
         self._scale = self._torque_noise(rng) if self.balance else np.ones(())
@@ -327,7 +158,8 @@ class Visibility:
 
     def signals(self, effects: Effects = (), factors: Factors | None = None) -> Signals:
         """Readings without noise of the machine with effects, and with other factors."""
-        arm = dataclasses.replace(self.arm, effects=effects, factors=factors or self.arm.factors)
+        factors = factors or self.setup.factors
+        arm = dataclasses.replace(self.setup, effects=effects, factors=factors)
         return arm.run(self.motion, step=COARSE, settle=0.8)
 
     def features(self, effects: Effects, factors: Factors | None = None) -> Array:
@@ -341,7 +173,7 @@ class Visibility:
         )
         setup, noise = self.setup, self.setup.noise
         if self.balance:
-            return self._missing(self.signals(rubbing), self.arm.factors)
+            return self._missing(self.signals(rubbing), self.setup.factors)
         found = self.signals(rubbing, factors)
         parts = [np.delete(found.position / noise.reading, setup.spoiled, axis=1)]
         parts += [found.velocity / noise.velocity] * setup.speeds
@@ -353,7 +185,7 @@ class Visibility:
 
     def _lacking(self, found: Signals, factors: Factors, smooth: bool = False) -> Array:
         """Torque logged (none, swinging freely) less what the machine needs for the motion."""
-        sample, machine = self.motion.sample, self.arm.machine
+        sample, machine = self.setup.sample, self.setup.machine
         system = System.build(machine, factors)
         q, v, a = found.position - factors["zero"], found.velocity, found.joint_acceleration
         band = min(BAND, 0.2 / sample)
@@ -373,12 +205,12 @@ class Visibility:
     def _torque_noise(self, rng: np.random.Generator) -> Array:
         clean = self.signals()
         both = (self.setup.noise.added(clean, rng), clean)
-        moved = [self._lacking(each, self.arm.factors, smooth=True) for each in both]
+        moved = [self._lacking(each, self.setup.factors, smooth=True) for each in both]
         return np.asarray((moved[0] - moved[1]).std(axis=0))
 
     def _tolerances(self) -> tuple[Array, Array, Array]:
         """Changes of the features by every parameter of the model, and how far each may go."""
-        factors, n = self.arm.factors, self.arm.machine.joints
+        factors, n = self.setup.factors, self.setup.machine.joints
         absent = {"kp", "kv"} if self.balance else set()
         absent |= {"constant", "offset"} if self.setup.form != TORQUE else set()
         motion = self.signals()
@@ -430,7 +262,7 @@ class Visibility:
     def examples(self, kind: str, place: Place, others: Effects) -> Iterator[tuple[Effect, Array]]:
         """Examples of a kind, and what they change with other effects beside them."""
         for k in range(3):
-            effect = drawn(kind, Spot(self.arm.machine, place, np.random.default_rng(k)), 0.5)
+            effect = drawn(kind, Spot(self.setup.machine, place, np.random.default_rng(k)), 0.5)
             yield effect, self.change((*others, effect))
 
 
@@ -475,7 +307,7 @@ def _seen(name: str, setup: Setup) -> list[Place]:
             return setup.accelerometer
         return place.index not in setup.spoiled
 
-    return [place for place in KINDS[name].places(setup.arm.machine) if recorded(place)]
+    return [place for place in KINDS[name].places(setup.machine) if recorded(place)]
 
 
 def _placed(name: str, found: Effects, setup: Setup, rng: np.random.Generator) -> Effect | None:
@@ -490,7 +322,7 @@ def _placed(name: str, found: Effects, setup: Setup, rng: np.random.Generator) -
             places = []
     if not places:
         return None
-    return drawn(name, Spot(setup.arm.machine, places[int(rng.integers(len(places)))], rng))
+    return drawn(name, Spot(setup.machine, places[int(rng.integers(len(places)))], rng))
 
 
 def draw_effects(
@@ -532,7 +364,7 @@ WILD = 0.4
 def _sane(effects: Effects, visibility: Visibility) -> bool:
     """Whether the machine still goes where it is told."""
     off = np.abs(visibility.signals(effects).position - visibility.motion.commands).max(axis=0)
-    return bool((off < WILD * visibility.arm.machine.reach).all())
+    return bool((off < WILD * visibility.setup.machine.reach).all())
 
 
 RIVALS = {
@@ -549,7 +381,7 @@ def _rivals(effect: Effect, visibility: Visibility) -> list[Array]:
     j, found = effect.place.index, []
     for name in RIVALS.get(effect.kind, ()):
         if KINDS[name].shown_by(visibility.setup.form):
-            for place in KINDS[name].places(visibility.arm.machine):
+            for place in KINDS[name].places(visibility.setup.machine):
                 if j < 0 or place.index in (j, effect.parameters.get("other", j)):
                     examples = visibility.examples(name, place, ())
                     found += [change for _, change in islice(examples, 2)]
@@ -582,7 +414,7 @@ def accepted_of(
 
 def _by_rule(effect: Effect, setup: Setup) -> list[Names]:
     """Sets of names that stand for an effect whatever the motion."""
-    kind, where, j, n = effect.kind, effect.place.name, effect.place.index, setup.arm.machine.joints
+    kind, where, j, n = effect.kind, effect.place.name, effect.place.index, setup.machine.joints
     sets: list[Names] = [((kind, where),)]
     if where == "all":
         sets.append(tuple((kind, f"motor{k + 1}") for k in range(n)))
@@ -610,8 +442,7 @@ def _near(effect: Effect, setup: Setup) -> Iterator[tuple[str, Place]]:
 
 def draw_case(number: int, phrase: str = "") -> Case:
     """Draw a case by its number."""
-    seed = seed_of(number, phrase)
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    rng = np.random.default_rng(np.random.SeedSequence(seed_of(number, phrase)))
     world, role = world_of(number), role_of(number)
     for _ in range(TRIES):
         setup = draw_setup(world, role, rng)
@@ -629,8 +460,8 @@ def draw_case(number: int, phrase: str = "") -> Case:
             if role != "outside":
                 accepted = accepted_of(effects, setup, visibility)
         return Case(
-            number=number, name=name_of(number, phrase), role=role, setup=setup, effects=effects,
-            motions=motions, scores=scores, accepted=accepted, seed=seed,
+            number=number, phrase=phrase, setup=dataclasses.replace(setup, effects=effects),
+            motions=motions, scores=scores, accepted=accepted,
         )  # fmt: skip
     raise RuntimeError(f"case {number}: no effects that can be seen in {TRIES} draws")
 
@@ -644,11 +475,12 @@ def runs_of(case: Case) -> list[Run]:
 
 
 def _run_of(case: Case, number: int, motion: Motion) -> Run:
-    setup, arm = case.setup, case.arm
-    rng = np.random.default_rng(np.random.SeedSequence([*case.seed, 2, number]))
-    readings = arm.assemble(number)[1]
-    true = arm.run(motion, step=FINE, number=number)
-    found = rounded(setup.noise.added(true, rng), readings)
+    setup = case.setup
+    rng = np.random.default_rng(
+        np.random.SeedSequence([*seed_of(case.number, case.phrase), 2, number])
+    )
+    true = setup.run(motion, step=FINE, number=number)
+    found = rounded(setup.noise.added(true, rng), setup.assemble(number))
 
     def columns(name: str, values: Array) -> dict[str, Array]:
         return {name.format(j + 1): column for j, column in enumerate(values.T)}
@@ -667,7 +499,7 @@ def _run_of(case: Case, number: int, motion: Motion) -> Run:
         extra["pose"] = {f"joint{j + 1}": float(q) for j, q in enumerate(motion.pose)}
     return Run(
         name=f"run-{number + 1:02d}",
-        time=np.arange(len(found.position), dtype=float) * motion.sample,
+        time=np.arange(len(found.position), dtype=float) * setup.sample,
         controls=columns("motor{}", motion.commands) if setup.form == SERVO else {},
         sensors=sensors, torques=torques, **extra,
     )  # fmt: skip
@@ -694,9 +526,9 @@ _ALONG: dict[str, dict[str, str]] = {
 """Parameters that add to an error of the model, from which no data tell them apart."""
 
 
-def _true_values(effect: Effect, arm: TrueArm) -> dict[str, float]:
+def _true_values(effect: Effect, setup: Setup) -> dict[str, float]:
     """Parameters that a result has too, with the error of the model that they add to."""
-    j, link = effect.place.index, arm.machine.link(effect.place.index)
+    j, link = effect.place.index, setup.machine.link(effect.place.index)
     scale = {"offset": link.limit, **dict.fromkeys("xyz", link.length)}
     values = {}
     for name in KINDS[effect.kind].units:
@@ -704,7 +536,7 @@ def _true_values(effect: Effect, arm: TrueArm) -> dict[str, float]:
             continue
         value, error = float(effect.parameters[name]), _ALONG.get(effect.kind, {}).get(name)
         if error is not None:
-            own = float(arm.factors[error][max(j, 0)])
+            own = float(setup.factors[error][max(j, 0)])
             if name in ("gain", "factor"):
                 value *= own
             elif error in RATIOS:
@@ -717,14 +549,14 @@ def _true_values(effect: Effect, arm: TrueArm) -> dict[str, float]:
 
 def _effect_of(case: Case, i: int) -> dict[str, Any]:
     """What is true of an effect."""
-    effect, units = case.effects[i], KINDS[case.effects[i].kind].units
-    slide = effect.place.index >= 0 and case.arm.machine.slide[effect.place.index]
+    effect, units = case.setup.effects[i], KINDS[case.setup.effects[i].kind].units
+    slide = effect.place.index >= 0 and case.setup.machine.slide[effect.place.index]
     torque, way = ("N", "m") if slide else ("N·m", "rad")
     return {
         "kind": effect.kind, "where": effect.place.name, "index": effect.place.index,
         "values": {
             name: {"value": value, "unit": units[name].replace("T", torque).replace("A", way)}
-            for name, value in _true_values(effect, case.arm).items()
+            for name, value in _true_values(effect, case.setup).items()
         },
         "parameters": dict(effect.parameters), "visible": round(case.scores[i], 1),
         "accept": case.accepted[i] if case.accepted else (), "runs": list(effect.runs),
@@ -733,18 +565,19 @@ def _effect_of(case: Case, i: int) -> dict[str, Any]:
 
 def truth_of(case: Case) -> dict[str, Any]:
     """What is true of a case, as it is sealed."""
-    setup, arm, noise = case.setup, case.arm, case.setup.noise
+    setup, noise = case.setup, case.setup.noise
     neutral = [["command_interpolation", "*"]] if setup.straight and setup.form == SERVO else []
     return {
-        "format": FORMAT, "case": case.name, "number": case.number, "role": case.role,
-        "world": setup.world, "form": setup.form, "machine": arm.machine.name,
-        "joints": arm.machine.joints, "rate": 1 / setup.sample,
+        "format": FORMAT, "case": name_of(case.number, case.phrase), "number": case.number,
+        "role": role_of(case.number),
+        "world": setup.world, "form": setup.form, "machine": setup.machine.name,
+        "joints": setup.machine.joints, "rate": 1 / setup.sample,
         "families": [motion.family for motion in case.motions],
-        "link_side": arm.link_side, "servo": arm.servo, "straight": setup.straight,
-        "coupled_wrist": arm.coupling, "garbage": setup.garbage, "ignored": list(setup.ignored),
-        "neutral": neutral, "effects": [_effect_of(case, i) for i in range(len(case.effects))],
+        "link_side": setup.link_side, "servo": setup.servo, "straight": setup.straight,
+        "coupled_wrist": setup.coupling, "garbage": setup.garbage, "ignored": list(setup.ignored),
+        "neutral": neutral, "effects": [_effect_of(case, i) for i in range(len(setup.effects))],
         "tolerances": TOLERANCES,
-        "factors": {name: values.tolist() for name, values in arm.factors.items()},
+        "factors": {name: values.tolist() for name, values in setup.factors.items()},
         "noise": {
             "position": noise.reading.tolist(), "velocity": noise.velocity.tolist(),
             "acceleration": noise.acceleration, "torque": noise.torque.tolist(),
@@ -754,17 +587,19 @@ def truth_of(case: Case) -> dict[str, Any]:
 
 def write_case(case: Case, folder: Path) -> None:
     """Write a case into `recordings` and `truth` of a folder, the truth last."""
-    setup, own = case.setup, folder / "recordings" / case.name
+    setup, name = case.setup, name_of(case.number, case.phrase)
     model = model_xml(
-        setup.arm.machine,
-        drives="" if setup.form == FREE else "position",
+        setup.machine,
+        servos=setup.form != FREE,
         speeds=setup.speeds,
         accelerometer=setup.accelerometer,
         plain=not setup.ideal,
     )
-    write_recording(own, model_xml=model, runs=runs_of(case), overwrite=True)
+    write_recording(
+        folder / "recordings" / name, model_xml=model, runs=runs_of(case), overwrite=True
+    )
     sealed = json.dumps(truth_of(case), indent=1) + "\n"
-    write_text(folder / "truth" / f"{case.name}.json", sealed)
+    write_text(folder / "truth" / f"{name}.json", sealed)
 
 
 def made(number: int, phrase: str, folder: Path) -> str:

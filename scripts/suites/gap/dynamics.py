@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -472,6 +472,18 @@ class System:
     """A force at the tool in its frame (3) [N], its frequency [Hz] and phase [rad]; shape (5,)."""
     proximal: NDArray[np.int64]
     """Body that carries the proximal end of each link, of shape (n,)."""
+    torque_gain: Array
+    """Measured over true torque, of shape (n,)."""
+    torque_offset: Array
+    """Constant of the measured torque, of shape (n,) [N m or N]."""
+    rotation: Array = dataclasses.field(default_factory=lambda: np.eye(3))
+    """Reading of the accelerometer = rotation @ truth, of shape (3, 3)."""
+    sensors: dict[str, dict[str, Any]] = dataclasses.field(
+        default_factory=lambda: {"gain": {}, "bias": {}, "delay": {}, "step": {}}
+    )
+    """Factor, constant, delay [s], and step to which it is rounded, noise and all, by sensor."""
+    straight: bool = False
+    """Whether commands are in straight lines that the model takes as held."""
 
     @classmethod
     def build(cls, machine: Machine, factors: Factors) -> System:
@@ -492,6 +504,7 @@ class System:
         return cls(
             bodies=bodies, laws=laws, drives=drives, gravity=np.array([0.0, 0.0, -GRAVITY]),
             tool=machine.end[-1].copy(), cable=np.zeros(7), fan=np.zeros(5), proximal=np.arange(n),
+            torque_gain=factors["constant"].copy(), torque_offset=factors["offset"] * machine.limit,
         )  # fmt: skip
 
     @property

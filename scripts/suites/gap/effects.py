@@ -7,7 +7,7 @@ generator alone.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,34 +17,16 @@ from scripts.suites.gap import dynamics as of
 from scripts.suites.gap.arms import BAR_CENTRE, Machine
 from scripts.suites.gap.dynamics import System, exactly
 
-SERVO, TORQUE, FREE = FORMS = ("servo", "torque", "free")
+SERVO, TORQUE, FREE = ("servo", "torque", "free")
 """Commands to sensors, motion to torque, free response."""
 ACCELEROMETER = "tool_acc"
 """Name of the accelerometer at the tool."""
+STOP_LOAD = 30.0
+"""Force that usually presses a loose seat to its stops [N]."""
+SEAT_DAMPING = 5.0
+"""Damping of a loose seat's guide [N s/m]."""
 SLIDE_SPEED = 0.2
 """Speed of a slide [m/s] that counts like 1 rad/s of a hinge."""
-
-
-@dataclasses.dataclass(kw_only=True)
-class Readings:
-    """What sensors may do to the signals; changed in place by effects of sensors."""
-
-    rotation: Array = dataclasses.field(default_factory=lambda: np.eye(3))
-    """Reading of the accelerometer = rotation @ truth, of shape (3, 3)."""
-    gain: dict[str, float] = dataclasses.field(default_factory=dict)
-    """Factor by sensor."""
-    bias: dict[str, Array] = dataclasses.field(default_factory=dict)
-    """Constant by sensor, of shape (1,) or (3,)."""
-    delay: dict[str, float] = dataclasses.field(default_factory=dict)
-    """Delay by sensor [s]."""
-    step: dict[str, float] = dataclasses.field(default_factory=dict)
-    """Step by sensor, to which its readings are rounded, noise and all."""
-    torque: Array
-    """Measured over true torque, of shape (n,)."""
-    offset: Array
-    """Constant of the measured torque, of shape (n,) [N m or N]."""
-    straight: bool = False
-    """Whether the drives go in straight lines from command to command."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -104,21 +86,25 @@ class Spot:
 
 
 class At(Spot):
-    """A place of a true arm and its sensors, which are to be changed."""
+    """A place of a true arm with its sensors, which are to be changed."""
 
-    def __init__(self, machine: Machine, place: Place, system: System, readings: Readings) -> None:
+    def __init__(self, machine: Machine, place: Place, system: System) -> None:
         super().__init__(machine, place)
-        self.system, self.readings = system, readings
+        self.system = system
 
     @property
-    def body(self) -> Array:
-        """Numbers of the body at the link's proximal end, to be written to."""
-        return self.system.bodies[self.system.proximal[self.j]]  # type: ignore[no-any-return]
+    def body(self) -> int:
+        """Body at the link's proximal end."""
+        return int(self.system.proximal[self.j])
 
     @property
     def motor(self) -> int:
         """Degree of freedom on the motor's side of the joint."""
         return int(self.system.joint_dofs[self.j])
+
+    def adds(self, body: int, columns: int | slice, value: Any) -> None:
+        """Add to numbers of a body."""
+        self.system.bodies[body, columns] += value
 
     def law(self, dof: int | None = None, **values: float) -> None:
         """Write laws of a degree of freedom, by default the motor's."""
@@ -135,6 +121,11 @@ class At(Spot):
         for name, value in values.items():
             self.system.drives[name][slice(None) if self.j < 0 else self.j] += value
 
+    def reads(self, **values: Any) -> None:
+        """Let the sensor say something else, by names of `System.sensors`."""
+        for name, value in values.items():
+            self.system.sensors[name][self.place.name] = value
+
     def spring(
         self, dof: int, load: float, *, stiffness: float, damping_ratio: float, stiffening: float
     ) -> None:
@@ -143,6 +134,12 @@ class At(Spot):
         damping = 2 * damping_ratio * np.sqrt(stiffness * felt)
         progress = stiffening / (load / stiffness) ** 2
         self.law(dof, stiffness=stiffness, progress=progress, damping=damping)
+
+    def couple(self, other: int, ratio: float, stiffness: float, slack: float) -> None:
+        """Put a spring over the joint and another one, slack by so much in the middle pose."""
+        home, dofs = self.machine.home, self.system.joint_dofs
+        rest = home[self.j] + ratio * home[other] + slack
+        self.system.cable[:5] = [self.motor, dofs[other], ratio, stiffness, rest]
 
     def stops(
         self, dof: int, load: float, *, gap: float, stop_mode: float, stop_damping_ratio: float,
@@ -212,10 +209,6 @@ def _zeroed(machine: Machine) -> list[Place]:
     # the zero of a first joint about the vertical, or of a slide, changes nothing that is measured
     upright = abs(machine.axis[0, 2]) > 0.99
     return [place for place in hinges(machine) if place.index or not upright]
-
-
-def _all(machine: Machine) -> list[Place]:
-    return [ALL]
 
 
 def _tool(machine: Machine) -> list[Place]:
@@ -289,11 +282,6 @@ def _asymmetric(size: float, at: Spot) -> Parameters:
     return {**_rubbing((1.0, 1.1))(size, at), **sides}
 
 
-def _behind_slack(size: float, at: Spot) -> Parameters:
-    slack = at.uniform(0.05, 0.25) * at.link.reach
-    return {"torque": size, "slack": slack, "elastic": at.uniform(0.1, 0.4) * slack}
-
-
 def _soft(ratio: tuple[float, float], stiffening: tuple[float, float]) -> Draw:
     return lambda size, at: {
         "stiffness": 1.0 / size, "damping_ratio": at.log_uniform(*ratio),
@@ -315,20 +303,10 @@ def _stops(size: float, at: Spot) -> Parameters:
     return {"gap": size, "stop_mode": mode, "stop_damping_ratio": ratio}
 
 
-def _seat(size: float, at: Spot) -> Parameters:
-    seat = {"direction": at.direction().tolist(), "friction": at.log_uniform(0.3, 3.0)}
-    return {**seat, **_stops(size, at)}
-
-
 def _payload(size: float, at: Spot) -> Parameters:
     # its centre at the tool, or as far off as a gripper is long
     off = at.rng.choice([0.0, at.uniform(0.01, 0.08)]) * at.direction(every=True)
     return {"mass": size, **dict(zip("xyz", off.tolist(), strict=True))}
-
-
-def _eccentric(size: float, at: Spot) -> Parameters:
-    phase = at.phase()
-    return {"sine": float(size * np.cos(phase)), "cosine": float(size * np.sin(phase))}
 
 
 def _bias(size: float, at: Spot) -> Parameters:
@@ -347,11 +325,6 @@ def _tilt(size: float, at: Spot) -> Parameters:
     return {"tilt_x": float(size * axis[0]), "tilt_y": float(size * axis[1])}
 
 
-def _voltage(size: float, at: Spot) -> Parameters:
-    stall = at.link.limit / size  # of the velocity gain a part is back-EMF
-    return {"stall_torque": stall, "no_load_speed": stall / (at.uniform(0.3, 1.0) * at.link.kv)}
-
-
 # ---------------------------------------------------------------- changes of the true arm
 
 
@@ -364,53 +337,10 @@ def _rubs(
            smooth_speed=smooth_speed)  # fmt: skip
 
 
-def _rubs_by_load(
-    at: At, share: float, static_ratio: float, speed: float, smooth_speed: float,
-    load_ratio: float, **_: float,
-) -> None:  # fmt: skip
-    at.drive(loaded=share, loaded_bump=static_ratio - 1.0, loaded_speed=speed,
-             loaded_smooth=smooth_speed, loaded_external=load_ratio * share)  # fmt: skip
-
-
-def _pull(at: At, stiffness: float, reference: float, stiffening: float) -> None:
-    farthest = abs(at.link.home - reference) + at.link.reach
-    at.law(stiffness=stiffness, rest=reference, progress=stiffening / farthest**2)
-
-
-def _bends(at: At, axis: Sequence[float], position: float, **soft: float) -> None:
-    # a bar that is a little heavier near its joint has its middle of mass at 0.48 of its length
-    share = position * (1 + 0.08 * (1 - position))
-    dof = at.system.split_link(at.j, position * at.link.end, np.array(axis), share)
-    at.spring(dof, 0.5 * at.link.limit, **soft)
-
-
-STOP_LOAD = 30.0
-"""Force that usually presses a loose seat to its stops [N]."""
-SEAT_DAMPING = 5.0
-"""Damping of a loose seat's guide [N s/m]."""
-
-
-def _rattles(at: At, direction: Sequence[float], friction: float, **stops: float) -> None:
-    dof = at.system.free_link(at.j, "slide", np.array(direction))
-    at.stops(dof, STOP_LOAD, damping=SEAT_DAMPING, friction=friction, smooth_speed=2e-3, **stops)
-
-
 def _weighs(at: At, mass: float) -> None:
     ratio = 1 + mass / at.link.mass
-    at.body[of.MASS] *= ratio
-    at.body[of.INERTIA : of.ARMATURE] *= ratio
-
-
-def _centred(at: At, **centre: float) -> None:
-    at.body[of.COM : of.INERTIA] += list(centre.values())
-
-
-def _turns(at: At, inertia: float) -> None:
-    at.system.bodies[at.motor, of.ARMATURE] += inertia
-
-
-def _balanced(at: At, share: float) -> None:
-    at.body[of.CARRIED] += share
+    at.system.bodies[at.body, of.MASS] *= ratio
+    at.system.bodies[at.body, of.INERTIA : of.ARMATURE] *= ratio
 
 
 def rotation(vector: Array) -> Array:
@@ -430,32 +360,12 @@ def _tilts(at: At, tilt_x: float, tilt_y: float) -> None:
 
 def _misaligned(at: At, **turns: float) -> None:
     # the sensor is turned in the tool's frame
-    at.readings.rotation = rotation(np.array(list(turns.values()))).T @ at.readings.rotation
-
-
-def _amplified(at: At, gain: float) -> None:
-    at.system.drives["gain"][at.j] *= gain
+    at.system.rotation = rotation(np.array(list(turns.values()))).T @ at.system.rotation
 
 
 def _misread(at: At, factor: float = 1.0, torque: float = 0.0) -> None:
-    at.readings.torque[at.j] *= factor
-    at.readings.offset[at.j] += torque
-
-
-def _straight(at: At) -> None:
-    at.readings.straight = True
-
-
-def _coupled(at: At, stiffness: float, other: int, ratio: float, slack: float) -> None:
-    home, dofs = at.machine.home, at.system.joint_dofs
-    rest = home[at.j] + ratio * home[other] + slack
-    at.system.cable[:5] = [dofs[at.j], dofs[other], ratio, stiffness, rest]
-
-
-def _shaken(
-    at: At, force: float, direction: Sequence[float], frequency: float, phase: float
-) -> None:
-    at.system.fan = np.array([*(force * np.array(direction)), frequency, phase])
+    at.system.torque_gain[at.j] *= factor
+    at.system.torque_offset[at.j] += torque
 
 
 # ---------------------------------------------------------------------------------- kinds
@@ -503,11 +413,18 @@ _CATALOGUE = {
     "asymmetric_friction": Kind(
         _joints, (0.015, 0.08), "limit", "stf", "forward T, backward T", _rubs, _asymmetric),
     "load_friction": Kind(
-        _joints, (0.06, 0.4), "", "st", "share", _rubs_by_load, lambda size, at: {
+        _joints, (0.06, 0.4), "", "st", "share",
+        lambda at, share, static_ratio, speed, smooth_speed, load_ratio, **_: at.drive(
+            loaded=share, loaded_bump=static_ratio - 1.0, loaded_speed=speed,
+            loaded_smooth=smooth_speed, loaded_external=load_ratio * share),
+        lambda size, at: {
             **_rubbing((1.0, 1.2), (0.03, 0.25))(size, at), "share": size, "load_ratio": 0.0}),
     "friction_behind_slack": Kind(
         _joints, (0.03, 0.12), "limit", "stf", "torque T, slack A, elastic A",
-        lambda at, torque, **p: at.law(slack_force=torque, **p), _behind_slack),
+        lambda at, torque, **p: at.law(slack_force=torque, **p),
+        lambda size, at: {
+            "torque": size, "slack": (slack := at.uniform(0.05, 0.25) * at.link.reach),
+            "elastic": at.uniform(0.1, 0.4) * slack}),
     "quadratic_drag": Kind(
         _joints, (0.003, 0.04), "limit/speed²", "stf", "drag T·s²/A²", At.law),
     "joint_compliance": Kind(
@@ -518,18 +435,32 @@ _CATALOGUE = {
         hinges, (2e-3, 0.02), "", "st", "gap A", lambda at, **p: at.stops(
             _free_joint(at.system, at), 0.1 * at.link.limit, damping=0.05 * at.link.damping, **p),
         _stops),
-    "structural_looseness": Kind(_links, (5e-5, 4e-4), "", "s", "gap m", _rattles, _seat),
-    "link_flexibility": Kind(_bars, MODES, "half", "s", "stiffness N·m/rad", _bends, _bending),
+    "structural_looseness": Kind(
+        _links, (5e-5, 4e-4), "", "s", "gap m", lambda at, direction, friction, **p: at.stops(
+            at.system.free_link(at.j, "slide", np.array(direction)), STOP_LOAD,
+            damping=SEAT_DAMPING, friction=friction, smooth_speed=2e-3, **p),
+        lambda size, at: {
+            "direction": at.direction().tolist(), "friction": at.log_uniform(0.3, 3.0),
+            **_stops(size, at)}),
+    "link_flexibility": Kind(  # a bar with its middle of mass at 0.48 is heavier near its joint
+        _bars, MODES, "half", "s", "stiffness N·m/rad", lambda at, axis, position, **p: at.spring(
+            at.system.split_link(at.j, position * at.link.end, np.array(axis),
+                                 position * (1 + 0.08 * (1 - position))),
+            0.5 * at.link.limit, **p),
+        _bending),
     "link_mass": Kind(_links, (0.12, 0.6), "mass", "stf", "mass kg", _weighs, _signed("mass")),
     "link_com": Kind(
-        _links, (0.10, 0.35), "length", "stf", "x m, y m, z m", _centred, _along("x", "y", "z")),
+        _links, (0.10, 0.35), "length", "stf", "x m, y m, z m",
+        lambda at, **p: at.adds(at.body, slice(of.COM, of.INERTIA), list(p.values())),
+        _along("x", "y", "z")),
     "payload": Kind(
         _tool, (0.25, 1.2), "mass", "stf", "mass kg, x m, y m, z m",
         lambda at, mass, x, y, z: at.system.add_mass(mass, at.system.tool + np.array([x, y, z])),
         _payload),
-    "rotor_inertia": Kind(_joints, (0.4, 2.0), "armature", "stf", "inertia kg·m²", _turns),
+    "rotor_inertia": Kind(_joints, (0.4, 2.0), "armature", "stf", "inertia kg·m²",
+        lambda at, inertia: at.adds(at.motor, of.ARMATURE, inertia)),
     "actuator_gain": Kind(
-        _motors, (0.12, 0.5), "", "s", "gain", _amplified, _signed("gain", 1.0)),
+        _motors, (0.12, 0.5), "", "s", "gain", At.drive, _signed("gain", 1.0)),
     "torque_constant": Kind(
         _joints, (0.12, 0.4), "", "t", "factor", _misread, _signed("factor", 1.0)),
     "torque_offset": Kind(
@@ -540,27 +471,31 @@ _CATALOGUE = {
     "command_delay": Kind(  # a bus delays all drives alike: as likely as one of them
         lambda m: _motors(m) + [ALL] * m.joints, (2e-3, 0.04), "", "s", "delay s", At.more),
     "command_interpolation": Kind(
-        _all, (1.0, 1.01), "", "s", "", _straight, lambda size, at: {}),
+        lambda m: [ALL], (1.0, 1.01), "", "s", "",
+        lambda at: setattr(at.system, "straight", True), lambda size, at: {}),
     "encoder_offset": Kind(  # the servo closes on the shifted reading too
         _zeroed, (8e-3, 0.12), "", "stf", "offset A", At.more, _signed("offset")),
     "gear_eccentricity": Kind(
-        hinges, (3e-3, 0.02), "", "s", "sine A, cosine A", At.drive, _eccentric),
+        hinges, (3e-3, 0.02), "", "s", "sine A, cosine A", At.drive,
+        lambda size, at: {
+            "sine": float(size * np.cos(phase := at.phase())),
+            "cosine": float(size * np.sin(phase))}),
     "sensor_misalignment": Kind(
         lambda m: [_TOOL_ACC], (0.03, 0.3), "", "s", "turn_x rad, turn_y rad, turn_z rad",
         _misaligned, _along("turn_x", "turn_y", "turn_z", every=True)),
     "sensor_gain": Kind(
         _inertial, (0.03, 0.3), "", "s", "gain",
-        lambda at, gain: at.readings.gain.update({at.place.name: gain}), _signed("gain", 1.0)),
+        At.reads, _signed("gain", 1.0)),
     "sensor_bias": Kind(
         _inertial, (0.15, 1.5), "", "s", "bias A/s, bias_x m/s², bias_y m/s², bias_z m/s²",
-        lambda at, **p: at.readings.bias.update({at.place.name: np.array(list(p.values()))}),
+        lambda at, **p: at.reads(bias=np.array(list(p.values()))),
         _bias),
     "sensor_delay": Kind(
         lambda m: _inertial(m) + _encoders(m), (3e-3, 0.04), "", "s", "delay s",
-        lambda at, delay: at.readings.delay.update({at.place.name: delay})),
+        At.reads),
     "sensor_quantisation": Kind(
         _encoders, (2e-3, 0.02), "", "s", "step A",
-        lambda at, step: at.readings.step.update({at.place.name: step}),
+        At.reads,
         lambda size, at: {"step": size * at.speed}),
     "base_tilt": Kind(
         lambda m: [_BASE] if hinges(m) else [], (0.015, 0.12), "", "stf",
@@ -579,20 +514,27 @@ _CATALOGUE = {
             "amplitude": size, "periods": float(at.rng.integers(6, 25)), "phase": at.phase(),
             "second_harmonic": at.uniform(0.0, 0.2)}),
     "joint_spring": Kind(
-        _joints, (0.03, 0.2), "limit/reach", "stf", "stiffness T/A, reference A", _pull,
+        _joints, (0.03, 0.2), "limit/reach", "stf", "stiffness T/A, reference A",
+        lambda at, stiffness, reference, stiffening: at.law(
+            stiffness=stiffness, rest=reference,
+            progress=stiffening / (abs(at.link.home - reference) + at.link.reach) ** 2),
         lambda size, at: {
             "stiffness": size,
             "reference": at.link.home + at.uniform(-1.5, 1.5) * at.link.reach,
             "stiffening": at.uniform(0.0, 0.1)}),
     "gravity_compensation": Kind(
-        _weighed, (0.25, 1.0), "", "stf", "share", _balanced, _signed("share")),
+        _weighed, (0.25, 1.0), "", "stf", "share",
+        lambda at, share: at.adds(at.body, of.CARRIED, share), _signed("share")),
     "torque_limit": Kind(
         _motors, (1.3, 4.0), "", "s", "limit T", At.drive,
         lambda size, at: {"limit": at.link.limit / size}),
     "voltage_limit": Kind(
         _motors, (1.3, 4.0), "", "s", "stall_torque T, no_load_speed A/s",
         lambda at, stall_torque, no_load_speed: at.drive(
-            limit=stall_torque, back_emf=stall_torque / no_load_speed), _voltage),
+            limit=stall_torque, back_emf=stall_torque / no_load_speed),
+        lambda size, at: {  # of the velocity gain a part is back-EMF
+            "stall_torque": (stall := at.link.limit / size),
+            "no_load_speed": stall / (at.uniform(0.3, 1.0) * at.link.kv)}),
     "speed_limit": Kind(
         _motors, (0.3, 5.0), "", "s", "speed A/s", lambda at, speed: at.drive(speed_limit=speed),
         lambda size, at: {"speed": at.speed / size}),
@@ -607,15 +549,20 @@ _OUTSIDE = {
             friction=torque, smooth_speed=3e-3, warm_time=warm_time),
         lambda size, at: {"torque": size, "warm_time": at.log_uniform(1.5, 4.0)}),
     "cable_coupling": Kind(
-        lambda m: hinges(m)[:-1], (0.05, 0.3), "limit", "stf", "", _coupled, lambda size, at: {
+        lambda m: hinges(m)[:-1], (0.05, 0.3), "limit", "stf", "", At.couple,
+        lambda size, at: {
             "stiffness": size,
             "other": int(at.rng.choice([p.index for p in hinges(at.machine) if p.index > at.j])),
             "ratio": at.uniform(0.6, 1.5) * at.sign(), "slack": at.uniform(-0.3, 0.3)}),
     "shaking_force": Kind(
-        _tool, (0.05, 0.5), "limit", "stf", "", _shaken, lambda size, at: {
+        _tool, (0.05, 0.5), "limit", "stf", "",
+        lambda at, force, direction, frequency, phase: np.copyto(
+            at.system.fan, [*(force * np.array(direction)), frequency, phase]),
+        lambda size, at: {
             "force": size, "direction": at.direction().tolist(),
             "frequency": at.log_uniform(3.0, 12.0), "phase": at.phase()}),
-    "voltage_sag": Kind(_all, (0.1, 1.5), "", "s", "", At.drive, lambda size, at: {"sag": size}),
+    "voltage_sag": Kind(
+        lambda m: [ALL], (0.1, 1.5), "", "s", "", At.drive, lambda size, at: {"sag": size}),
     "tight_spots": Kind(  # a bent shaft rubs in some angles and runs free in others
         hinges, (0.02, 0.12), "limit", "stf", "",
         lambda at, torque, waves, phase: at.law(
@@ -639,6 +586,6 @@ def drawn(name: str, spot: Spot, share: float | None = None) -> Effect:
     return Effect(kind=name, place=spot.place, parameters=parameters)
 
 
-def apply_effect(effect: Effect, system: System, readings: Readings, machine: Machine) -> None:
+def apply_effect(effect: Effect, system: System, machine: Machine) -> None:
     """Change an arm and its sensors by an effect, in place."""
-    KINDS[effect.kind].act(At(machine, effect.place, system, readings), **effect.parameters)
+    KINDS[effect.kind].act(At(machine, effect.place, system), **effect.parameters)

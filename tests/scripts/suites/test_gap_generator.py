@@ -17,7 +17,6 @@ from loose_env.recording import read_recording
 from scripts.suites.blind import FIRST_JUDGED
 from scripts.suites.gap.arms import MACHINES, model_xml
 from scripts.suites.gap.cases import (
-    TOLERANCES,
     VISIBLE,
     draw_case,
     made,
@@ -29,7 +28,7 @@ from scripts.suites.gap.cases import (
 )
 from scripts.suites.gap.dynamics import exactly
 from scripts.suites.gap.effects import CATALOGUE, KINDS, OUTSIDE, Effect, Spot, drawn
-from scripts.suites.gap.machine import Motion, TrueArm
+from scripts.suites.gap.worlds import SAMPLE, TOLERANCES, Motion, Noise, Setup
 
 pytestmark = pytest.mark.slow
 
@@ -42,8 +41,9 @@ def swing(machine, seconds: float = 0.8) -> np.ndarray:
     return machine.home + 0.3 * machine.reach * wave
 
 
-def exact(machine, *effects: Effect) -> TrueArm:
-    return TrueArm(machine=machine, factors=exactly(machine.joints), effects=effects)
+def exact(machine, *effects: Effect) -> Setup:
+    noise = Noise.draw(machine, np.random.default_rng(0), SAMPLE)
+    return Setup(machine=machine, factors=exactly(machine.joints), effects=effects, noise=noise)
 
 
 @pytest.mark.parametrize("name", list(MACHINES))

@@ -1,4 +1,4 @@
-"""Motions of a true arm, its simulated runs, and its sensors' readings and noise."""
+"""Machines in worlds: errors of their models, motions, simulated runs, sensors and their noise."""
 
 from __future__ import annotations
 
@@ -9,12 +9,31 @@ import numpy as np
 from scipy import signal
 
 from loose_env.typing import Array
-from scripts.suites.gap.arms import GRAVITY, Machine
-from scripts.suites.gap.dynamics import Factors, Signals, System, exactly
-from scripts.suites.gap.effects import ACCELEROMETER, Effect, Readings, apply_effect
+from scripts.suites.gap.arms import GRAVITY, MACHINES, Machine, varied
+from scripts.suites.gap.dynamics import NEUTRAL, RATIOS, Factors, Signals, System, exactly
+from scripts.suites.gap.effects import (
+    ACCELEROMETER,
+    FREE,
+    SERVO,
+    TORQUE,
+    Effect,
+    apply_effect,
+)
 
 SAMPLE = 1e-3
 """Time between two samples where a log has no rate of its own [s]."""
+WORLDS = ("exact", "servo", "torque", "free", "rough", "shaken")
+"""Worlds, by the number's remainder."""
+IDEAL = ("exact", "shaken")
+"""Those in which a model is exact but for small errors of its scales."""
+TOLERANCES = {
+    "mass": 0.04, "inertia": 0.20, "armature": 0.20, "damping": 0.10, "kp": 0.04, "kv": 0.10,
+    "x": 0.03, "y": 0.03, "z": 0.03, "zero": 1e-3, "constant": 0.04, "offset": 0.006,
+}  # fmt: skip
+"""Largest error of a model: shares, centres as shares of the link's length, zeros [rad, m], torques
+as shares of the limit. A model errs by half of that, a standard deviation, and never by more."""
+SHIFT = 0.5
+"""Largest shift of the commands [samples], of either sign."""
 FADE = 0.6
 """Time over which a motion grows from rest [s]."""
 EFFORT = 0.55
@@ -33,12 +52,8 @@ class Motion:
     """Joint that is shaken, counted from 0."""
     pose: Array | None = None
     """Pose held, of shape (n,)."""
-    straight: bool = False
-    """Whether the drives go in straight lines from command to command; they hold each if not."""
     family: str = ""
     """A word for the motion."""
-    sample: float = SAMPLE
-    """Time between two commands [s]."""
 
 
 def _minimum_jerk(x: Any) -> Array:
@@ -100,9 +115,8 @@ FAMILIES = {
 
 
 def rich_motion(
-    rng: np.random.Generator, machine: Machine, *, family: str, seconds: float, sample: float,
-    straight: bool,
-) -> Motion:  # fmt: skip
+    rng: np.random.Generator, machine: Machine, *, family: str, seconds: float, sample: float
+) -> Motion:
     """Commands that move all joints at once, growing from rest."""
     n, time = machine.joints, np.asarray(np.arange(round(seconds / sample)) * sample)
     shape = np.stack([FAMILIES[family](rng, time) for _ in range(n)], axis=1)
@@ -113,8 +127,7 @@ def rich_motion(
     inertia = np.diag(System.build(machine, exactly(n)).at_rest(machine.home)[0])
     sharpest = np.abs(np.gradient(np.gradient(shape, sample, axis=0), sample, axis=0)).max(axis=0)
     sizes = np.minimum(sizes, machine.limit * EFFORT / inertia / np.maximum(sharpest, 1e-9))
-    commands = start + shape * sizes
-    return Motion(commands=commands, straight=straight, family=family, sample=sample)
+    return Motion(commands=start + shape * sizes, family=family)
 
 
 def shaken_motion(
@@ -143,7 +156,7 @@ def free_motion(
     sizes = rng.uniform(0.3, 0.7, n)
     wave = np.sin(2 * np.pi * rates * time[:, None] + phases) - np.sin(phases)
     commands = machine.hanging + sizes * wave * _minimum_jerk(time / 1.0)[:, None]
-    return Motion(commands=commands, release=round(swing / sample), family="free", sample=sample)
+    return Motion(commands=commands, release=round(swing / sample), family="free")
 
 
 SLIDE_SCALE = 0.05
@@ -196,20 +209,21 @@ class Noise:
         return signals._replace(**noisy)
 
 
-def _read(trace: Signals, readings: Readings, *, inside: int, sample: float) -> Signals:
+def _read(trace: Signals, system: System, *, inside: int, sample: float) -> Signals:
     """Readings without noise; a trace has so many steps in a sample."""
 
     def taken(name: str, values: Array) -> Array:
         # a sensor that is late reads what was there between the samples
-        late = readings.delay.get(name, 0.0) / sample * inside
+        late = system.sensors["delay"].get(name, 0.0) / sample * inside
         if late:
             at, grid = np.arange(0, len(values), inside) - late, np.arange(len(values))
             values = np.stack([np.interp(at, grid, column) for column in values.T], axis=1)
         else:
             values = values[::inside]
         if name == ACCELEROMETER:
-            values = values @ readings.rotation.T
-        return values * readings.gain.get(name, 1.0) + readings.bias.get(name, 0.0)
+            values = values @ system.rotation.T
+        gain, bias = system.sensors["gain"], system.sensors["bias"]
+        return np.asarray(values * gain.get(name, 1.0) + bias.get(name, 0.0))
 
     def joints(word: str, values: Array) -> Array:
         columns = (values[:, [j]] for j in range(values.shape[1]))
@@ -219,24 +233,24 @@ def _read(trace: Signals, readings: Readings, *, inside: int, sample: float) -> 
         position=joints("pos", trace.position),
         velocity=joints("vel", trace.velocity),
         acceleration=taken(ACCELEROMETER, trace.acceleration),
-        torque=trace.torque[::inside] * readings.torque + readings.offset,
+        torque=trace.torque[::inside] * system.torque_gain + system.torque_offset,
         joint_acceleration=trace.joint_acceleration[::inside],
     )
-    return rounded(found, readings)
+    return rounded(found, system)
 
 
-def rounded(signals: Signals, readings: Readings) -> Signals:
+def rounded(signals: Signals, system: System) -> Signals:
     """Readings of coarse encoders at whole steps."""
     position = signals.position.copy()
-    for sensor, step in readings.step.items():
+    for sensor, step in system.sensors["step"].items():
         column = position[:, int(sensor.removeprefix("joint").removesuffix("_pos")) - 1]
         column[:] = step * np.round(column / step)
     return signals._replace(position=position)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TrueArm:
-    """An arm as it is: nominal parameters times factors, with effects."""
+class Setup:
+    """A machine in a world: nominal parameters times factors, with effects, and its recorder."""
 
     machine: Machine
     factors: Factors
@@ -247,42 +261,62 @@ class TrueArm:
     """Rate [Hz], delay in its samples (0 or 1) and share of a new velocity of sampled drives."""
     coupling: tuple[float, float, float] | None = None
     """Ratio, friction and rotor of the last motor, if it turns with the joint before too."""
+    straight: bool = False
+    """Whether the drives go in straight lines from command to command; they hold each if not."""
+    world: str = IDEAL[0]
+    form: str = SERVO
+    """Form of the recording."""
+    sample: float = SAMPLE
+    """Time between two samples of the log [s]."""
+    noise: Noise
+    speeds: bool = True
+    """Whether velocities are recorded."""
+    accelerometer: bool = False
+    """Whether the tool has one."""
+    torques: bool = False
+    """Whether torques are recorded."""
+    garbage: str = ""
+    """Column that says nothing."""
+    ignored: tuple[str, ...] = ()
+    """Places of which answers count neither for nor against a tool."""
+    spoiled: tuple[int, ...] = ()
+    """Joints where no effect is put."""
 
-    def assemble(self, run: int | None = None) -> tuple[System, Readings]:
-        """The arrays to integrate and what is wrong with the sensors, in a run."""
-        machine, factors, n = self.machine, self.factors, self.machine.joints
-        system = System.build(machine, factors)
-        readings = Readings(
-            torque=factors["constant"].copy(), offset=factors["offset"] * machine.limit
-        )
+    @property
+    def ideal(self) -> bool:
+        """Whether the model is exact but for small errors of its scales."""
+        return self.world in IDEAL
+
+    def assemble(self, run: int | None = None) -> System:
+        """The arm and its sensors as they are in a run."""
+        system, n = System.build(self.machine, self.factors), self.machine.joints
         if self.coupling is not None:
             ratio, friction, rotor = self.coupling
             system.cable[:] = (n - 1, n - 2, ratio, 0.0, 0.0, friction, rotor)
         for effect in self.effects:
             if run is None or not effect.runs or run in effect.runs:
-                apply_effect(effect, system, readings, machine)
+                apply_effect(effect, system, self.machine)
         if self.link_side:
             soft = (system.proximal != system.joint_dofs) & ~system.slides[system.proximal]
             system.drives["link_side"] = np.where(soft, system.proximal, -1)
-        return system, readings
+        return system
 
     def run(
         self, motion: Motion, *, step: float = 1e-4, settle: float = 1.2, number: int | None = None
     ) -> Signals:
         """Readings of one run without noise, integrated in steps of this length at most."""
-        system, readings = self.assemble(number)
-        sample = motion.sample
+        system, sample = self.assemble(number), self.sample
         inside = _steps_inside(system, self.machine, max(1, round(sample / step)), sample)
         servo = (0, 0.0, 1.0)
         if self.servo is not None and motion.release is None:
             rate, late, smoothing = self.servo
             servo = (max(1, round(inside / sample / rate)), late, smoothing)
-        fine = bool(readings.delay)
+        fine = bool(system.sensors["delay"])
         trace = system.simulate(
             motion.commands, sample=sample, inside=inside, settle=settle, release=motion.release,
-            fine=fine, straight=motion.straight or readings.straight, servo=servo,
+            fine=fine, straight=self.straight or system.straight, servo=servo,
         )  # fmt: skip
-        signals = _read(trace, readings, inside=inside if fine else 1, sample=sample)
+        signals = _read(trace, system, inside=inside if fine else 1, sample=sample)
         if self.coupling is not None:  # the drives' own torques are logged
             signals.torque[:, -2] -= self.coupling[0] * signals.torque[:, -1]
         return Signals(*(values[motion.release or 0 :] for values in signals))
@@ -314,3 +348,117 @@ def _steps_inside(system: System, machine: Machine, least: int, sample: float) -
             rate += load * law["crossley"]
         needed = max(needed, rate / felt * step / 1.2, np.sqrt(stiffness / felt) * step / 0.6)
     return least * int(np.ceil(needed - 1e-9))
+
+
+# ---------------------------------------------------------------------------------- draws
+
+
+def _slight(rng: np.random.Generator, n: int) -> Factors:
+    """Errors of 1 to 3 % and of random sign of all but centres, zeros and times."""
+    off = {name: rng.uniform(0.01, 0.03, n) * rng.choice([-1, 1], n) for name in RATIOS}
+    return exactly(n) | {name: 1 + each for name, each in off.items()}
+
+
+def _errors(rng: np.random.Generator, machine: Machine, sample: float, shift: bool) -> Factors:
+    """What a model of a real machine never has exactly."""
+
+    def off(*names: str) -> Factors:
+        draws = {name: np.clip(rng.normal(scale=0.5, size=n), -1, 1) for name in names}
+        return {name: NEUTRAL[name] + each * TOLERANCES[name] for name, each in draws.items()}
+
+    n, scale = machine.joints, np.where(machine.slide, SLIDE_SCALE, 1.0)
+    found = off(*RATIOS[:4], "kp", "kv", "constant", "x", "y", "z", "offset")
+    late = rng.uniform(-SHIFT, SHIFT) * sample if shift else 0.0
+    return exactly(n) | found | {"shift": np.full(n, late), "zero": off("zero")["zero"] * scale}
+
+
+def _servo(rng: np.random.Generator, log: float) -> tuple[float, float, float]:
+    """A drive's own rate [Hz], so far above the log's that no delay of it counts."""
+    rate = float(rng.choice([r for r in (1000.0, 2000.0, 4000.0, 8000.0) if r >= 4 * log]))
+    late = float(rng.integers(0, 2)) if rate >= 8 * log else 0.0
+    return rate, late, float(rng.uniform(0.5, 1.0))
+
+
+def draw_setup(world: str, role: str, rng: np.random.Generator) -> Setup:
+    """A machine in a world, with nothing missing yet."""
+    small = {"many": 3, "two": 2}.get(role, 1)  # so many effects need that many joints
+    names = [name for name, machine in MACHINES.items() if machine.joints >= small]
+    chance = rng.random(6)
+    form = {"torque": TORQUE, "free": FREE}.get(world, SERVO)
+    trouble = ""
+    if world == "rough":
+        form = SERVO if chance[0] < 0.5 else TORQUE
+        trouble = "garbage" if chance[1] < 0.4 else "wrist" if chance[1] < 0.7 else "slow"
+    if world == "shaken":
+        names = ["planar3", "spatial3", "scara4", "elbow4"]
+    if trouble == "wrist":
+        names = ["upright6", "redundant7", "elbow4"]
+    if form == FREE:
+        names = [name for name in names if MACHINES[name].hanging is not None]
+        names += ["rig1"] * (2 if small == 1 else 0)
+    machine = varied(MACHINES[str(rng.choice(names))], rng)
+    n = machine.joints
+    if world in IDEAL:
+        return Setup(world=world, machine=machine, factors=_slight(rng, n), accelerometer=True,
+                     noise=Noise.draw(machine, rng, SAMPLE))  # fmt: skip
+    if form == FREE:  # one that is let swing has light gears or none
+        machine = dataclasses.replace(
+            machine, damping=0.05 * machine.damping, armature=0.2 * machine.armature,
+            limit=0.12 * machine.limit,
+        )  # fmt: skip
+    rates = {SERVO: (100, 125, 200, 250, 500, 1000), TORQUE: (100, 200, 250, 500, 1000),
+             FREE: (60, 100, 200, 500, 1000)}[form]  # fmt: skip
+    rate = float(rng.choice((30, 50, 60, 100) if trouble == "slow" else rates))
+    last, servo = machine.link(-1), form == SERVO
+    setup = Setup(
+        world=world, form=form, machine=machine, sample=1 / rate,
+        factors=_errors(rng, machine, 1 / rate, shift=servo and bool(chance[2] < 0.6)),
+        link_side=form != TORQUE and bool(chance[3] < 0.5),
+        servo=_servo(rng, rate) if servo else None, noise=Noise.draw(machine, rng, 1 / rate),
+        speeds=bool(chance[4] < 0.5), accelerometer=servo and bool(rng.random() < 0.3),
+        torques=form == TORQUE or (servo and bool(rng.random() < 0.2)),
+        straight=form == TORQUE or (servo and bool(rng.random() < 0.4)),
+    )  # fmt: skip
+    changes: dict[str, Any] = {}
+    if trouble == "wrist":
+        ratio = float(rng.choice([-1.0, 1.0]))
+        changes = {
+            "coupling": (ratio, 0.02 * last.limit, 0.3 * last.armature),
+            "ignored": _places(n - 2) + _places(n - 1),
+            "spoiled": (n - 2, n - 1),
+        }
+    elif trouble == "garbage":
+        j = int(rng.integers(n))
+        if servo and setup.speeds:
+            name = f"joint{j + 1}_vel"
+            changes = {"garbage": f"sensor.{name}", "ignored": (name,)}
+        else:
+            column = f"sensor.joint{j + 1}_pos" if servo else f"torque.joint{j + 1}"
+            changes = {"garbage": column, "spoiled": (j,), "ignored": _places(j)}
+    return dataclasses.replace(setup, **changes)
+
+
+def _places(j: int) -> tuple[str, ...]:
+    """Names of all that belongs to a joint."""
+    words = ("joint{}", "motor{}", "link{}", "joint{}_pos", "joint{}_vel")
+    return tuple(word.format(j + 1) for word in words)
+
+
+def draw_motions(setup: Setup, rng: np.random.Generator) -> tuple[Motion, ...]:
+    """The runs of a recording."""
+    machine, sample = setup.machine, setup.sample
+    if setup.form == FREE:
+        seconds = rng.uniform(5.0, 10.0)
+        return tuple(free_motion(rng, machine, seconds=seconds, sample=sample) for _ in range(4))
+    if setup.world == "shaken":
+        # the joint stays the same over runs of other poses, then the next one is shaken
+        first = int(rng.integers(machine.joints))
+        joints = ((first + i % 2) % machine.joints for i in range(4))
+        return tuple(shaken_motion(rng, machine, joint=j, seconds=6.0) for j in joints)
+    slow = setup.form == TORQUE or sample > 0.015
+    seconds = rng.uniform(10.0, 16.0) if slow else rng.uniform(5.0, 9.0)
+    families = [list(FAMILIES)[i] for i in rng.permutation(len(FAMILIES))]
+    return tuple(
+        rich_motion(rng, machine, family=family, seconds=seconds, sample=sample)
+        for family in families
+    )
