@@ -32,6 +32,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, addresses
 from loose_env.gap.motions import Motion, loaded_poses, long_motions, scaled_until
 from loose_env.gap.output.corrected_model import step_for
+from loose_env.gap.runs import steady_activations
 from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed, force_limits
 from loose_env.gap.simulator import sensed
 from loose_env.inference import log_determinant
@@ -63,7 +64,6 @@ _STANDS = 0.05  # speed of a joint in a run over that in the fastest one, below 
 _TRIES = 8  # sizes in which a motion of the library is tried
 _REPEATS = 2  # how often a motion is recorded: each of the runs is held out in turn
 _CONTROL_HZ = 3.0  # bandwidth of the controller that is assumed where the model has no servo [Hz]
-_SETTLE_S = 0.5  # how long a servo holds the first pose before a motion [s]
 _SHORTEST_S = 6.0  # shortest excitation [s]: stretches of it are held out in turn
 _SETUP_S = 10.0
 """Time that a recording costs beside its motion [s]: of two motions that separate equally well the
@@ -527,10 +527,7 @@ class Player:
         controls = None
         if self.drive in ("position", "speed"):
             controls = (desired if self.drive == "position" else rates) @ gears
-            data.ctrl[:count] = controls[0]
-            for own in np.flatnonzero(model.actuator_actnum):
-                data.act[model.actuator_actadr[own]] = data.ctrl[min(int(own), count - 1)]
-            mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
+            data.act[:] = steady_activations(model, controls[0])
 
         def command(row: int) -> None:
             if controls is not None:
@@ -545,7 +542,8 @@ class Player:
             else:
                 data.qfrc_applied[dofs] = effort
 
-        return followed(model, data, desired, self._interval, (at, dofs), command)
+        where, held = (at, dofs), controls is not None
+        return followed(model, data, desired, self._interval, where, command, held=held)
 
     def run(self, name: str, motion: PlannedMotion) -> Run:
         """Motion in the recording's columns."""

@@ -311,8 +311,8 @@ class Grid:
         return np.asarray(np.concatenate(parts)[self.order])
 
 
-def grid_of(balance: Balance, joint: int) -> Grid:
-    """Cut a channel into cells, once."""
+def grid_of(balance: Balance, joint: int, *, taper: float = 0.25) -> Grid:
+    """Cut a channel into cells, once, with a taper over a share of a stretch at either end."""
     cache: dict[int, Grid] = balance.__dict__.setdefault("_grids", {})
     if joint in cache:
         return cache[joint]
@@ -323,7 +323,7 @@ def grid_of(balance: Balance, joint: int) -> Grid:
     counts: dict[tuple[int, int], float] = {}
     for number, (run, own) in enumerate(whole):
         rows = slice(int(first[run]) + own.start, int(first[run]) + own.stop)
-        window = _taper(own.stop - own.start) * weight[rows]
+        window = _taper(own.stop - own.start, taper) * weight[rows]
         if np.mean(window**2) < _LEAST_SHARE:
             continue
         frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
@@ -377,10 +377,10 @@ def stretches_of(balance: Balance) -> list[tuple[int, slice]]:
     return found
 
 
-def _taper(count: int) -> Array:
-    """Cosine taper over a quarter of a stretch at either end."""
+def _taper(count: int, share: float) -> Array:
+    """Cosine taper over a share of a stretch at either end."""
     at = np.linspace(0, 1, count)
-    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(at, 1 - at) / 0.25, 0, 1)))
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(at, 1 - at) / share, 0, 1)))
 
 
 def _edges(balance: Balance) -> Array:

@@ -52,10 +52,9 @@ SEED = 53_001
 """Seed of the development numbers."""
 FORMAT = "gap-truth/2"
 """Format of a file of truth."""
-ROLES = ("none", "one", "two", "many", "outside")
-"""What is missing: nothing, one effect, two, four to six, or one that the catalogue lacks."""
 _TURN = ("one", "two", "none", "one", "many", "one", "outside", "two", "none", "one")
-"""Roles of sixty successive numbers, ten for each world."""
+"""What is missing in sixty successive numbers, ten for each world: nothing, one effect, two, four
+to six, or one that the catalogue lacks."""
 VISIBLE = 5.0
 """Standard deviations of its own scatter by which what an effect changes, and no model within
 tolerances explains, exceeds the noise."""

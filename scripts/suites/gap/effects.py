@@ -17,7 +17,7 @@ from scripts.suites.gap import dynamics as of
 from scripts.suites.gap.arms import BAR_CENTRE, Machine
 from scripts.suites.gap.dynamics import System, exactly
 
-SERVO, TORQUE, FREE = FORMS = ("servo", "torque", "free")
+SERVO, TORQUE, FREE = ("servo", "torque", "free")
 """Commands to sensors, motion to torque, free response."""
 ACCELEROMETER = "tool_acc"
 """Name of the accelerometer at the tool."""
