@@ -85,7 +85,7 @@ ENTRY_POINTS = {
     "evaluation": ("paired_difference", "standings", "wilson"),
     "faults": ("hypotheses", "seated_spec"),
     "gap": ("GapSession", "GapSettings", "Parameter", "explain_gap", "read_result", "register"),
-    "importing": ("describe_sources", "read_mapping"),
+    "importing": ("propose", "read_mapping"),
     "instrument": ("diagnose", "plan", "read_arm"),
     "kinematics": ("geometric_jacobian",),
     "recording": ("Run", "read_recording"),

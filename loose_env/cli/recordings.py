@@ -13,22 +13,19 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from loose_env.cli.command import refuse
 from loose_env.cli.console import Console, OnRecording, Outcome, Output
 from loose_env.doctor import DoctorSettings, Finding, examine, write_corrected
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.importing import (
     ImportSettings,
-    LogSource,
     Proposal,
-    describe_sources,
     import_recording,
-    list_sources,
     proposal_text,
     propose,
 )
 from loose_env.io import json_text, write_text
 from loose_env.recording import Recording, load_model, read_recording
 
-IMPORTED, DESCRIBED, PROPOSAL = "loose-import/1", "loose-sources/1", "loose-proposal/1"
-"""Formats of the JSON documents of an import, of --describe, and of --guess."""
+IMPORTED, PROPOSAL = "loose-import/1", "loose-proposal/1"
+"""Formats of the JSON documents of an import, and of --guess."""
 PROPOSED = "mapping.toml"
 """File that --guess writes where --mapping names none."""
 
@@ -98,16 +95,14 @@ def check_first(recording: Recording, *, ignore_errors: bool) -> tuple[Finding, 
 
 @dataclass(frozen=True, kw_only=True)
 class Import(Output):
-    """Make a recording from logs: ROS 2 bags, tables, LeRobot and robomimic datasets and others.
+    """Make a recording from logs: ROS bags, tables, LeRobot datasets, files of arrays.
 
     A mapping file says which channel of which file goes into which column of the recording, in
     which unit, and by which clock. --guess proposes one by names, ranges and correlations, with the
-    reason for each line, and writes it for you to check. --describe lists the channels of files and
-    prints a mapping to fill in.
+    reason for each line and every other channel as a comment, and writes it for you to check.
 
         loose import --guess robot.mcap --model arm.xml --mapping mapping.toml
         loose import robot.mcap --mapping mapping.toml --out recording
-        loose import --describe robot.mcap vibration.csv > mapping.toml
         loose import robot-*.csv acc-*.csv --mapping mapping.toml --out session/recording
 
     Into the recording of 'loose plan' go the runs that the mapping calls by the plan's names; its
@@ -124,8 +119,6 @@ class Import(Output):
     default)."""
     rate_hz: float | None = None
     """With --guess: sampling rate of files without times [Hz]."""
-    describe: bool = False
-    """List the files' channels, as a mapping to fill in."""
     mapping: Annotated[Path | None, arg(metavar="MAP")] = None
     """Mapping file, .toml or .json."""
     out: Annotated[Path | None, arg(metavar="RECORDING")] = None
@@ -133,41 +126,26 @@ class Import(Output):
     model: Annotated[Path | None, arg(metavar="MODEL.xml")] = None
     """MJCF file in the place of the mapping's."""
     package_path: Annotated[Path | None, arg(metavar="DIR")] = None
-    """With --describe or --guess: folder of the package, or packages, of a URDF's meshes."""
+    """With --guess: folder of the package, or packages, of a URDF's meshes."""
     settings: OmitArgPrefixes[ImportSettings]
     """The recording that is written."""
 
     def run(self, console: Console) -> Outcome:
-        """Import, describe, or propose a mapping."""
+        """Import, or propose a mapping."""
         if not self.sources:
             _refuse("SOURCE must be given")
-        if self.describe and self.guess:
-            _refuse("give --describe or --guess, not both")
-        if self.describe:
-            return self._described()
         if self.guess:
             return self._guessed(console)
         if self.rate_hz is not None:
             _refuse("--rate-hz is for --guess; a mapping has time = { rate_hz = ... }")
         if self.mapping is None or self.out is None:
-            _refuse("give --mapping MAP and --out RECORDING, or --describe or --guess")
+            _refuse("give --mapping MAP and --out RECORDING, or --guess")
         recording = import_recording(
             self.sources, self.mapping, self.out, self.settings, model=self.model, say=console.say
         )
         return Outcome(
             text=f"written: {self.out} ({len(recording.runs)} runs)",
             json=lambda: json_text({"format": IMPORTED, **contents(recording)}),
-        )
-
-    def _described(self) -> Outcome:
-        """Channels of the files, as a mapping to fill in and as JSON."""
-        if self.mapping is not None or self.out is not None:
-            _refuse("--describe takes files and --model only")
-        model = None if self.model is None else self._compiled(self.model)
-        sources = {name: listed(each) for name, each in list_sources(self.sources).items()}
-        return Outcome(
-            text=describe_sources(self.sources, model),
-            json=lambda: json_text({"format": DESCRIBED, "sources": sources}),
         )
 
     def _guessed(self, console: Console) -> Outcome:
@@ -189,6 +167,8 @@ class Import(Output):
         beside = model.relative_to(home).as_posix() if model.is_relative_to(home) else ""
         text = proposal_text(proposal, beside)
         write_text(target, text)
+        if proposal.refused:
+            raise InvalidData(f"{proposal.refused}; {target} lists all channels")
         taken = [each for each in proposal.columns if not each.open]
         console.say(f"written: {target}, {len(taken)} columns; check each line before the import")
         return Outcome(
@@ -224,24 +204,6 @@ def proposed(proposal: Proposal, target: Path) -> dict[str, Any]:
         for each in proposal.columns
     ]
     return {"mapping": target, "columns": columns, "notes": list(proposal.notes)}
-
-
-def listed(source: LogSource) -> dict[str, Any]:
-    """Streams and channels of a file; what its kind does not say is null."""
-    streams = [
-        {
-            "topic": stream.table.topic,
-            "samples": stream.samples or None,
-            "seconds": stream.seconds,
-            "rate_hz": stream.rate_hz,
-            "channels": [
-                {"channel": each, "unit": stream.table.units.get(each, ""), "first_values": first}
-                for each, first in stream.channels.items()
-            ],
-        }
-        for stream in source.streams
-    ]
-    return {"file": source.log.name, "kind": source.log.kind, "streams": streams}
 
 
 def contents(recording: Recording) -> dict[str, Any]:

@@ -104,8 +104,8 @@ _PAUSES = Defect(
 )  # fmt: skip
 _UNEVEN = Defect(
     "uneven", "note", "spectra above about a quarter of the rate are less exact",
-    "where it is the stamps that jitter and not the samples, import with even = true; else record "
-    "with a hardware clock",
+    "record with a hardware clock; where it is the stamps that jitter and not the samples, import "
+    "with rate_hz",
 )  # fmt: skip
 _BAND = Defect(
     "rate", "warning",

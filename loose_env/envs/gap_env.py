@@ -97,15 +97,13 @@ class HiddenMachine:
         return Hypothesis(
             effects=tuple(e.effect for e in self.effects),
             values=tuple(e.values for e in self.effects),
-            nominal=self.bank.arm.nominal,
-            factors=self.factors,
         )
 
     def run(self, motion: int, rng: np.random.Generator) -> Array:
         """Measure a motion of the library: readings with noise (n, C); NaN if it diverged."""
         arm = self.bank.arm
         commands = self.bank.library[motion].commands(arm)
-        return arm.measured(arm.simulate(self.hypothesis, commands), rng)
+        return arm.measured(arm.simulate(self.hypothesis, commands, self.factors), rng)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +148,7 @@ class MachineDraw:
             bank.names[k] for k in rng.choice(len(bank.names), count, replace=False)
         )
         tolerance = bank.arm.tolerance
-        factors = 1 + rng.uniform(-tolerance, tolerance, len(bank.arm.nominal.entries))
+        factors = 1 + rng.uniform(-tolerance, tolerance, len(bank.arm.uncertain))
         return HiddenMachine(bank, tuple(self._effect(bank, n, rng) for n in chosen), factors)
 
     def _effect(self, bank: MotionBank, name: str, rng: np.random.Generator) -> HiddenEffect:

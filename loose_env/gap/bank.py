@@ -1,9 +1,8 @@
 """Evidence of an arm's motions before they are made: columns of all effects along each of them.
 
-The nominal model plays each motion once. Along it, columns of the force balance are made as for a
-recording (`loose_env.gap.core`), once for the commands and once for the measured torques, and
-whitened by the noise of the sensors. Readings of a machine along the same motion give the residual
-that these columns explain.
+The nominal model plays each motion once. Along it the core makes the columns of two force balances,
+of the commands and of the measured torques, and whitens them as those of a recording. Readings of a
+machine along the same motion give the residual that these columns explain.
 """
 
 from __future__ import annotations
@@ -11,21 +10,20 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from math import log
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.gap.core.balance import Balance, Forces, scaled
+from loose_env.gap.core.balance import Balance, scaled
 from loose_env.gap.core.catalogue import Term, shapes, terms_of
-from loose_env.gap.core.evidence import weight_of
+from loose_env.gap.core.evidence import Grid, grid_of
 from loose_env.gap.core.find import Say, silent
+from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.motion import Motion as Measured
 from loose_env.gap.core.motion import RunMotion, low_passed, rates
 from loose_env.gap.model.effect import Effect
@@ -33,6 +31,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.motions import Motion, battery, check_motion
 from loose_env.gap.servo_arm import RATE, ServoArm
+from loose_env.recording import CommandTiming
 from loose_env.typing import Array, IndexArray
 
 EXCLUDED = (
@@ -62,15 +61,16 @@ _CONTACTS = ("sliding 0.2%", "sliding 1%", "sliding 4%", "presliding 0.2%")
 """Ways in which dry friction turns at a reversal."""
 _BAND_HZ = 20.0
 """End of the band in which a motion and its forces are compared [Hz]: that of the fastest chirp."""
+_TAPER = 0.05  # taper of a stretch: these motions begin and end at rest
 _STEP = 1e-3  # relative step of derivatives by nominal parameters
+_SPREAD = 0.6
+"""Prior standard deviation of nominal parameters, as a share of their tolerance (of a uniform
+distribution: 0.58)."""
 VISIBLE = (12.0, 160.0)
 """Visibility that a candidate must reach, and the largest that is considered [noise sd]."""
 _INDISTINGUISHABLE_Z = 2.0
 """Length of a signature beside that of another candidate below which both are one [noise sd]."""
-Form = Literal["commands", "torques", "sampled"]
-"""What a balance compares the needed forces with: those of the nominal drives for the commands,
-measured torques, or those of the nominal drives for commands as they act at the samples."""
-_FORMAT = "gap evidence 2"  # version of what is stored; a change of the computation changes it
+_FORMAT = "gap evidence 5"  # version of what is stored; a change of the computation changes it
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
 
@@ -109,8 +109,7 @@ class MotionEvidence:
 
     rows: NDArray[np.float32]  # Columns in noise standard deviations (R, V)
     nominal: Array  # Residuals of the nominal model by commands and by torques (2, T, J) [N·m, N]
-    window: Array  # Taper and weight of the samples by form (2, T, J)
-    scale: Array  # One over the noise by form (2, F, J)
+    grids: tuple[tuple[Grid, ...], ...]  # How both balances of each joint are whitened
     seconds: float  # Machine time [s]
     wear: float  # Integral of the squared torque shares [s]
 
@@ -132,13 +131,11 @@ class MotionEvidence:
         return np.asarray(rows.T @ rows)
 
     def whitened(self, series: Array) -> Array:
-        """Series by form (2, ..., T, J) as rows (..., R)."""
-        parts = []
-        for own, taper, gain in zip(series, self.window, self.scale, strict=True):
-            spectrum = np.fft.rfft(own * taper, axis=-2)[..., : len(gain), :] * gain
-            parts += [spectrum.real, spectrum.imag]
-        whole = np.concatenate(parts, axis=-2)
-        return np.asarray(whole.reshape(*whole.shape[:-2], -1))
+        """Series of both balances (2, T, J, ...) as rows (R, ...)."""
+        pairs = ((g, own[:, j]) for gs, own in zip(self.grids, series, strict=True)
+                 for j, g in enumerate(gs))  # fmt: skip
+        whole = [g.whitened(own.reshape(len(own), -1)) for g, own in pairs]
+        return np.concatenate(whole).reshape(-1, *series.shape[3:])
 
     def residual(self, measured: Along) -> Array:
         """Residual of a measured motion in the rows of the columns (R,)."""
@@ -170,7 +167,7 @@ class MotionBank:
     @property
     def nuisances(self) -> int:
         """Number of nominal parameters: the first columns."""
-        return len(self.arm.nominal.entries)
+        return len(self.arm.uncertain)
 
     @cached_property
     def _coefficients(self) -> Array:
@@ -296,72 +293,68 @@ def motion_bank(
             words = f"motion {k + 1} of {len(library)}{left}"
             evidence.append(along(key, motion, arm, shaped, say, words))
     bank = MotionBank(arm, tuple(library), tuple(shaped), tuple(evidence), at)
-    bank = _only(bank, {k for k, shape in enumerate(shaped) if _seen(bank, shape)})
+    bank = _only(bank, _seen(bank))
     if not bank.shapes:
         raise InvalidData("no candidate effect can be seen on the battery of this arm")
     twins = _indistinguishable(bank)
     return _only(bank, {k for k, c in enumerate(bank.candidate) if bank.names[c] not in twins})
 
 
-def _played(arm: ServoArm, commands: Array, readings: Array) -> dict[Form, Measured]:
-    """Motion of one run by its readings, in the band of all motions, as each balance sees it."""
+def _played(
+    arm: ServoArm, controls: Array, readings: Array, form: str, early: float = 0.0
+) -> Measured:
+    """Motion of one run by its readings, in the band of all motions, for one balance."""
     step, joints, own = 1.0 / RATE, len(arm.joints), arm.driven
     thin = max(1, int(RATE / (6 * _BAND_HZ)))
-    filtered = np.zeros((len(readings), arm.machine.model.nv))
-    filtered[:] = arm.rest_position
-    filtered[:, own] = low_passed(readings[:, :joints], _BAND_HZ, step)
-    torques = np.full_like(filtered, np.nan)
+    whole = np.tile(arm.rest_position, (len(readings), 1))
+    whole[:, own] = low_passed(readings[:, :joints], _BAND_HZ, step)
+    torques = np.full_like(whole, np.nan)
     torques[:, own] = low_passed(readings[:, joints:], _BAND_HZ, step)
-    states = [filtered, rates(filtered, step), rates(filtered, step, 2)]
-    position, speed, acceleration = (np.ascontiguousarray(x[::thin]) for x in states)
-    held, every = arm.held(commands), arm.parts
-    given = low_passed(held, _BAND_HZ, step / every)[:: thin * every]
-    seen = low_passed(held[::every], _BAND_HZ, step)[::thin]
+    position, speed, acceleration = (
+        np.ascontiguousarray(x[::thin]) for x in (whole, rates(whole, step), rates(whole, step, 2))
+    )
+    lines = [CommandTiming(mode="linear", shift_s=-early)] * controls.shape[1]
+    given = low_passed(controls, _BAND_HZ, step, lines)[::thin]
     run = RunMotion(
-        name="motion", form="forward", step=step * thin, position=position, speed=speed,
+        name="motion", form=form, step=step * thin, position=position, speed=speed,
         acceleration=acceleration, derived=speed, readings=np.zeros((len(position), 0)),
-        commands=given, sampled=seen, straight=given, torques=torques[::thin],
+        commands=given, sampled=given, straight=given, torques=torques[::thin],
         limited=np.zeros_like(position), log_step=step, begin=0.0,
     )  # fmt: skip
-    noise = np.full((3, arm.machine.model.nv), np.inf)
-    noise[0] = arm.noise[0] / np.sqrt(thin)
-    noise[0, own] = arm.noise[:joints] / np.sqrt(thin)
-    measured = Measured(
-        runs=(run,), band=_BAND_HZ, noise=noise, sensors=(), sensor_noise=np.zeros(0)
-    )
-    read = noise.copy()
-    read[2, own] = arm.noise[joints:] / np.sqrt(thin)
-    return {
-        "commands": measured,
-        "torques": replace(measured, runs=(replace(run, form="inverse"),), noise=read),
-        "sampled": replace(measured, runs=(replace(run, commands=seen),)),
-    }
+    noise = np.full((3, whole.shape[1]), np.inf)
+    noise[0] = arm.noise[0]
+    noise[0, own] = arm.noise[:joints]
+    if form == "inverse":
+        noise[2, own] = arm.noise[joints:]
+    return Measured(
+        runs=(run,), band=_BAND_HZ, noise=noise / np.sqrt(thin), sensors=(),
+        sensor_noise=np.zeros(0),
+    )  # fmt: skip
 
 
 def _shapes_of(arm: ServoArm, motions: Sequence[Motion], kinds: Sequence[str]) -> list[Shape]:
     """Shapes of all candidates, with the priors that they have along some motions."""
-    runs = [
-        _played(arm, commands, arm.simulate(Hypothesis(), commands))["commands"]
-        for commands in (motion.commands(arm) for motion in motions)
-    ]
+    runs = []
+    for commands in (motion.commands(arm) for motion in motions):
+        readings = arm.simulate(Hypothesis(), commands)
+        runs.append(_played(arm, arm.controls(commands), readings, "forward"))
     measured = replace(runs[0], runs=tuple(run for each in runs for run in each.runs))
     balance = Balance(scaled(Balance(arm.machine, measured)), measured)
     balance.residual[:] = 0.0
-    wanted = kinds or [kind for kind in CATALOGUE if kind not in EXCLUDED]
     found: list[Shape] = []
-    at = len(arm.nominal.entries)
-    driven = {arm.model.actuator(int(k)).name for k in arm.actuators}
+    at = len(arm.uncertain)
+    driven = {"all", *(arm.model.actuator(int(k)).name for k in arm.actuators)}
+    wanted = kinds or [kind for kind in CATALOGUE if kind not in EXCLUDED]
     for effect in candidates(balance.machine, wanted):
         first = type(effect).variants_at(balance.machine, effect.where)[0]
         if effect.variant != first and effect.kind not in _AXES:
             continue
-        if effect.part == "actuator" and effect.where not in ("all", *driven):
+        if effect.part == "actuator" and effect.where not in driven:
             continue
         for axes, law in _axes_of(balance, effect):
             for term in terms_of(balance, effect, axes, law, _CONTACTS):
-                width = len(term.columns)
-                found.append(Shape(term, tuple(range(at, at + width))))
-                at += width
+                found.append(Shape(term, tuple(range(at, at + len(term.columns)))))
+                at = found[-1].at[-1] + 1
     return found
 
 
@@ -381,82 +374,50 @@ def _axes_of(
 
 
 class Along:
-    """Columns and residuals along a motion whose readings (n, 2 J) are positions and torques."""
+    """Both force balances along a motion whose readings (n, 2 J) are positions and torques."""
 
     def __init__(self, arm: ServoArm, motion: Motion, readings: Array) -> None:
-        self.arm, self.commands = arm, motion.commands(arm)
-        self.motions = _played(arm, self.commands, readings)
-        self.balance = Balance(arm.machine, self.motions["commands"])
-        released, sampled = copy(self.balance), copy(self.balance)
-        released.motion, sampled.motion = self.motions["torques"], self.motions["sampled"]
-        released.released = np.ones_like(self.balance.released)
-        released.given = np.zeros_like(self.balance.given)
-        sampled.commands = sampled.motion.stacked("commands")
-        sampled.given = sampled.given_by(sampled.commands)
-        self.balances: dict[Form, Balance] = {
-            "commands": self.balance, "torques": released, "sampled": sampled,
-        }  # fmt: skip
+        self.arm, controls = arm, arm.controls(motion.commands(arm))
+        # a torque is read at the beginning of a step, whose command is that of its middle
+        half = 0.5 * arm.machine.time_step
+        *self.balances, self._read = (
+            Balance(arm.machine, _played(arm, controls, readings, form, early))
+            for form, early in (("forward", 0.0), ("inverse", 0.0), ("forward", half))
+        )
 
     def residuals(self) -> Array:
         """Missing forces by commands and by torques (2, T, J)."""
-        balance = self.balance
-        measured = self.motions["torques"].stacked("torques")
-        by_torque = balance.residual + measured - balance.given
-        return np.stack([balance.residual, by_torque])[:, :, self.arm.driven]
+        return np.stack([own.residual[:, self.arm.driven] for own in self.balances])
 
     def tolerances(self, sizes: Array) -> Array:
         """Change by nominal parameters that are off by some standard deviations (2, T, J)."""
-        nominal = self.arm.nominal
-        changes: dict[Form, Array] = {}
-        for form, balance in self.balances.items():
-            spec = balance.machine.fresh()
-            nominal.edit(spec, 1 + _STEP * sizes * nominal.deviation)
-            changes[form] = balance.edited(spec).smooth / _STEP
-        return self._by_form(changes)
+        spec = self.arm.off(1 + _STEP * _SPREAD * self.arm.tolerance * sizes)
+        acting, needed, read = (
+            balance.edited(spec).smooth[:, self.arm.driven] / _STEP
+            for balance in (*self.balances, self._read)
+        )
+        return np.stack([acting, needed + acting - read])
 
     def columns(self, terms: Iterable[Term]) -> Iterator[Array]:
         """Change by every column of some terms (2, T, J)."""
-        known: dict[tuple[float, ...], dict[Form, Forces]] = {}
-        before: Effect | None = None
+
+        @cache
+        def forces(effect: Effect, values: tuple[float, ...]) -> list[tuple[Array, Array]]:
+            whole = [own.forces(effect, np.array(values)) for own in self.balances]
+            found = [(each.smooth, each.dry) for each in whole]
+            if effect.drives:
+                read = self._read.forces(effect, np.array(values))
+                found[1] = found[1][0] + whole[0].smooth - read.smooth, found[1][1]
+            return found
+
         for term in terms:
-            known, before = known if term.effect is before else {}, term.effect
-            moves_otherwise = term.effect.part == "sensor" or term.effect.adds_motion
-            forms: tuple[Form, ...] = ("commands", "torques") if moves_otherwise else ("commands",)
-            forms = (*forms, "sampled") if term.effect.drives else forms
             for values in term.axes:
-                if values not in known:
-                    own = np.array(values)
-                    known[values] = {f: self.balances[f].forces(term.effect, own) for f in forms}
-                    if term.effect.overrides("command"):
-                        known[values]["sampled"] = self._stepped(term.effect, own)
-                changes: dict[Form, Array] = {}
-                for form, forces in known[values].items():
-                    change = forces.smooth
-                    if term.contact:
-                        change = change + forces.dry * self.balance.directions[term.contact]
-                    changes[form] = np.nan_to_num(change)
-                if "torques" not in changes:  # drives do not change what the motion takes
-                    nothing = np.zeros_like(changes["commands"])
-                    changes["torques"] = nothing if term.effect.drives else changes["commands"]
-                yield self._by_form(changes)
-
-    def _stepped(self, effect: Effect, values: Array) -> Forces:
-        """Change at the samples by an effect on the commands, which act in steps."""
-        every, sampled = self.arm.parts, self.balances["sampled"]
-        thin = round(sampled.motion.step * RATE)
-        held = self.arm.held(self.commands)
-        time = np.arange(len(held)) / (every * RATE)
-        acting = effect.command(time, held, values)[::every]
-        acting = low_passed(acting, _BAND_HZ, 1.0 / RATE)[::thin]
-        smooth = sampled.given - sampled.given_by(acting)
-        nothing = np.zeros_like(smooth)
-        return Forces(smooth=smooth, dry=nothing, readings=nothing[:, :0], operator=nothing)
-
-    def _by_form(self, changes: dict[Form, Array]) -> Array:
-        """Change by commands, and by torques, which are read while one command acts."""
-        commands = changes["commands"]
-        stepped = commands - changes.get("sampled", commands)
-        return np.stack([commands, changes["torques"] + stepped])[:, :, self.arm.driven]
+                pairs = zip(forces(term.effect, values), self.balances, strict=True)
+                yield np.nan_to_num([
+                    (smooth + dry * own.directions[term.contact] if term.contact else smooth)
+                    [:, self.arm.driven]
+                    for (smooth, dry), own in pairs
+                ])  # fmt: skip
 
 
 def _evidence(
@@ -466,59 +427,45 @@ def _evidence(
     say(f"columns of {len(shaped)} shapes along {words}: {motion.description}")
     planned, _ = check_motion(motion, arm)
     along = Along(arm, motion, arm.simulate(Hypothesis(), motion.commands(arm)))
-    nominal, whitening = along.residuals(), []
-    for balance in (along.balance, Balance(arm.machine, along.motions["torques"])):
+    nominal = along.residuals()
+    for balance in along.balances:
         balance.residual[:] = 0.0  # what the nominal model leaves is no knock
-        parts = zip(*(_whitening(balance, int(j)) for j in arm.driven), strict=True)
-        whitening.append([np.stack(part, axis=1) for part in parts])
-    window, scale = (np.stack(each) for each in zip(*whitening, strict=True))
-    own, terms = np.eye(len(arm.nominal.entries)), (shape.term for shape in shaped)
-    series = np.stack([*map(along.tolerances, own), *along.columns(terms)], axis=1)
     found = MotionEvidence(
-        np.empty((0, 0), np.float32), nominal, window, scale,
+        np.empty((0, 0), np.float32), nominal,
+        tuple(
+            tuple(grid_of(balance, int(j), taper=_TAPER) for j in arm.driven)
+            for balance in along.balances
+        ),
         len(planned.desired) / RATE,
         float(np.sum((planned.torque / arm.torque_limits) ** 2)) / RATE,
     )  # fmt: skip
-    return replace(found, rows=found.whitened(series).T.astype(np.float32))
+    own, terms = np.eye(len(arm.uncertain)), (shape.term for shape in shaped)
+    series = np.stack([*map(along.tolerances, own), *along.columns(terms)], axis=-1)
+    return replace(found, rows=found.whitened(series).astype(np.float32))
 
 
-def _whitening(balance: Balance, joint: int) -> tuple[Array, Array]:
-    """Window of a joint's samples (T,), and one over the noise at the frequencies kept (F,)."""
-    count = len(balance.position)
-    ramp = np.minimum(np.arange(count) + 0.5, count - 0.5 - np.arange(count)) / (0.05 * count)
-    window = np.sin(0.5 * np.pi * np.clip(ramp, 0.0, 1.0)) ** 2 * weight_of(balance, joint)
-    frequency = np.asarray(np.fft.rfftfreq(count, balance.motion.step), float)
-    frequency = frequency[frequency <= _BAND_HZ]
-    scale = 1 / np.sqrt((window**2).sum() / 2 + 1e-12) / balance.noise(joint, frequency)
-    scale[0] /= np.sqrt(2)
-    return window, scale
-
-
-def _seen(bank: MotionBank, shape: Shape) -> bool:
-    """Whether a shape is visible within its bounds on the motions of reference."""
-    if shape.term.law:
-        return VISIBLE[0] / 4 < bank.visibility(shape, shape.centre) < 4 * VISIBLE[1]
-    return any(
-        bank.visibility(shape, np.eye(len(shape.at))[k] * min(abs(bound), 1e9)) > VISIBLE[0]
-        for k, column in enumerate(shape.term.columns)
-        for bound in (column.low, column.high)
-    )
+def _seen(bank: MotionBank) -> set[int]:
+    """Shapes that show on the motions of reference, of candidates that are clearly visible."""
+    found = set()
+    for k, shape in enumerate(bank.shapes):
+        sizes = [shape.centre]
+        if not shape.term.law:
+            ends = ((min(abs(c.low), 1e9), min(abs(c.high), 1e9)) for c in shape.term.columns)
+            sizes = list(np.diag([max(own) for own in ends]))
+        seen = max(bank.visibility(shape, own) for own in sizes)
+        if seen > VISIBLE[0] / 4 and not (shape.term.law and seen >= 4 * VISIBLE[1]):
+            found.add((k, shape.name, seen > VISIBLE[0]))
+    clear = {name for _, name, clearly in found if clearly}
+    return {k for k, name, _ in found if name in clear}
 
 
 def _only(bank: MotionBank, kept: set[int]) -> MotionBank:
-    """The bank with some of its shapes; a candidate that is never clearly visible goes whole."""
-
-    def clear(shape: Shape) -> bool:
-        return not shape.term.law or bank.visibility(shape, shape.centre) > VISIBLE[0]
-
-    names = {bank.shapes[k].name for k in kept if clear(bank.shapes[k])}
+    """The bank with some of its shapes."""
     columns, found = list(range(bank.nuisances)), []
-    for k in sorted(kept):
-        shape = bank.shapes[k]
-        if shape.name in names:
-            first = len(columns)
-            columns += shape.at
-            found.append(Shape(shape.term, tuple(range(first, len(columns)))))
+    for shape in (bank.shapes[k] for k in sorted(kept)):
+        first = len(columns)
+        columns += shape.at
+        found.append(Shape(shape.term, tuple(range(first, len(columns)))))
     evidence = [replace(e, rows=e.rows[:, columns]) for e in bank.evidence]
     return replace(bank, shapes=tuple(found), evidence=tuple(evidence))
 
@@ -535,13 +482,12 @@ def _indistinguishable(bank: MotionBank) -> set[str]:
     def left(shape: Shape, other: Shape) -> float:
         """Squared length of a shape's largest signature beside another one."""
         at, beside = list(shape.at), list(other.at)
-        own = gram[np.ix_(at, at)]
-        across = gram[np.ix_(at, beside)]
-        rest = own - across @ np.linalg.pinv(gram[np.ix_(beside, beside)]) @ across.T
-        sizes = [1.0] if shape.term.law else VISIBLE[1] ** 2 / np.maximum(
-            np.diag(bank.beyond)[at], 1e-12
-        )  # fmt: skip
-        return float(np.max(np.diag(rest) * np.minimum(sizes, 1e12)))
+        free = np.diag(1e-9 * np.diag(gram)[beside] + 1e-300)
+        rest = unexplained(
+            np.diag(gram)[at], gram[np.ix_(beside, at)], gram[np.ix_(beside, beside)], free
+        )
+        most = VISIBLE[1] ** 2 / np.maximum(np.diag(bank.beyond)[at], 1e-12)
+        return float(np.max(rest * (1.0 if shape.term.law else np.minimum(most, 1e12))))
 
     for number, name in enumerate(bank.names):
         for earlier in bank.names[:number]:

@@ -197,40 +197,31 @@ class Products:
     def _beyond(self) -> tuple[Array, Array]:
         """Products that nominal parameters cannot explain, padded by a column of nothing."""
         free = self.bank.nuisances
-        gram = beyond(self.gram, free)
         right = self.right - self.gram[:, :free] @ self.nominal.values
-        return np.pad(gram, ((0, 1), (0, 1))), np.pad(right, (0, 1))
+        return np.pad(beyond(self.gram, free), ((0, 1), (0, 1))), np.pad(right, (0, 1))
 
     @cached_property
     def alone(self) -> tuple[Array, Array, Array, Array]:
         """χ² (H,), half log determinant (H,), coefficients (H, Q) and covariances of one shape."""
-        gram, right = self._beyond
-        at = self.bank.padded
-        return self._solved(gram[at[:, :, None], at[:, None, :]], right[at], self.nominal.chi2)
+        return self._solved(*self._beyond, self.nominal.chi2)
 
     def beside(self, first: int) -> tuple[Array, Array]:
         """χ² and half log determinant of every shape beside a given one (H,)."""
-        gram, right = self._beyond
-        at, (chi2, half, found, covariance) = self.bank.padded, self.alone
-        own = at[first]
-        inner = covariance[first]
-        across = gram[own[:, None, None], at[None]].transpose(1, 0, 2)
-        rest = gram[at[:, :, None], at[:, None, :]] - across.transpose(0, 2, 1) @ inner @ across
-        target = right[at] - np.einsum("q,hqr->hr", found[first], across)
-        fits, halves, _, _ = self._solved(rest, target, float(chi2[first]))
+        (gram, right), (chi2, half, found, covariance) = self._beyond, self.alone
+        across = gram[self.bank.padded[first]]
+        left = gram - across.T @ covariance[first] @ across
+        fits, halves, _, _ = self._solved(left, right - found[first] @ across, float(chi2[first]))
         return fits, halves + half[first]
 
-    def _solved(
-        self, inner: Array, right: Array, total: float
-    ) -> tuple[Array, Array, Array, Array]:
+    def _solved(self, gram: Array, right: Array, total: float) -> tuple[Array, Array, Array, Array]:
         """Every shape in products that others are eliminated from; none beyond its bounds."""
-        prior, centre, low, high = self.bank.priors
-        precision = inner + prior[:, :, None] * np.eye(prior.shape[1])
+        (prior, centre, low, high), at = self.bank.priors, self.bank.padded
+        precision = gram[at[:, :, None], at[:, None, :]] + prior[:, :, None] * np.eye(at.shape[1])
         # columns of very different size: determinants of the scaled matrix
         scale = 1 / np.sqrt(np.diagonal(precision, axis1=1, axis2=2))
         unit = precision * scale[:, :, None] * scale[:, None, :]
         covariance = np.linalg.inv(unit) * scale[:, :, None] * scale[:, None, :]
-        slope = right + prior * centre
+        slope = right[at] + prior * centre
         found = np.einsum("hij,hj->hi", covariance, slope)
         chi2 = total + np.sum(prior * centre**2 - slope * found, axis=1)
         half = 0.5 * np.linalg.slogdet(unit)[1] - np.sum(np.log(scale * np.sqrt(prior)), axis=1)
@@ -267,55 +258,49 @@ def _posterior(products: Products) -> Posterior:
     beside one of the second members of the best pairs.
     """
     bank = products.bank
-    candidate, count, shapes = bank.candidate, len(bank.names), len(bank.shapes)
+    candidate, count = bank.candidate, len(bank.names)
     chi2, half, _, _ = products.alone
-    every, none = np.arange(shapes), np.full(shapes, -1)
     alike = -np.log(np.bincount(candidate, minlength=count)[candidate])
-    priors = [float(np.log(p / max(comb(count, size), 1))) for size, p in enumerate(_PRIOR)]
-    nothing = np.array([products.nominal.chi2]), np.array(priors[:1])
-    # members, fit, and log prior less half the log determinant
-    rows = [
-        (none[:1], none[:1], *nothing),
-        (every, none, chi2, priors[1] + alike - half),
-    ]
+    none, one, two = (float(np.log(p / max(comb(count, k), 1))) for k, p in enumerate(_PRIOR))
+    # by its shapes: fit of a set, and log prior less half the log determinant
+    found = {frozenset[int](): (products.nominal.chi2, none)}
+    for h, own in enumerate(zip(chi2.tolist(), (one + alike - half).tolist(), strict=True)):
+        found[frozenset([h])] = own
 
     def pair_up(which: Sequence[int]) -> None:
         for h in which:
             fit, size = products.beside(h)
-            fit = np.where(candidate == candidate[h], np.inf, fit)
-            prior = priors[2] + alike + alike[h]
-            rows.append((np.full(shapes, h), every, fit, prior - size))
+            other = two + alike + alike[h] - size
+            for k in np.flatnonzero(np.isfinite(fit) & (candidate != candidate[h])).tolist():
+                found[frozenset([h, k])] = float(fit[k]), float(other[k])
 
     if count > 1:
-        tried = _leading(rows[1][3] - chi2 / 2, candidate, _FIRST)
-        pair_up(tried)
-        _, seconds, fits, others = map(np.concatenate, zip(*rows[2:], strict=True))
-        best = seconds[np.argsort(-(others - fits / 2))[: 40 * _SWAPS]].tolist()
-        pair_up([h for h in dict.fromkeys(best) if h not in set(tried)][:_SWAPS])
-    a, b, fit, other = map(np.concatenate, zip(*rows, strict=True))
-    misfit = max(float(np.min(fit)) / max(products.dof, 1), 1.0)
-    # the same pair may have been reached from either side
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    _, unique = np.unique(high * (shapes + 1) + low, return_index=True)
-    score = (other - fit / 2 / misfit)[unique]
-    order = np.argsort(-score, kind="stable")[:_CANDIDATES]
-    order = order[np.isfinite(score[order])]
-    pairs = np.stack([a, b], axis=1)[unique[order]]
-    members: dict[tuple[int, ...], list[int]] = {}
-    for k, pair in enumerate(pairs):
-        members.setdefault(tuple(sorted(candidate[pair[pair >= 0]].tolist())), []).append(k)
-    totals = {own: np.logaddexp.reduce(score[order][rows]) for own, rows in members.items()}
-    whole = np.logaddexp.reduce(list(totals.values()))
-    marginal = np.zeros(count)
+        first = _leading(one + alike - half - chi2 / 2, candidate, _FIRST)
+        pair_up(first)
+        best = sorted(found, key=lambda own: found[own][0] / 2 - found[own][1])[: 40 * _SWAPS]
+        pair_up(
+            [h for h in dict.fromkeys(h for own in best for h in own) if h not in first][:_SWAPS]
+        )
+    misfit = max(min(fit for fit, _ in found.values()) / max(products.dof, 1), 1.0)
+    scores = {own: other - fit / 2 / misfit for own, (fit, other) in found.items()}
+    ranked = sorted((own for own in scores if np.isfinite(scores[own])), key=lambda o: -scores[o])
+    members: dict[tuple[int, ...], list[frozenset[int]]] = {}
+    for shaped in ranked[:_CANDIDATES]:
+        members.setdefault(tuple(sorted(candidate[list(shaped)].tolist())), []).append(shaped)
+    totals = {
+        which: float(np.logaddexp.reduce([scores[own] for own in shapes]))
+        for which, shapes in members.items()
+    }
+    whole, marginal = np.logaddexp.reduce(list(totals.values())), np.zeros(count)
     sets: list[HypothesisSet] = []
     for which in sorted(totals, key=lambda which: -totals[which]):
         share = float(np.exp(totals[which] - whole))
         marginal[list(which)] += share
         if len(sets) < _SETS:
-            own = tuple(h for h in pairs[members[which][0]].tolist() if h >= 0)
-            known = products.estimates(own, misfit) if len(sets) < _ESTIMATED else ()
+            best_shapes = tuple(sorted(members[which][0]))
+            known = products.estimates(best_shapes, misfit) if len(sets) < _ESTIMATED else ()
             names = tuple(sorted(bank.names[m] for m in which))
-            sets.append(HypothesisSet(names, share, known, own))
+            sets.append(HypothesisSet(names, share, known, best_shapes))
     return Posterior(tuple(sets), marginal, *_alone(products, misfit), misfit)
 
 

@@ -275,8 +275,6 @@ def check_motion(motion: Motion, arm: ServoArm) -> tuple[PlannedMotion, str]:
     controls, data = arm.controls(desired), mujoco.MjData(model)
     data.qpos[:] = arm.rest_position
     data.qpos[arm.driven] = arm.home
-    data.ctrl[:] = controls[0]
-    mujoco.mj_step(model, data, round(0.4 / model.opt.timestep))
 
     def command(row: int) -> None:
         data.ctrl[:] = controls[row]

@@ -15,12 +15,13 @@ from typing import Any, Literal
 
 import mujoco
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import expit
 
 from loose_env.errors import InvalidData
-from loose_env.gap.core.balance import Balance
-from loose_env.gap.core.catalogue import Term, terms_of
-from loose_env.gap.core.evidence import Channel, Evidence, whiten
+from loose_env.gap.core.balance import USUAL, Balance
+from loose_env.gap.core.catalogue import Term
+from loose_env.gap.core.evidence import grid_of
 from loose_env.gap.core.find import Answer, Say, silent
 from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.motion import Motion as Measured
@@ -31,6 +32,7 @@ from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, addresses
 from loose_env.gap.motions import Motion, loaded_poses, long_motions, scaled_until
 from loose_env.gap.output.corrected_model import step_for
+from loose_env.gap.runs import steady_activations
 from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed, force_limits
 from loose_env.gap.simulator import sensed
 from loose_env.inference import log_determinant
@@ -42,7 +44,6 @@ from loose_env.io import (
     write_text,
 )
 from loose_env.recording import Recording, Run, table_of, write_csv, write_parquet
-from loose_env.statistics import noise_floor
 from loose_env.typing import Array, IndexArray
 
 CommandMode = Literal["position", "speed", "torque", "none"]
@@ -60,12 +61,9 @@ _NARROWED = 0.7
 """Share of an interval above which a motion tells no more than the same runs once more."""
 _SHAPES = 3  # shapes in which a rival is tried
 _STANDS = 0.05  # speed of a joint in a run over that in the fastest one, below which it stands
-_MEMORY = 40_000_000  # numbers of columns that are held at a time, 320 MB
 _TRIES = 8  # sizes in which a motion of the library is tried
 _REPEATS = 2  # how often a motion is recorded: each of the runs is held out in turn
 _CONTROL_HZ = 3.0  # bandwidth of the controller that is assumed where the model has no servo [Hz]
-_SETTLE_S = 0.5  # how long a servo holds the first pose before a motion [s]
-_SEED = 7  # seed of the sensors' noise
 _SHORTEST_S = 6.0  # shortest excitation [s]: stretches of it are held out in turn
 _SETUP_S = 10.0
 """Time that a recording costs beside its motion [s]: of two motions that separate equally well the
@@ -270,164 +268,152 @@ def _side(selection: Selection, fit: SetFit, term: Term, shapes: Set) -> Side:
 
 
 class Questions:
-    """Open pairs, or the values of the named effects, asked of runs that were not made yet."""
+    """Open pairs, or the values of the named effects, asked of runs that were not made yet.
+
+    Columns are those of the answer: all tolerances, then the effects in question.
+    """
 
     def __init__(self, answer: Answer, pairs: Sequence[OpenPair], player: Player) -> None:
         self.answer, self.pairs, self.player = answer, tuple(pairs), player
-        selection, decision = answer.selection, answer.decision
-        self._named = tuple(f.term for f in decision.findings if f.named)
-        self._found = [_side(selection, decision.fit, f.term, ()) for f in decision.findings]
+        selection, fit = answer.selection, answer.decision.fit
+        evidence = selection.evidence
         sides = [s for pair in self.pairs for s in (pair.effect, pair.rival) if s is not None]
-        terms = [*decision.fit.terms, *(t for s in sides for t in (s.term, *s.shapes))]
-        self._terms = {id(term): term for term in terms}
-
-    def gains(self, motions: Sequence[PlannedMotion]) -> list[_Gains]:
-        """Expected gains of motions, as many together as memory holds."""
-        evidence = self.answer.selection.evidence
-        thin = round(evidence.balance.motion.step * self.player.rate)
-        columns = len(evidence.nuisances) + sum(len(t.columns) for t in self._terms.values())
-        longest = max(len(motion.desired) for motion in motions) // thin
-        most = max(_MEMORY // (columns * len(evidence.balance.channels) * longest), 1)
-        groups = (motions[k : k + most] for k in range(0, len(motions), most))
-        return [found for group in groups for found in self._together(group)]
-
-    def _together(self, motions: Sequence[PlannedMotion]) -> list[_Gains]:
-        """Gains of motions that are whitened beside the recorded runs."""
-        recording, tolerances = self.answer.recording, self.answer.settings.tolerances
-        machine = self.answer.selection.evidence.balance.machine
-        names = [f"{NEXT_MOTION} {k}" for k in range(len(motions))]
-        more = (self.player.run(n, m, noise=True) for n, m in zip(names, motions, strict=True))
-        motion = smooth(replace(recording, runs=(*recording.runs, *more)), machine)
-        balance = Balance(machine, motion)
-        again = {
-            key: own
-            for key, t in self._terms.items()
-            for own in terms_of(balance, t.effect, t.axes, t.law, (t.contact,))
-            if len(own.columns) == len(t.columns)  # else the motion does not show it
+        own = [*fit.terms, *(t for s in sides for t in (s.term, *s.shapes))]
+        self.terms = tuple({id(term): term for term in own}.values())
+        kept, free = evidence.tolerances, len(evidence.nuisances)
+        numbers = [k for term in self.terms for k in evidence.columns_of(term)]
+        places = {k: free + place for place, k in enumerate(dict.fromkeys(numbers))}
+        self._columns = {
+            id(t): np.array([places[k] for k in evidence.columns_of(t)]) for t in self.terms
         }
-        found = nuisances(balance, tolerances)
-        evidence = whiten(balance, list(again.values()), found, law=tolerances.law)
-        asked = _Asked(evidence, {key: evidence.columns_of(own) for key, own in again.items()})
-        grams = self._grams(asked)
-        run_of = {run.name: k for k, run in enumerate(motion.runs)}
-        new = [run_of[name] for name in names]
-        old = grams.sum(axis=0) - grams[new].sum(axis=0)
-        return [self._of(asked, old, old + grams[k]) for k in new]
+        every = np.array([*range(kept), *places], dtype=np.intp)
+        self.precision = np.concatenate([np.ones(free), evidence.precision[every[kept:]]])
+        self.centre = np.concatenate([np.zeros(free), evidence.centre[every[kept:]]])
+        # of the tolerances themselves: a motion may feel what the runs did not
+        spread = block_diag(evidence.mixed, np.eye(len(places)))
+        gram = Form(selection, fit.powers).block(every) - np.diag(evidence.precision[every])
+        self.recorded: Array = spread @ gram @ spread.T
+        """Gram matrix of the recorded runs at the weights of the answer (K, K)."""
+        self._missed = np.zeros(len(self.precision))
+        for finding in answer.decision.findings:
+            at = evidence.columns_of(finding.term)
+            force = evidence.inexact[list(at)] * fit.values[fit.places(at)]
+            self._missed[self._columns[id(finding.term)]] = force
 
-    def _grams(self, asked: _Asked) -> Array:
-        """Gram matrix of all columns in each run (runs, K, K), cells weighted as in the answer.
+    def gains(self, motion: PlannedMotion) -> _Gains:
+        """Expected gains of a motion."""
+        joint = self.recorded + self.gram(motion)
+        if not self.pairs:
+            return self._narrowing(joint)
+        found = [
+            PairGain(
+                effect=NOTHING if pair.effect is None else pair.effect.words,
+                rival=pair.rival.words, so_far_nats=pair.nats,
+                if_effect_nats=self._apart(pair.effect, pair.rival, pair.others, joint),
+                if_rival_nats=self._apart(pair.rival, pair.effect, pair.others, joint),
+            )
+            for pair in self.pairs
+        ]  # fmt: skip
+        return _Gains(pairs=tuple(found))
+
+    def gram(self, motion: PlannedMotion) -> Array:
+        """Gram matrix along a planned motion, whitened as the recorded runs (K, K).
 
         Cells in which the laws of the answer miss more than noise say less.
         """
-        evidence = asked.evidence
-        found = np.zeros((len(evidence.balance.motion.runs), *2 * [len(evidence.centre)]))
-        force = np.zeros(len(evidence.centre))
-        for side in self._found:
-            if id(side.term) in asked.columns:
-                force[list(asked.columns[id(side.term)])] = side.coefficients
-        for channel in evidence.channels:
-            at, weight = channel.columns, self._weight(channel)
-            missed = channel.square @ (evidence.inexact[at] * force[at]) ** 2
-            weight = weight * channel.count / (channel.count + missed)
-            every = np.arange(len(at))
-            for run in _moving(evidence.balance, channel):
-                own_cells = weight * (channel.run == run)
-                found[run][np.ix_(at, at)] += channel.products(own_cells, every, every)
+        known = self.answer.selection.evidence
+        machine = known.balance.machine
+        run = self.player.run(NEXT_MOTION, motion)
+        recording = replace(self.answer.recording, runs=(run,))
+        balance = Balance(machine, smooth(recording, machine, like=known.balance.motion))
+        balance.residual[:] = 0.0
+        changes = {n.name: n.change for n in nuisances(balance, self.answer.settings.tolerances)}
+        columns = {k: changes[n.name] for k, n in enumerate(known.nuisances) if n.name in changes}
+        for term in self.terms:
+            direction = balance.directions[term.contact or USUAL]
+            for k, values in zip(self._columns[id(term)], term.axes, strict=True):
+                forces = balance.forces(term.effect, np.array(values))
+                columns[int(k)] = balance.change(np.nan_to_num(forces.with_contact(direction)))
+        found = np.zeros_like(self.recorded)
+        for channel in range(len(balance.channels)):
+            at = [k for k, change in columns.items() if change.reaches(channel)]
+            if not at or not self._moves(balance, channel):
+                continue
+            grid = grid_of(balance, channel)
+            rows = grid.whitened(np.stack([columns[k].at(channel) for k in at], axis=1))
+            cell, count = grid.rows.cell, grid.rows.count
+            missed = np.bincount(cell, rows**2 @ self._missed[at] ** 2)
+            weight = self._weight(channel, grid.rows.turn) * count / (count + missed)
+            found[np.ix_(at, at)] += (rows * weight[cell][:, None]).T @ rows
         return found
 
-    def _weight(self, channel: Channel) -> Array:
+    def _moves(self, balance: Balance, channel: int) -> bool:
+        """Whether a channel says anything: at rest the dry friction of a joint takes any value."""
+        if channel >= len(balance.machine.joints):
+            return True
+        if not balance.seen[:, channel].any() or not grid_of(balance, channel).pieces:
+            return False
+        speeds = [
+            own.speed[:, channel] for own in (balance, self.answer.selection.evidence.balance)
+        ]
+        usual = [float(np.percentile(np.abs(own), 95)) for own in speeds]
+        return usual[0] > _STANDS * max(usual)
+
+    def _weight(self, channel: int, turn: Array) -> Array:
         """Weight of each cell: that of its band in the answer's fit of the recorded runs (C,)."""
         selection, powers = self.answer.selection, self.answer.decision.fit.powers
         for k, known in enumerate(selection.evidence.channels):
-            if known.joint == channel.joint:
+            if known.joint == channel:
                 turns, band = np.unique(known.turn, return_inverse=True)
                 counted = np.bincount(band, known.count)
                 total = np.bincount(band, known.count * selection.weights(k, powers[k]))
-                return np.interp(np.log(channel.turn), np.log(turns), total / counted)
-        return np.ones(len(channel.count))
+                return np.interp(np.log(turn), np.log(turns), total / counted)
+        return np.ones(len(turn))
 
-    def _of(self, asked: _Asked, old: Array, joint: Array) -> _Gains:
-        """Gains of one motion by the Gram matrices without and with it."""
-        if not self.pairs:
-            return asked.narrowing(self._named, self.answer.decision.fit.terms, old, joint)
-        found = []
-        for pair in self.pairs:
-            one, other, rest = pair.effect, pair.rival, pair.others
-            found.append(
-                PairGain(
-                    effect=NOTHING if one is None else one.words, rival=other.words,
-                    so_far_nats=pair.nats, if_effect_nats=asked.apart(one, other, rest, old, joint),
-                    if_rival_nats=asked.apart(other, one, rest, old, joint),
-                )
-            )  # fmt: skip
-        return _Gains(pairs=tuple(found))
+    def _beside(self, terms: Sequence[Term]) -> IndexArray:
+        """Columns of the tolerances and of some effects."""
+        free = len(self.answer.selection.evidence.nuisances)
+        return np.unique(np.concatenate([np.arange(free), *(self._columns[id(t)] for t in terms)]))
 
-
-def _moving(balance: Balance, channel: Channel) -> list[int]:
-    """Runs of a channel in which its joint moves: at rest its dry friction takes any value."""
-    if channel.joint >= len(balance.machine.joints):
-        return sorted({int(run) for run in channel.run})
-    runs = balance.motion.split(np.abs(balance.speed[:, channel.joint]))
-    speeds = np.array([np.percentile(own, 95) for own in runs])
-    return [int(run) for run in np.flatnonzero(speeds > _STANDS * speeds.max())]
-
-
-@dataclass(frozen=True, eq=False)
-class _Asked:
-    """Effects in question in the evidence of recorded and planned runs."""
-
-    evidence: Evidence
-    columns: Mapping[int, tuple[int, ...]]  # Columns of each term that shows, by its identity
-
-    def of(self, terms: Sequence[Term]) -> IndexArray:
-        """Columns of some effects."""
-        found = {k for term in terms for k in self.columns.get(id(term), ())}
-        return np.array(sorted(found), dtype=np.intp)
-
-    def beside(self, terms: Sequence[Term]) -> tuple[IndexArray, Array]:
-        """Columns of the tolerances and of some effects, and their prior precision (K, K)."""
-        numbers = np.concatenate([np.arange(self.evidence.tolerances), self.of(terms)])
-        return numbers, np.diag(self.evidence.precision[numbers])
-
-    def apart(
-        self, true: Side | None, other: Side | None, rest: Set, old: Array, joint: Array
-    ) -> float:
+    def _apart(self, true: Side | None, other: Side | None, rest: Set, joint: Array) -> float:
         """Half of the squared distance that a motion adds between one set and the other [nats].
 
         Of what one effect does, in noise standard deviations, beyond the other effect in any of
         its shapes, the common effects and all tolerances.
         """
-        at = [] if true is None else list(self.columns.get(id(true.term), ()))
-        if true is None or not at:
+        if true is None:
             return 0.0
-        force, ends = true.coefficients, np.full(2, np.inf)
+        at, force, ends = self._columns[id(true.term)], true.coefficients, np.full(2, np.inf)
         for shape in [()] if other is None else [(shape,) for shape in other.shapes]:
-            numbers, precision = self.beside((*rest, *shape))
+            numbers = self._beside((*rest, *shape))
             # common effects may change by their priors; a law begins at its size
-            own = np.isin(numbers, self.of(shape))
-            centre = np.where(own, self.evidence.centre[numbers], 0.0)
-            for k, gram in enumerate((old, joint)):
+            own = np.isin(numbers, self._beside(shape)) & (numbers >= len(self._beside(())))
+            centre = np.where(own, self.centre[numbers], 0.0)
+            for k, gram in enumerate((self.recorded, joint)):
                 cross = gram[:, at] @ force
                 square, slope = np.array([force @ cross[at]]), cross[numbers][:, None]
-                normal = gram[np.ix_(numbers, numbers)]
-                ends[k] = min(ends[k], *unexplained(square, slope, normal, precision, centre))
+                normal, prior = gram[np.ix_(numbers, numbers)], np.diag(self.precision[numbers])
+                ends[k] = min(ends[k], *unexplained(square, slope, normal, prior, centre))
         return 0.5 * max(float(ends[1] - ends[0]), 0.0)
 
-    def narrowing(self, named: Set, terms: Set, old: Array, joint: Array) -> _Gains:
-        """Fall of the covariance of named effects beside all others and the tolerances."""
-        (numbers, prior), wanted = self.beside(terms), self.of(named)
-        inner = np.searchsorted(numbers, wanted)
-        wholes = (np.linalg.inv(gram[np.ix_(numbers, numbers)] + prior) for gram in (old, joint))
-        before, after = (np.asarray(whole[np.ix_(inner, inner)], float) for whole in wholes)
-        shares = 0.5 * np.log(np.diag(after) / np.diag(before))
-        found = []
-        for term in named:
-            own = np.isin(wanted, self.of((term,)))
-            if own.any():
-                words, share = "{} at {}".format(*term.name), float(np.exp(shares[own].mean()))
-                found.append(Narrowing(effect=words, share=share))
-        nats = 0.5 * (log_determinant(before) - log_determinant(after))
-        return _Gains(narrowed=tuple(found), nats=float(nats))
+    def _narrowing(self, joint: Array) -> _Gains:
+        """Fall of the covariance of the named effects beside all others and the tolerances."""
+        numbers = self._beside(self.answer.decision.fit.terms)
+        named = [f.term for f in self.answer.decision.findings if f.named]
+        of = [np.searchsorted(numbers, self._columns[id(term)]) for term in named]
+        inner, prior = np.concatenate(of), np.diag(self.precision[numbers])
+        before, after = (
+            np.linalg.inv(gram[np.ix_(numbers, numbers)] + prior) for gram in (self.recorded, joint)
+        )
+        shares = np.sqrt(np.diag(after) / np.diag(before))
+        found = [
+            Narrowing(
+                effect="{} at {}".format(*t.name), share=float(np.exp(np.log(shares[at]).mean()))
+            )
+            for t, at in zip(named, of, strict=True)
+        ]
+        fall = [log_determinant(np.asarray(w[np.ix_(inner, inner)])) for w in (before, after)]
+        return _Gains(narrowed=tuple(found), nats=0.5 * (fall[0] - fall[1]))
 
 
 def limits_of(
@@ -529,8 +515,7 @@ class Player:
         self._at, self._dofs = addresses(self._model, machine.joints)
         common = set.intersection(*(set(run.sensors) for run in recording.runs))
         self._sensors = [name for name in machine.sensors if name in common]
-        self._noise = _noise([run.sensors for run in recording.runs])
-        self._torque_noise = _noise([run.torques for run in recording.runs])
+        self._torques = set().union(*(run.torques for run in recording.runs))
 
     def play(self, desired: Array) -> PlannedMotion:
         """Play desired joint positions (T, joints), sampled as the recording, on the model."""
@@ -542,10 +527,7 @@ class Player:
         controls = None
         if self.drive in ("position", "speed"):
             controls = (desired if self.drive == "position" else rates) @ gears
-            data.ctrl[:count] = controls[0]
-            for own in np.flatnonzero(model.actuator_actnum):
-                data.act[model.actuator_actadr[own]] = data.ctrl[min(int(own), count - 1)]
-            mujoco.mj_step(model, data, round(_SETTLE_S / model.opt.timestep))
+            data.act[:] = steady_activations(model, controls[0])
 
         def command(row: int) -> None:
             if controls is not None:
@@ -560,38 +542,18 @@ class Player:
             else:
                 data.qfrc_applied[dofs] = effort
 
-        return followed(model, data, desired, self._interval, (at, dofs), command)
+        where, held = (at, dofs), controls is not None
+        return followed(model, data, desired, self._interval, where, command, held=held)
 
-    def run(self, name: str, motion: PlannedMotion, *, noise: bool = False) -> Run:
-        """Motion in the recording's columns, if wanted with the noise of its sensors."""
-        rng, joints = np.random.default_rng(_SEED), self.machine.joints
-
-        def read(values: Array, sd: Array | float) -> Array:
-            return values + noise * sd * rng.standard_normal(values.shape)
-
-        sensors = {
-            name: read(sensed(self._model, name, motion.readings), self._noise[name])
-            for name in self._sensors
-        }
-        controls, torques = dict[str, Array](), dict[str, Array]()
+    def run(self, name: str, motion: PlannedMotion) -> Run:
+        """Motion in the recording's columns."""
+        joints, controls, torques = self.machine.joints, dict[str, Array](), dict[str, Array]()
+        sensors = {name: sensed(self._model, name, motion.readings) for name in self._sensors}
         if self.drive == "none":
-            torques = {
-                joint: read(motion.torque[:, joints.index(joint)], sd)
-                for joint, sd in self._torque_noise.items()
-            }
+            torques = {j: motion.torque[:, k] for k, j in enumerate(joints) if j in self._torques}
         else:
             controls = dict(zip(self.machine.actuators, motion.controls.T, strict=False))
         return Run(name=name, time=motion.time, controls=controls, sensors=sensors, torques=torques)
-
-
-def _noise(runs: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
-    """Noise of each column of some runs, of each axis of a vector; 0 where none is known."""
-    names = dict.fromkeys(name for columns in runs for name in columns)
-    floors = {
-        name: [np.apply_along_axis(noise_floor, 0, own[name]) for own in runs if name in own]
-        for name in names
-    }
-    return {name: np.nan_to_num(np.median(found, axis=0)) for name, found in floors.items()}
 
 
 def choose_next(
@@ -640,10 +602,10 @@ def choose_next(
         fitting, refused = _played(player, limits, settings, motions)
         say(f"next motion: {len(fitting)} motions, {len(pairs)} open pairs")
         questions = Questions(answer, pairs, player)
-        values = [own.value for own in questions.gains([planned for _, planned in fitting])]
+        told = [questions.gains(planned) for _, planned in fitting]
         seconds = [planned.time[-1] + _SETUP_S for _, planned in fitting]
-        motion, planned = fitting[int(np.argmax(np.divide(values, seconds)))]
-        (gains,) = questions.gains([planned])  # if it alone is recorded
+        best = int(np.argmax(np.divide([gains.value for gains in told], seconds)))
+        (motion, planned), gains = fitting[best], told[best]
     if not gains.tells:
         say("next motion: none tells more than the same runs once more")
         return None

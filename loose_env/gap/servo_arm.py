@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from loose_env.arms import load_spec
 from loose_env.errors import InvalidData
-from loose_env.gap.model.hypothesis import Hypothesis, NominalParameters
+from loose_env.gap.model.hypothesis import JOINT, Hypothesis, scale
 from loose_env.gap.model.nominal_model import NominalModel, mass_matrix
-from loose_env.gap.runs import Channel, Trial
+from loose_env.gap.runs import SETTLE, Channel, Trial
 from loose_env.gap.simulator import Simulator
 from loose_env.io import Checked, Positive, Rule
 from loose_env.typing import Array, IndexArray
@@ -131,9 +131,17 @@ def followed(
     interval: float,
     where: tuple[IndexArray, IndexArray],
     command: Callable[[int], None],
+    *,
+    held: bool = True,
 ) -> PlannedMotion:
-    """Simulate a motion from a state, with a command at each sample, contacts included."""
+    """Simulate a motion from a state, with a command at each sample, contacts included.
+
+    Held by its first command before, unless that depends on the state.
+    """
     at, dofs = where
+    if held:
+        command(0)
+        mujoco.mj_step(model, data, round(SETTLE / model.opt.timestep))
     mujoco.mj_forward(model, data)
     before = _touching(model, data)  # what touches at home may
     met, saturated = dict[tuple[str, str], None](), dict[str, None]()
@@ -233,9 +241,26 @@ class ServoArm(Checked):
         return NominalModel(spec, loads=0.3 * self._all_torque_limits, speeds=speeds)
 
     @cached_property
-    def nominal(self) -> NominalParameters:
-        """Uncertain parameters of the nominal model."""
-        return NominalParameters(self.machine, tolerance=self.tolerance)
+    def uncertain(self) -> tuple[tuple[str, str], ...]:
+        """Attribute and element of the parameters that are known within the tolerance."""
+        model, machine = self.machine.model, self.machine
+        links = [link for link in machine.links if model.body(link).mass[0] > 0]
+        found = [(name, link) for link in links for name in ("mass", "inertia")]
+        for k, joint in enumerate(machine.joints):
+            of_joint = (getattr(model, f"dof_{name}")[model.jnt_dofadr[k]] for name in JOINT)
+            found += [(f, joint) for f, value in zip(JOINT, of_joint, strict=True) if value > 0]
+        for k, actuator in enumerate(machine.actuators):
+            found.append(("gain", actuator))
+            if model.actuator_biasprm[k, 2] != 0:
+                found.append(("velocity_gain", actuator))
+        return tuple(found)
+
+    def off(self, factors: Array) -> mujoco.MjSpec:
+        """Model of the identification whose uncertain parameters are scaled by factors (P,)."""
+        spec = self.machine.fresh()
+        for (name, of), factor in zip(self.uncertain, factors, strict=True):
+            scale(spec, name, of, factor)
+        return spec
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -341,15 +366,19 @@ class ServoArm(Checked):
         given[:, self.actuators] = commands
         return given
 
-    def simulate(self, hypothesis: Hypothesis, commands: Array) -> Array:
+    def simulate(
+        self, hypothesis: Hypothesis, commands: Array, factors: Array | None = None
+    ) -> Array:
         """Simulate the noise-free readings under a hypothesis, from rest at home.
 
         Parameters
         ----------
         hypothesis : Hypothesis
-            Effects and nominal factors of the machine.
+            Effects of the machine.
         commands : ndarray (n, J)
             Desired positions at the samples [rad, m].
+        factors : ndarray (P,), optional
+            Factors on its uncertain parameters; as in the model by default.
 
         Returns
         -------
@@ -358,29 +387,23 @@ class ServoArm(Checked):
         """
         count, position = len(commands), self.rest_position
         position[self.driven] = self.home
-        controls = self.held(commands)[: (count - 1) * self.parts + 1]
+        steps = round((count - 1) / (RATE * self.machine.time_step)) + 1
+        controls = self.acting(commands)[:steps]
         trial = Trial(
             name="motion", form="forward", time=np.arange(count) / RATE,
             measured=np.zeros((count, len(self.channels))), step=self.machine.time_step,
-            steps=len(controls), controls=controls, position=position,
+            steps=steps, controls=controls, position=position,
             speed=np.zeros(self.model.nv), resting=True,
         )  # fmt: skip
-        simulator = Simulator(self.machine, [trial], self.channels, threads=1)
+        machine = self.machine if factors is None else NominalModel(self.off(factors))
+        simulator = Simulator(machine, [trial], self.channels, threads=1)
         return simulator.predict([hypothesis])[0][0]
 
-    @property
-    def parts(self) -> int:
-        """Steps of a simulation from sample to sample."""
-        return round(1.0 / (RATE * self.machine.time_step))
-
-    def held(self, commands: Array) -> Array:
-        """Commands that act, held, at the steps of a simulation (n · parts, nu).
-
-        Each acts from half-way between two samples on, so that sensors are read in the middle of it
-        and no small delay decides whether they see the old or the new one.
-        """
-        given, late = np.repeat(self.controls(commands), self.parts, axis=0), self.parts // 2
-        return np.concatenate([np.repeat(given[:1], late, axis=0), given])[: len(given)]
+    def acting(self, commands: Array) -> Array:
+        """Commands along lines from sample to sample, at the middles of steps (n · parts, nu)."""
+        given, parts = self.controls(commands), round(1.0 / (RATE * self.machine.time_step))
+        at = (np.arange(len(given) * parts) + 0.5) / parts
+        return np.stack([np.interp(at, np.arange(len(given)), own) for own in given.T], axis=1)
 
     def measured(self, readings: Array, rng: np.random.Generator) -> Array:
         """Add encoder noise, quantisation and torque noise to readings (n, 2 J)."""

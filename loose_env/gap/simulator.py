@@ -275,8 +275,7 @@ class Simulator:
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:
         """Key of the motion: hypotheses that differ in readings alone share it."""
-        moving = ((id(e), values.tobytes()) for e, values in hypothesis.pairs if e.moves)
-        return hypothesis.factors.tobytes(), *moving
+        return tuple((id(e), values.tobytes()) for e, values in hypothesis.pairs if e.moves)
 
     def _layout(self, slot: _Slot) -> object:
         """What simulations of one batch share; those stepped from Python cost by their steps."""

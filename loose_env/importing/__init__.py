@@ -1,11 +1,10 @@
-"""Import of measured data: ROS bags, tables, files of arrays, LeRobot datasets and others.
+"""Import of measured data: ROS bags, tables, files of arrays, LeRobot datasets.
 
-Data flow: samples -> clocks -> readers (text_tables, array_files, lerobot, messages) -> reading ->
-describe, evidence -> targets, scalings -> roles -> proposal; join_runs, pipeline.
+Data flow: samples -> mapping -> clocks -> readers (text_tables, array_files, messages) ->
+sources -> evidence -> targets, scalings -> roles -> proposal; pipeline.
 """
 
 from loose_env.importing.command_timing import command_delays, early_by
-from loose_env.importing.describe import LogSource, describe_sources, list_sources
 from loose_env.importing.mapping import ImportMapping, read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
 from loose_env.importing.proposal import Proposal, proposal_text, propose
@@ -14,13 +13,10 @@ from loose_env.importing.resampling import median_step
 __all__ = [
     "ImportMapping",
     "ImportSettings",
-    "LogSource",
     "Proposal",
     "command_delays",
-    "describe_sources",
     "early_by",
     "import_recording",
-    "list_sources",
     "median_step",
     "proposal_text",
     "propose",

@@ -9,6 +9,7 @@ is no row that came late: the time that it runs through twice holds twice as man
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,14 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.importing.dates import date_format_of, date_ns, looks_like_a_date
-from loose_env.importing.mapping import TimeSource, printable, quoted
-from loose_env.importing.samples import Samples, Table
+from loose_env.importing.mapping import TimeSource
+from loose_env.importing.samples import Samples, Table, printable, quoted
 from loose_env.importing.units import quantity_of, unit_in, unit_named
 from loose_env.recording import nearest
 from loose_env.typing import Array
 
-_LATEST_NS = 2**63 - 1
 _MODULI = (*(float(2**bits) for bits in (8, 12, 16, 24, 31, 32)), 1e6, 1e9)
 """Counts at which counters of loggers start again."""
 _OVERFLOW = 5.0
@@ -61,15 +60,14 @@ class _Clock:
 
 def samples_of(table: Table, channel: str, time: TimeSource) -> Samples:
     """Samples of a channel on its table's times; refused where there is no order to them."""
-    own = table.named(channel) or channel
     place = f"{table.place}: {table.column_word} {channel!r}"
-    if own in table.texts:
-        i, cell = next((i, c) for i, c in enumerate(table.texts[own]) if not _is_number(c))
-        hint = "; give decimal = ','" if "," in cell else ""
+    if channel in table.texts:
+        cells = enumerate(table.texts[channel])
+        i, cell = next((i, c) for i, c in cells if not _is_number(c))
         raise InvalidData(
-            f"{table.row(i)}, {table.column_word} {channel!r}: {cell[:40]!r} is no number{hint}"
+            f"{table.row(i)}, {table.column_word} {channel!r}: {cell[:40]!r} is no number"
         )
-    values = np.asarray(table.numbers(own), dtype=np.float64)
+    values = np.asarray(table.columns[channel], dtype=np.float64)
     there = ~np.isnan(values)
     infinite = np.flatnonzero(np.isinf(values))
     clock = _clock(table, time)
@@ -90,20 +88,13 @@ def samples_of(table: Table, channel: str, time: TimeSource) -> Samples:
         origin_ns=origin,
         time=at,
         values=values if keep is None else values[keep],
-        unit=table.units.get(own, ""),
+        unit=table.units.get(channel, ""),
         done=(*table.done, *done),
     )
 
 
-def named_times(table: Table) -> list[TimeSource]:
-    """Times that a table's own names, or its container, offer, in the order of trust."""
-    if not table.stamps:
-        return _named(table)
-    return [TimeSource(), *(TimeSource(stamp=s) for s in ("log", "publish") if s in table.stamps)]
-
-
-def chosen_time(table: Table) -> tuple[TimeSource, str]:
-    """Time of a table that names none: the first of its candidates that orders the rows.
+def chosen_time(tables: Sequence[Table]) -> tuple[TimeSource, str]:
+    """Time of the tables of all files: that of their format, else one that orders all rows.
 
     Returns
     -------
@@ -115,51 +106,43 @@ def chosen_time(table: Table) -> tuple[TimeSource, str]:
     InvalidData
         If no column can be one; the message has the best candidate's row and values.
     """
-    if table.has_times:
+    first = tables[0]
+    candidates = ([TimeSource()] if first.time else []) + _named(first)
+    if first.rate_hz is not None and not candidates:
         return TimeSource(), "by the format"
-    candidates = named_times(table) or _nameless(table)
     refused: list[str] = []
-    found: list[tuple[int, TimeSource, str]] = []
-    for each in candidates:
+    for each in candidates or _nameless(first):
+        done: dict[str, None] = {}
         try:
-            clock = _clock(table, each)
-            assert clock is not None
-            rows = np.flatnonzero(~np.isnan(np.asarray(clock.raw, dtype=np.float64)))
-            _, _, _, done = _ordered(table, clock, rows if len(rows) < len(table) else None)
+            for table in tables:
+                clock = _clock(table, each)
+                raw = np.empty(0) if clock is None else clock.raw
+                rows = np.flatnonzero(~np.isnan(np.asarray(raw, dtype=np.float64)))
+                if clock is not None:
+                    *_, own = _ordered(table, clock, rows if len(rows) < len(table) else None)
+                    done |= dict.fromkeys(own)
         except InvalidData as error:
             refused.append(str(error))
             continue
-        found.append((len(done), each, "; ".join(done)))
-    if found:
-        # Candidates come in the order of trust; one that needs nothing done goes before its like.
-        _, time, done_words = found[0]
+        stated = not each.column or each.fine or first.units.get(each.column)
+        unit = "" if stated or unit_in(each.column) else (
+            f"{each.unit} by the size of its steps: no unit is stated")  # fmt: skip
         passed = [f"not {_short(words)}" for words in refused]
-        return time, "; ".join(filter(None, [unit_words(table, time), done_words, *passed]))
+        return each, "; ".join(filter(None, [unit, *done, *passed]))
     if refused:
         more = "" if len(refused) == 1 else f"; nor can the next, {_short(refused[1])}"
         raise InvalidData(f"{refused[0]}; no other column orders the rows{more}")
     raise InvalidData(
-        f"{table.place}: its times are not known: no column advances in even steps; give the "
+        f"{first.place}: its times are not known: no column advances in even steps; give the "
         "sampling rate by --rate-hz, or a mapping with time = { column = ... }"
     )
-
-
-def unit_words(table: Table, time: TimeSource) -> str:
-    """Words on the unit of a time where the file states none."""
-    stated = not time.column or time.fine or time.date_format or time.column in table.texts
-    if stated or table.units.get(time.column) or unit_in(time.column):
-        return ""
-    return f"{time.unit} by the size of its steps: no unit is stated"
 
 
 def time_line(time: TimeSource, words: str = "") -> str:
     """Line of a mapping for a time."""
     parts = [f"column = {quoted(time.column)}"] if time.column else []
-    numeric = time.column and not time.fine and not time.date_format
-    parts += [f'unit = "{time.unit}"'] if numeric else []
+    parts += [f'unit = "{time.unit}"'] if time.unit else []
     parts += [f"fine = {quoted(time.fine)}"] if time.fine else []
-    parts += [f"date_format = {quoted(time.date_format)}"] if time.date_format else []
-    parts += [f"stamp = {quoted(time.stamp)}"] if time.stamp != "auto" else []
     parts += [f"rate_hz = {time.rate_hz:.12g}"] if time.rate_hz is not None else []
     return f"time = {{ {', '.join(parts)} }}{f'  # {printable(words)}' if words else ''}"
 
@@ -181,15 +164,14 @@ def time_unit(step: float, value: float = 0.0) -> str:
 
 
 def _named(table: Table) -> list[TimeSource]:
-    """Columns that their names call a time, those of a clock that is never set first."""
+    """Columns that their names or units call a time, those of a clock that is never set first."""
     found: list[tuple[int, TimeSource]] = []
-    names = list(table.columns)
-    for name in names:
+    for name in [each for each in table.columns if each != table.time]:
         words = set(re.findall(r"[a-zäöü]+\d*", name.lower()))
         unit = table.units.get(name) or unit_in(name)
         timed = bool(unit) and quantity_of(unit) == "time"
         if words & _SECONDS:
-            fine = next((n for n in names if _same_but(name, n)), "")
+            fine = next((n for n in table.columns if _same_but(name, n)), "")
             if fine:
                 found.append((1, TimeSource(column=name, fine=fine)))
                 continue
@@ -200,19 +182,11 @@ def _named(table: Table) -> list[TimeSource]:
         if words & {"task", "index", "lag", "delay", "duration", "execution"} and not timed:
             continue
         found.append((0 if words & _STEADY else 1, _with_unit(table, name, unit if timed else "")))
-    for name, cells in table.texts.items():
-        if cells and looks_like_a_date(cells[0]):
-            try:
-                date_format = date_format_of(cells, f"{table.place}: column {name!r}")
-            except InvalidData:
-                date_format = ""
-            found.append((1, TimeSource(column=name, date_format=date_format)))
     return [each for _, each in sorted(found, key=lambda pair: pair[0])]
 
 
 def _nameless(table: Table) -> list[TimeSource]:
-    """Columns that advance in even steps and are no counts of rows."""
-    found = []
+    """Column that advances in even steps and is no count of rows."""
     for name, values in table.columns.items():
         steps = np.diff(np.asarray(values, dtype=np.float64))
         if len(steps) < 2 or not np.all(steps > 0):
@@ -220,8 +194,8 @@ def _nameless(table: Table) -> list[TimeSource]:
         step = float(np.median(steps))
         even = np.mean(np.abs(steps - step) <= _JITTER * step) > 0.5
         if even and not np.all(steps == 1):
-            found.append(_with_unit(table, name, ""))
-    return found[:1]
+            return [_with_unit(table, name, "")]
+    return []
 
 
 def _with_unit(table: Table, name: str, unit: str) -> TimeSource:
@@ -236,13 +210,10 @@ def _with_unit(table: Table, name: str, unit: str) -> TimeSource:
 
 def _same_but(seconds: str, nanos: str) -> bool:
     """Whether two names differ in seconds and nanoseconds alone."""
-    one, other = (re.split(r"([A-Za-z]+)", name) for name in (seconds, nanos))
-    if len(one) != len(other):
-        return False
-    unlike = [
-        (a.lower(), b.lower()) for a, b in zip(one, other, strict=True) if a.lower() != b.lower()
-    ]
-    return len(unlike) == 1 and unlike[0][0] in _SECONDS and unlike[0][1] in _NANOS
+    one, other = (re.split(r"([a-z]+)", name.lower()) for name in (seconds, nanos))
+    unlike = [pair for pair in zip(one, other, strict=False) if pair[0] != pair[1]]
+    alike = len(one) == len(other) and len(unlike) == 1
+    return alike and unlike[0][0] in _SECONDS and unlike[0][1] in _NANOS
 
 
 def _short(words: str) -> str:
@@ -255,71 +226,34 @@ def _short(words: str) -> str:
 @lru_cache(maxsize=8)
 def _clock(table: Table, time: TimeSource) -> _Clock | None:
     """Times of all rows; None where they follow from a rate."""
-    place = table.place
-    if time.rate_hz is not None:
+    place, own = table.place, time.column or table.time
+    if time.rate_hz is not None or (not own and table.rate_hz is not None):
         return None
-    if not time.column and table.times is not None:
-        return _Clock("the time", table.times, 1.0)
-    if table.stamps:
-        name = time.stamp
-        if name == "auto":
-            header = table.stamps.get("header.stamp")
-            name = "log" if header is None or not len(header) or header[0] == 0 else "header.stamp"
-        name = "header.stamp" if name == "header" else name
-        if name in table.stamps:
-            stamps = table.stamps[name]
-            bad = np.flatnonzero((stamps < 0) | (stamps >= _LATEST_NS))
-            if bad.size:
-                i = int(bad[0])
-                raise InvalidData(f"{table.row(i)}: its time is {stamps[i]} ns, which is no date")
-            return _Clock(f"stamp {name!r} [ns]", stamps, 1e-9)
-        if name not in table.columns:
-            raise InvalidData(
-                f"{table.row(0)}: {name!r} holds no time; stamp is one of "
-                f"{', '.join(map(repr, table.stamps))}, or a field"
-            )
-        return _Clock(f"field {name!r}", table.columns[name], unit_named(time.unit, place).factor)
-    if not time.column:
-        if table.rate_hz is not None:
-            return None
+    if not own:
         raise InvalidData(
             f"{place}: its time is not known. Name its column, time = {{ column = 'Time' }}, or "
             "give the recorder's sampling rate where the samples are evenly spaced, "
             "time = { rate_hz = ... } [Hz]; no rate is assumed"
         )
-    own = table.named(time.column)
-    if own is None:
-        there = [*table.columns, *table.texts]
-        raise InvalidData(
-            f"{place}: there is no column {time.column!r} for the time; there are "
-            f"{', '.join(map(repr, there[:30]))[:600]}{nearest(time.column, there)}"
-        )
-    if own in table.texts:
-        return _dates(table, own, time)
+    for name in filter(None, (own, time.fine)):
+        if name in table.texts:
+            i, cell = next((i, c) for i, c in enumerate(table.texts[name]) if not _is_number(c))
+            raise InvalidData(f"{table.row(i)}, column {name!r}: {cell[:40]!r} is no time")
+        if name not in table.columns:
+            there = [*table.columns, *table.texts]
+            raise InvalidData(
+                f"{place}: there is no column {name!r} for the time; there are "
+                f"{', '.join(map(repr, there[:30]))[:600]}{nearest(name, there)}"
+            )
     raw = table.columns[own]
     if time.fine:
-        fine = table.named(time.fine)
-        if fine is None or fine in table.texts:
-            raise InvalidData(f"{place}: there is no column {time.fine!r} of nanoseconds")
-        whole = [np.asarray(part) for part in (raw, table.columns[fine])]
+        whole = [np.asarray(part) for part in (raw, table.columns[time.fine])]
         if not all(np.all(np.isfinite(part)) for part in whole):
-            raise InvalidData(f"{place}: columns {own!r} and {fine!r} of the time miss values")
+            raise InvalidData(f"{place}: columns {own!r} and {time.fine!r} of the time miss values")
         raw = whole[0].astype(np.int64) * 10**9 + whole[1].astype(np.int64)
-        return _Clock(f"{own!r} and {fine!r} [ns]", raw, 1e-9)
-    factor = unit_named(time.unit, f"{place}: time.unit").factor
-    return _Clock(f"{own!r} [{time.unit}]", raw, factor)
-
-
-def _dates(table: Table, own: str, time: TimeSource) -> _Clock:
-    cells = table.texts[own]
-    date_format = time.date_format
-    if not date_format and cells and looks_like_a_date(cells[0]):
-        date_format = date_format_of(cells, f"{table.place}: column {own!r}")
-    if not date_format:
-        i = next(i for i, cell in enumerate(cells) if not _is_number(cell))
-        raise InvalidData(f"{table.row(i)}, column {own!r}: {cells[i][:40]!r} is no time")
-    stamps = [date_ns(c, date_format, table.row(i)) for i, c in enumerate(cells)]
-    return _Clock(f"{own!r} [ns]", np.array(stamps, dtype=np.int64), 1e-9)
+        return _Clock(f"{own!r} and {time.fine!r} [ns]", raw, 1e-9)
+    unit = time.unit or table.units.get(own) or "s"
+    return _Clock(f"{own!r} [{unit}]", raw, unit_named(unit, f"{place}: time.unit").factor)
 
 
 def _ordered(
@@ -352,23 +286,26 @@ def _mended(
     raw = _continued(table, clock, raw, rows, done)
     steps = np.diff(raw)
     back = np.flatnonzero(steps <= 0)
-    if not back.size:
-        return raw, np.arange(len(raw))
     order = np.argsort(raw, kind="stable")
-    behind = raw < np.maximum.accumulate(raw)
+    if not back.size:
+        return raw, order
     step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
-    late = int(behind.sum())
+    late = int(np.sum(raw < np.maximum.accumulate(raw)))
     enough = step > 0 and len(raw) >= _FEWEST and late <= _LATE * len(raw)
     i = _set_back(raw, raw[order], back, step) if enough else int(back[0])
     still = np.flatnonzero(np.diff(raw[order]) == 0)
-    if i is None and still.size:
-        i = int(order[still[0]])
-        other = int(order[still[0] + 1])
-        raise _refused(table, clock, raw, rows, (i, other))
-    if i is not None:
-        raise _refused(table, clock, raw, rows, (i, i + 1))
-    done.append(f"{table.place}: {late} rows came late by {clock.label} and were put back in order")
-    return raw, order
+    if i is None and not still.size:
+        words = f"rows came late by {clock.label} and were put back in order"
+        done.append(f"{table.place}: {late} {words}")
+        return raw, order
+    one, other = (i, i + 1) if i is not None else order[still[0] : still[0] + 2].tolist()
+    same = raw[one] == raw[other]
+    alike = f" ({len(raw) - len(np.unique(raw))} of {len(raw)} rows have the time of another)"
+    raise InvalidData(
+        f"{table.row(int(rows[other]))}: time {'stands still' if same else 'runs backwards'}: "
+        f"{clock.label} is {raw[other]} after {raw[one]}{alike if same else ''}; choose another "
+        "time for this source (a finer stamp, or rate_hz where the samples are evenly spaced)"
+    )
 
 
 def _continued(
@@ -402,42 +339,15 @@ def _set_back(
     raw: NDArray[Any], order: NDArray[Any], back: NDArray[np.int64], step: float
 ) -> int | None:
     """Row before the deepest step back of the clock; None where rows only came late."""
-    top = np.maximum.accumulate(raw)
+    since, whole = order - raw[0], np.maximum.accumulate(raw)
     twice: list[tuple[float, int]] = []
-    for i in back:
-        low, high = float(raw[i + 1] - raw[0]), float(top[i] - raw[0])
-        if high <= low:
-            continue
-        first, last = (
-            int(np.count_nonzero(order - raw[0] < edge))
-            for edge in (low - 5 * step, high + 5.0001 * step)
-        )
-        span = min(high + 5 * step, float(order[-1] - raw[0])) - max(
-            low - 5 * step, float(order[0] - raw[0])
-        )
-        extra = float(last - first) - (span / step + 1)
-        if extra > max(1.5, _TWICE * (high - low) / step):
+    for i in back[whole[back] > raw[back + 1]]:
+        low, high = float(raw[i + 1] - raw[0]), float(whole[i] - raw[0])
+        there = np.count_nonzero((since >= low - 5 * step) & (since < high + 5.0001 * step))
+        span = min(high + 5 * step, float(since[-1])) - max(low - 5 * step, float(since[0]))
+        if there - (span / step + 1) > max(1.5, _TWICE * (high - low) / step):
             twice.append((high - low, -int(i)))
     return -max(twice)[1] if twice else None
-
-
-def _refused(
-    table: Table,
-    clock: _Clock,
-    raw: NDArray[Any],
-    rows: NDArray[np.int64],
-    pair: tuple[int, int],
-) -> InvalidData:
-    one, other = pair
-    before, after = raw[one], raw[other]
-    word = "stands still" if before == after else "runs backwards"
-    alike = len(raw) - len(np.unique(raw))
-    coarse = f" ({alike} of {len(raw)} rows have the time of another)" if before == after else ""
-    return InvalidData(
-        f"{table.row(int(rows[other]))}: time {word}: {clock.label} is {after} after {before}"
-        f"{coarse}; choose another time for this source (a finer stamp, or rate_hz where the "
-        "samples are evenly spaced)"
-    )
 
 
 def _is_number(cell: str) -> bool:

@@ -1,4 +1,4 @@
-"""Mapping files, TOML or JSON: sources, their clocks, and the columns and runs made of them.
+"""Mapping files: sources, their clocks, and the columns and runs made of them.
 
 The fields of the dataclasses are the keys of the file, their types its rules; pydantic checks
 them. Nothing in a mapping is executed.
@@ -6,39 +6,34 @@ them. Nothing in a mapping is executed.
 
 from __future__ import annotations
 
-import datetime
-import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Le, MaxLen, MinLen
-from pydantic import AfterValidator, ConfigDict, PlainValidator
+from pydantic import AfterValidator, ConfigDict
 
 from loose_env.errors import InvalidData
-from loose_env.importing.dates import date_ns
-from loose_env.importing.samples import ChannelKey, FileKind
+from loose_env.importing.samples import ChannelKey
 from loose_env.importing.units import unit_named
-from loose_env.io import restored, whole_of
+from loose_env.io import restored
 from loose_env.recording import Condition, nearest, read_text
 
 MAPPING_FORMAT = "loose-mapping/1"
 """The format read here."""
 
 Sign = Literal[1, -1]
-Encoding = Literal["utf-8", "utf-16", "cp1252", "latin-1"]
 Method = Literal["band", "hold"]
 """Resampling to the run's times: band-limited, or zero-order hold."""
 
 _MOST_BYTES = 2**22
-_YEAR = 3.2e7  # [s]
 _FORBID = ConfigDict(extra="forbid")
 
 
 def _printable(words: str) -> str:
-    if not words or not (words.isprintable() or words == "\t"):
+    if not words or not words.isprintable():
         raise ValueError("a printable text is needed")
     return words
 
@@ -55,7 +50,7 @@ def _unit(name: str) -> str:
 
 
 def _time_unit(name: str) -> str:
-    if unit_named(name, "unit").quantity != "time":
+    if name and unit_named(name, "unit").quantity != "time":
         raise ValueError(f"{name!r} is no unit of time; s, ms, us, ns are")
     return name
 
@@ -72,53 +67,12 @@ def _source_name(name: str) -> str:
     return name
 
 
-def _position(value: Any) -> float:
-    """Position [rad or m] of a number, or of one with a unit, such as '30 deg'."""
-    if isinstance(value, str):
-        try:
-            amount, name = value.split()
-            number = float(amount)
-        except ValueError:
-            raise ValueError("a number [rad or m] or such as '30 deg' is needed") from None
-        unit = unit_named(name, "pose")
-        if unit.quantity not in ("angle", "length"):
-            raise ValueError(f"{name!r} measures no angle and no length")
-        return number * unit.factor
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= 1e9:
-        raise ValueError("a number [rad or m] or such as '30 deg' is needed")
-    return float(value)
-
-
-def _pose(value: Any) -> Mapping[str, float] | Literal["measured"]:
-    if isinstance(value, dict):
-        return {str(joint): _position(q) for joint, q in value.items()}
-    if value != "measured":
-        raise ValueError("a table of joints and positions, or 'measured', is needed")
-    return "measured"
-
-
-def _moment(value: Any) -> float | int:
-    """Seconds as a float, or a date in whole nanoseconds."""
-    if isinstance(value, datetime.datetime):
-        value = value.isoformat()
-    if isinstance(value, str):
-        return date_ns(value, "iso", "moment")
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= _YEAR:
-        raise ValueError(
-            "seconds after the first time that all columns have, less than a year; give a date in "
-            "quotes, such as '2024-05-01T10:00:03.5Z'"
-        )
-    return float(value)
-
-
 _Text = Annotated[str, AfterValidator(_printable)]
 _Names = Annotated[tuple[_Text, ...], AfterValidator(_each_once)]
 _Number = Annotated[float, Ge(-1e18), Le(1e18)]
 _Rate = Annotated[float, Ge(1e-6), Le(1e9)]
 _Seconds = Annotated[float, Ge(1e-9), Le(1e9)]
-_Frequency = Annotated[float, Ge(0.0), Le(1e9)]
-_Pose = Annotated[Mapping[str, float] | Literal["measured"] | None, PlainValidator(_pose)]
-_Moment = Annotated[float | int | None, PlainValidator(_moment)]
+_Moment = Annotated[float, Ge(0.0), Le(3.2e7)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,104 +82,30 @@ class TimeSource:
     __pydantic_config__ = _FORBID
 
     column: str = ""
-    """CSV, HDF5, LeRobot: column of the time; "timestamp" by default in a LeRobot dataset."""
-    unit: Annotated[str, AfterValidator(_time_unit)] = "s"
-    """Unit of a time given as a number."""
+    """Column of the time; that of the format by default, where it has one."""
+    unit: Annotated[str, AfterValidator(_time_unit)] = ""
+    """Unit of the column; the one that the file states, or s, by default."""
     fine: str = ""
     """Column of the nanoseconds within each second of ``column``, where there are two."""
-    date_format: str = ""
-    """CSV: "iso", or a format of Python's ``strptime``, where the column holds dates; recognised
-    from the column by default."""
-    stamp: str = "auto"
-    """MCAP: "auto", the stamp of the header where messages have one that is set, else the log time;
-    or "log", "publish", "header", or the field of the message that holds the time."""
     rate_hz: _Rate | None = None
     """Sampling rate, in the place of any stamps [Hz]."""
-    even: bool = False
-    """Stamps jitter about evenly spaced samples: a straight line through them is taken."""
     from_start: bool = False
     """Time counts from the source's first sample that is taken, not from its dates."""
     offset_s: Annotated[float, Ge(-1e10), Le(1e10)] = 0.0
     """Added to the source's times [s]."""
-    drift_ppm: Annotated[float, Ge(-1e5), Le(1e5)] = 0.0
-    """Rate error of the source's clock, positive where it runs slow [µs/s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class CsvLayout:
-    """Layout of a text table."""
-
-    separator: Literal[",", ";", "\t", " ", "|"] = ","
-    decimal: Literal[".", ","] = "."
-    encoding: Encoding = "utf-8"
-    skip: Annotated[int, Ge(0), Le(10_000)] = 0
-    """Lines before the line of names."""
-    header: bool = True
-    """True if there is a line of names; else columns are called "1", "2" and so on."""
-    names: _Names = ()
-    """Names of the columns where ``header`` is false."""
-    skip_after_header: Annotated[int, Ge(0), Le(100)] = 0
-    """Lines between the names and the numbers, such as a line of units."""
-    missing: _Names = ()
-    """Words that stand for a missing sample, beside an empty cell and NaN."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Align:
-    """Two channels of the same motion, from which one clock is aligned to the other."""
-
-    __pydantic_config__ = _FORBID
-
-    to: _Text
-    """Source whose clock is kept."""
-    channel: _Text
-    topic: str = ""
-    to_channel: _Text
-    to_topic: str = ""
-    most_s: Annotated[float, Ge(1e-6), Le(1e5)] = 1.0
-    """Largest shift searched [s]."""
-    band_hz: tuple[_Frequency, _Frequency] | None = None
-    """Frequencies compared; all that both have by default [Hz]."""
-    sign: Sign = 1
-    """-1 where one channel is the negative of the other."""
-    least_correlation: Annotated[float, Ge(0.0), Le(1.0)] = 0.6
-    """Least correlation at which the two count as the same motion [1]."""
-
-    @property
-    def own(self) -> ChannelKey:
-        """Channel of the source that is aligned."""
-        return ChannelKey(self.channel, self.topic)
-
-    @property
-    def other(self) -> ChannelKey:
-        """Channel of the source whose clock is kept."""
-        return ChannelKey(self.to_channel, self.to_topic)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SourceEntry(CsvLayout):
+class SourceEntry:
     """One source: a file, or one file of a kind in each run."""
 
     __pydantic_config__ = _FORBID
 
     file: str = ""
     """Name of the file; a run may name another."""
-    kind: FileKind | None = None
-    """Detected from name and first bytes by default."""
     time: TimeSource = field(default_factory=TimeSource)
     topics: Mapping[_Text, TimeSource] = field(default_factory=dict)
-    """MCAP: topics whose time comes from elsewhere."""
-    align: Align | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse layouts that cannot be."""
-        if self.names and self.header:
-            raise ValueError("names are for a table without a line of them: header = false")
-        if self.separator == self.decimal:
-            raise ValueError(
-                f"separator and decimal are both {self.separator!r}; a table with decimal commas "
-                "has another separator, mostly ';'"
-            )
+    """Topics whose time comes from elsewhere."""
 
     def time_of(self, topic: str) -> TimeSource:
         """Time source of a topic."""
@@ -283,12 +163,14 @@ class ColumnEntry(ColumnKeys):
         return self.sign * self.scale * unit
 
     @property
+    def is_command(self) -> bool:
+        """True for the input of an actuator."""
+        return self.column.startswith("ctrl.")
+
+    @property
     def way(self) -> Method:
         """Resampling method, with its default."""
-        return self.method or ("hold" if self.column.startswith("ctrl.") else "band")
-
-
-_Columns = Mapping[_Text, ColumnKeys]
+        return self.method or ("hold" if self.is_command else "band")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -300,40 +182,32 @@ class _Run:
     file: _Text = ""
     sources: Mapping[_Text, _Text] = field(default_factory=dict)
     """Source -> file, for this run alone."""
-    pose: _Pose = None
+    pose: Mapping[str, float] | Literal["measured"] | None = None
     """Positions [rad or m], or "measured": the median of the joints' own sensors."""
     excited: _Names = ()
     condition: Condition = "suspect"
-    start: _Moment = None
-    """Seconds after the first time that all columns have; an int is a date [ns since 1970]."""
-    stop: _Moment = None
+    start: _Moment | None = None
+    """After the first time that all columns have [s]."""
+    stop: _Moment | None = None
+    """The same [s]."""
     rate_hz: _Rate | None = None
     """Rate of the rows [Hz]; the samples of the fastest channel by default."""
-    episodes: str = "all"
-    """Episodes of a dataset, each of which becomes a run: "all", or names, numbers and ranges of
-    numbers such as "0, 3-5"; no meaning for sources without episodes."""
+    episodes: tuple[int, ...] | Literal["all"] = "all"
+    """Numbers of the episodes of a dataset, each of which becomes a run; no meaning for sources
+    without episodes."""
 
     def __post_init__(self) -> None:
         """Refuse a piece that ends before it begins."""
-        start, stop = self.start, self.stop
-        if type(start) is type(stop) and start is not None and stop is not None and start >= stop:
+        if self.start is not None and self.stop is not None and self.start >= self.stop:
             raise ValueError("start is not before stop")
 
 
 @dataclass(frozen=True, kw_only=True)
-class _RunKeys(_Run):
-    """Run as the file has it."""
-
-    columns: _Columns = field(default_factory=dict)
-    """Columns of this run alone, on top of the shared ones."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class RunPlan(_Run):
-    """One run of the recording, with all its columns."""
+    """One run of the recording."""
 
     place: str
-    columns: tuple[ColumnEntry, ...]
+    """Location in the mapping, for errors."""
     episode: str = ""
     """Name of the episode of this run; set when runs are made of ``episodes``, no key."""
 
@@ -346,15 +220,12 @@ class _MappingFile:
 
     format: Literal["loose-mapping/1"]
     model: str = ""
-    """MJCF file, from the mapping's folder; may be empty."""
     sources: Annotated[
         Mapping[Annotated[str, AfterValidator(_source_name)], SourceEntry], MinLen(1)
     ]
-    columns: _Columns = field(default_factory=dict)
-    """Columns of all runs."""
-    runs: Annotated[tuple[_RunKeys, ...], MinLen(1), MaxLen(10_000)]
+    columns: Annotated[Mapping[_Text, ColumnKeys], MinLen(1)]
+    runs: Annotated[tuple[_Run, ...], MinLen(1), MaxLen(10_000)]
     unused: tuple[str, ...] = ()
-    """Files that may be given, and are not read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -366,6 +237,8 @@ class ImportMapping:
     model: str
     """MJCF file, from the mapping's folder; may be empty."""
     sources: Mapping[str, SourceEntry]
+    columns: tuple[ColumnEntry, ...]
+    """Columns of all runs."""
     runs: tuple[RunPlan, ...]
     unused: tuple[str, ...] = ()
     """Files that may be given, and are not read."""
@@ -377,7 +250,7 @@ def read_mapping(file: str | Path) -> ImportMapping:
     Parameters
     ----------
     file : str or Path
-        A file that ends in .toml or .json.
+        A TOML file.
 
     Returns
     -------
@@ -394,89 +267,43 @@ def read_mapping(file: str | Path) -> ImportMapping:
     >>> read_mapping("mapping.yaml")
     Traceback (most recent call last):
         ...
-    loose_env.errors.InvalidData: mapping.yaml: a mapping ends in .toml or .json
+    loose_env.errors.InvalidData: mapping.yaml: a mapping is a TOML file and ends in .toml
     """
     path = Path(file)
-    name, ending = path.name, path.suffix.lower()
-    if ending not in (".toml", ".json"):
-        raise InvalidData(f"{name}: a mapping ends in .toml or .json")
+    name = path.name
+    if path.suffix.lower() != ".toml":
+        raise InvalidData(f"{name}: a mapping is a TOML file and ends in .toml")
     if not path.is_file():
         raise InvalidData(f"there is no mapping file {str(file)!r}")
-    words = read_text(path, name, _MOST_BYTES)
     try:
-        if ending == ".toml":
-            whole = tomllib.loads(words)
-        else:
-            whole = whole_of(words, format=MAPPING_FORMAT, noun="mapping")
+        whole = tomllib.loads(read_text(path, name, _MOST_BYTES))
     except RecursionError:
         raise InvalidData(f"{name}: nested too deeply") from None
     except ValueError as error:
-        raise InvalidData(f"{name}: not {ending[1:].upper()}: {str(error)[:200]}") from None
-    runs = whole.get("runs")
-    removed = [_removed(run) for run in runs] if isinstance(runs, list) else []
+        raise InvalidData(f"{name}: not TOML: {str(error)[:200]}") from None
     found = restored(_MappingFile, whole, f"{name}:")
-    for key, source in found.sources.items():
-        if source.align is not None:
-            place = f"{name}: sources.{key}.align"
-            _known(f"{place}.to", source.align.to, found.sources)
-            if source.align.to == key or found.sources[source.align.to].align is not None:
-                raise InvalidData(f"{place}.to is a source that is not aligned itself")
-            low, high = source.align.band_hz or (0.0, 1.0)
-            if low >= high:
-                raise InvalidData(f"{place}.band_hz: {low:g} is not below {high:g}")
-    plans = tuple(_plan(name, i, found, removed[i]) for i in range(len(found.runs)))
-    return ImportMapping(
-        name=name, model=found.model, sources=found.sources, runs=plans, unused=found.unused
-    )
-
-
-def _removed(run: Any) -> set[str]:
-    """Shared columns that a run does without, taken out of what is read of it."""
-    columns = run.get("columns") if isinstance(run, dict) else None
-    if not isinstance(columns, dict):
-        return set()
-    return {key for key in list(columns) if columns[key] is False and columns.pop(key) is False}
-
-
-def _plan(name: str, index: int, whole: _MappingFile, removed: set[str]) -> RunPlan:
-    """Run with its own columns and the shared ones."""
-    run, place = whole.runs[index], f"{name}: runs[{index}]"
-    if lost := removed - set(whole.columns):
-        raise InvalidData(f"{place}.columns.{min(lost)!r} is false, and no shared column")
+    sources = [*found.sources]
     columns = []
-    for home, own in ((name + ":", whole.columns), (f"{place}.", run.columns)):
-        gone = removed | set(run.columns) if own is whole.columns else ()
-        for column, keys in own.items():
-            if column in gone:
-                continue
-            at = f"{home} columns.{column!r}" if home[-1] == ":" else f"{home}columns.{column!r}"
-            source = keys.source or (next(iter(whole.sources)) if len(whole.sources) == 1 else "")
-            if not source:
-                raise InvalidData(f"{at}: 'source' is missing")
-            _known(f"{at}.source", source, whole.sources)
-            values = {**vars(keys), "source": source}
-            columns.append(ColumnEntry(**values, place=at, column=column))
-    if not columns:
-        raise InvalidData(f"{place}: it has no columns; give [columns] for all runs or its own")
-    for source in run.sources:
-        _known(f"{place}.sources", source, whole.sources)
-    values = {**vars(run), "file": run.file or f"run-{index + 1:02d}", "place": place}
-    return RunPlan(**{**values, "columns": tuple(columns)})
+    for column, keys in found.columns.items():
+        place = f"{name}: columns.{column!r}"
+        source = keys.source or (sources[0] if len(sources) == 1 else "")
+        if not source:
+            raise InvalidData(f"{place}: 'source' is missing")
+        _known(f"{place}.source", source, sources)
+        columns.append(ColumnEntry(**{**vars(keys), "source": source}, place=place, column=column))
+    runs = []
+    for i, run in enumerate(found.runs):
+        for source in run.sources:
+            _known(f"{name}: runs[{i}].sources", source, sources)
+        own = {**vars(run), "file": run.file or f"run-{i + 1:02d}"}
+        runs.append(RunPlan(**own, place=f"{name}: runs[{i}]"))
+    return ImportMapping(name=name, model=found.model, sources=found.sources, columns=(*columns,),
+                         runs=(*runs,), unused=found.unused)  # fmt: skip
 
 
-def _known(place: str, source: str, sources: Mapping[str, SourceEntry]) -> None:
+def _known(place: str, source: str, sources: Sequence[str]) -> None:
     if source not in sources:
         raise InvalidData(
             f"{place}: there is no source {source[:60]!r}; there are {', '.join(sources)}"
-            f"{nearest(source[:60], list(sources))}"
+            f"{nearest(source[:60], sources)}"
         )
-
-
-def quoted(words: str) -> str:
-    """Quote text for TOML, whose strings are JSON's but for one control character."""
-    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def printable(words: str) -> str:
-    """Words for a comment of a mapping."""
-    return "".join(c if c.isprintable() else " " for c in words)

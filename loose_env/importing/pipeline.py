@@ -1,39 +1,47 @@
-"""Import of loggers' files by a mapping into a recording."""
+"""Recording made of loggers' files by a mapping: channels read, resampled and joined to runs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import mujoco
+import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.importing.clocks import samples_of
 from loose_env.importing.command_timing import timed
-from loose_env.importing.join_runs import Joined, joined_run, shifts_of
-from loose_env.importing.mapping import ImportMapping, RunPlan, read_mapping
-from loose_env.importing.reading import (
-    check_units,
-    files_of_runs,
-    given_files,
-    open_log,
-    read_source,
-    run_episodes,
-)
-from loose_env.importing.samples import ChannelKey, Log, Samples
+from loose_env.importing.evidence import decoded
+from loose_env.importing.mapping import ColumnEntry, ImportMapping, RunPlan, read_mapping
+from loose_env.importing.resampling import bridged, held, median_step, resampled, rows_of
+from loose_env.importing.samples import Log, Samples, Table, found_in
+from loose_env.importing.sources import files_of_runs, given_files, open_log, run_episodes
+from loose_env.importing.units import UNITS, column_quantity, unit_named
 from loose_env.recording import (
+    FEWEST_SAMPLES,
+    MOST_MISSING,
+    MOST_VALUES,
+    CommandTiming,
     FileFormat,
     ModelColumns,
     Recording,
+    Run,
     check_measured,
     check_target,
     existing_file,
+    joint_sensors,
     load_model,
     planned_recording,
     write_measured,
     write_recording,
 )
+from loose_env.typing import Array
+
+Say = Callable[[str], None]
+_Read = dict[tuple[str, Log, str], list[Table]]
+"""Tables by source, file and episode, which several runs may be cut from."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +67,7 @@ def import_recording(
     settings: ImportSettings | None = None,
     *,
     model: str | Path | None = None,
-    say: Callable[[str], None] | None = None,
+    say: Say = lambda _: None,
 ) -> Recording:
     """Make a recording of files that loggers wrote.
 
@@ -69,7 +77,7 @@ def import_recording(
         The files; ``NAME=PATH`` names a source of the mapping. No other file is read, but for
         the model and its assets.
     mapping : str or Path
-        Mapping file, TOML or JSON.
+        Mapping file.
     out : str or Path
         Folder of the recording. It is written beside its place, read back, and renamed. Into a
         planned recording go the runs that have the names of planned ones; its model, poses and
@@ -97,7 +105,6 @@ def import_recording(
         If a kind of file needs a library that is not installed.
     """
     settings = settings or ImportSettings()
-    say = say or _silent
     session = planned_recording(out)
     if session is None:
         check_target(out, overwrite=settings.overwrite)  # before hours of logs are read
@@ -112,46 +119,30 @@ def import_recording(
     compiled = load_model(model_file)[1]
     _check_names(plan, compiled)
     files = files_of_runs(plan, given)
-    check_units(plan, files)
-    logs = {
-        (name, path): open_log(path, plan.sources[name])
-        for name, path in dict.fromkeys(pair for own in files for pair in own.items())
-    }
-    plan, files = _by_episode(plan, files, logs)
+    logs = {path: open_log(path) for path in dict.fromkeys(p for f in files for p in f.values())}
+    planned: list[tuple[RunPlan, dict[str, Log]]] = []
+    for run, paths in zip(plan.runs, files, strict=True):
+        own = {name: logs[path] for name, path in paths.items()}
+        for column in plan.columns:
+            if own[column.source].ambiguous and not column.unit:
+                raise InvalidData(
+                    f"{column.place}: unit is missing: {own[column.source].ambiguous}"
+                )
+        episodes = run_episodes(run, own.values())
+        parts = [replace(run, file=f"{run.file}-{each}", episode=each) for each in episodes]
+        planned += [(each, own) for each in parts or [run]]
     if session is not None:
-        names = [(run.file, run.condition) for run in plan.runs]
+        names = [(run.file, run.condition) for run, _ in planned]
         check_measured(out, names, overwrite=settings.overwrite)
-    joined: list[Joined] = []
-    pools: dict[tuple[str, Path, str], dict[ChannelKey, Samples]] = {}
-    wanted = _wanted(plan, files)
-    for run, own in zip(plan.runs, files, strict=True):
-        pool: dict[tuple[str, Path, ChannelKey], Samples] = {}
-        for name, path in own.items():
-            log = logs[name, path]
-            place = (name, path, run.episode if log.episodes else "")
-            if place not in pools:
-                keys = wanted[name, path]
-                pools[place] = read_source(log, plan.sources[name], keys, place[2])
-                said = dict.fromkeys(d for each in pools[place].values() for d in each.done)
-                for line in (f"{path.name}: {len(keys)} channels read", *said):
-                    say(line)
-            pool |= {(name, path, key): each for key, each in pools[place].items()}
-        shifts = shifts_of(plan, own, pool, say)
-        joined.append(joined_run(run, own, pool, shifts, compiled))
-        for line in joined[-1].lines:
-            say(line)
+    tables: _Read = {}
+    runs = [_joined(plan, run, own, tables, compiled, say) for run, own in planned]
     if session is not None:
-        return write_measured(out, [each.run for each in joined], overwrite=settings.overwrite)
-    free = {
-        column.column[5:]
-        for run in plan.runs
-        for column in run.columns
-        if column.column.startswith("ctrl.") and column.method is None
-    }
+        return write_measured(out, runs, overwrite=settings.overwrite)
+    free = {c.column[5:] for c in plan.columns if c.is_command and c.method is None}
     return write_recording(
         out,
         model_xml=model_file,
-        runs=timed(compiled, [each.run for each in joined], free, say),
+        runs=timed(compiled, runs, free, say),
         file_format=settings.file_format,
         overwrite=settings.overwrite,
     )
@@ -168,9 +159,8 @@ def _model_file(plan: ImportMapping, mapping: Path, model: str | Path | None) ->
             f"{plan.name}: a recording needs a model: name an MJCF file beside the mapping by "
             "model = '...', or give --model"
         )
-    home = mapping.resolve().parent
     try:
-        return existing_file(home, plan.model, f"{plan.name}: model")
+        return existing_file(mapping.resolve().parent, plan.model, f"{plan.name}: model")
     except InvalidData as error:
         raise InvalidData(f"{error}; a model from elsewhere is given by --model") from None
 
@@ -178,46 +168,191 @@ def _model_file(plan: ImportMapping, mapping: Path, model: str | Path | None) ->
 def _check_names(plan: ImportMapping, model: mujoco.MjModel) -> None:
     """Refuse names that the model lacks, before files of gigabytes are read."""
     allowed = ModelColumns.of(model)
+    allowed.check_header(plan.name, ["time", *(each.column for each in plan.columns)])
     for run in plan.runs:
-        allowed.check_header(run.place, ["time", *(each.column for each in run.columns)])
         for joint in run.excited:
             allowed.check_joint(f"{run.place}.excited", joint)
-        if isinstance(run.pose, dict):
-            for joint in run.pose:
-                allowed.check_joint(f"{run.place}.pose", joint)
+        for joint in run.pose if isinstance(run.pose, Mapping) else ():
+            allowed.check_joint(f"{run.place}.pose", joint)
 
 
-def _by_episode(
-    plan: ImportMapping,
-    files: list[dict[str, Path]],
-    logs: Mapping[tuple[str, Path], Log],
-) -> tuple[ImportMapping, list[dict[str, Path]]]:
-    """Make a run of each episode where the sources of a run have episodes."""
-    runs: list[RunPlan] = []
-    own: list[dict[str, Path]] = []
-    for run, paths in zip(plan.runs, files, strict=True):
-        episodes = run_episodes(run, {name: logs[name, path] for name, path in paths.items()})
-        runs += [replace(run, file=f"{run.file}-{each}", episode=each) for each in episodes]
-        runs += [] if episodes else [run]
-        own += [paths] * max(1, len(episodes))
-    return replace(plan, runs=tuple(runs)), own
+# ------------------------------------------------------------------------- one run
 
 
-def _wanted(
-    plan: ImportMapping, files: list[dict[str, Path]]
-) -> dict[tuple[str, Path], list[ChannelKey]]:
-    """Channels that runs take of every file."""
-    wanted: dict[tuple[str, Path], dict[ChannelKey, None]] = {}
-    for run, own in zip(plan.runs, files, strict=True):
-        for column in run.columns:
-            wanted.setdefault((column.source, own[column.source]), {})[column.key] = None
-        for name, path in own.items():
-            align = plan.sources[name].align
-            if align is not None:
-                wanted.setdefault((name, path), {})[align.own] = None
-                wanted.setdefault((align.to, own[align.to]), {})[align.other] = None
-    return {place: list(keys) for place, keys in wanted.items()}
+class _Column(NamedTuple):
+    """One column in SI units, on the clock of the run."""
+
+    entry: ColumnEntry
+    place: str
+    time: Array
+    values: Array
+    longest: float
+    """Longest pause that is bridged [s]."""
+
+    @property
+    def last(self) -> float:
+        """Last time that it speaks of; a command stands until the next."""
+        return float(self.time[-1]) + (self.longest if self.entry.way == "hold" else 0.0)
 
 
-def _silent(_: str) -> None:
-    pass
+def _joined(
+    plan: ImportMapping, run: RunPlan, logs: Mapping[str, Log],
+    read: _Read, model: mujoco.MjModel, say: Say,
+) -> Run:  # fmt: skip
+    """Run with all columns on common times."""
+    columns = _columns(plan, run, logs, read, model, say)
+    start, stop = _ends(run, columns)
+    lead = min(columns, key=lambda c: (c.entry.way == "hold", median_step(c.time)))
+    rows = _rows(run, lead, start, stop, len(columns))
+    table: dict[str, Array] = {}
+    seconds, rate = rows[-1] - rows[0], 1 / median_step(rows)
+    say(f"{run.file}: {len(rows)} rows, {seconds:.3f} s at {rate:.6g} Hz")
+    for entry, place, time, values, longest in columns:
+        if entry.way == "hold":
+            own, how = held(time, values, rows, longest), "last value held"
+        else:
+            own, how = resampled(time, values, rows, longest)
+        missing = int(np.count_nonzero(np.isnan(own)))
+        if missing > MOST_MISSING * len(rows):
+            first = rows[int(np.flatnonzero(np.isnan(own))[0])] - rows[0]
+            raise InvalidData(
+                f"{run.place}: column {entry.column!r}, from {place}: "
+                f"{missing / len(rows):.0%} of {len(rows)} rows have no sample, the first "
+                f"{first:.3f} s after the start; a column may miss {100 * MOST_MISSING:g} %. Cut "
+                "the run by start and stop; or, where pauses belong to the channel, set its gap_s "
+                f"(now {longest:.4g})"
+            )
+        table[entry.column] = own
+        note = f", {missing} missing" if missing else ""
+        note += f", unwrapped at {entry.period:g}" if entry.period else ""
+        say(f"  {entry.column}: {how}{note}")
+    groups = ModelColumns.of(model).grouped(table)
+    linear = [c.column[5:] for c in plan.columns if c.is_command and c.method == "band"]
+    return Run(
+        name=run.file,
+        time=rows - rows[0],
+        controls=groups["controls"],
+        sensors=groups["sensors"],
+        torques=groups["torques"],
+        excited=run.excited,
+        pose=_pose(run, model, groups["sensors"]),
+        condition=run.condition,
+        commands=dict.fromkeys(linear, CommandTiming(mode="linear")),
+    )
+
+
+def _columns(
+    plan: ImportMapping, run: RunPlan, logs: Mapping[str, Log],
+    read: _Read, model: mujoco.MjModel, say: Say,
+) -> list[_Column]:  # fmt: skip
+    """Columns in SI units, each source on its clock as the mapping corrects it."""
+    found: dict[str, Samples] = {}
+    for name, log in logs.items():
+        source, entries = plan.sources[name], [c for c in plan.columns if c.source == name]
+        place = name, log, run.episode if log.episodes else ""
+        if place not in read:
+            read[place] = log.tables(place[2], [c.key for c in entries])
+        tables = [found_in(read[place], c.key, log.name) for c in entries]
+        own = {
+            c.column: samples_of(table, c.channel, source.time_of(c.topic))
+            for c, table in zip(entries, tables, strict=True)
+        }
+        for line in dict.fromkeys(line for each in own.values() for line in each.done):
+            say(line)
+        first = min(s.origin_ns + round(s.time[0] * 1e9) for s in own.values())
+        for c in entries:
+            time, samples = source.time_of(c.topic), own[c.column]
+            start = first if time.from_start else 0
+            # Whole nanoseconds: an offset of years would cost the stamps their microseconds.
+            origin = samples.origin_ns - start + round((time.offset_s - c.delay_s) * 1e9)
+            found[c.column] = replace(samples, origin_ns=origin)
+    origin = min(samples.origin_ns for samples in found.values())
+    columns = []
+    for entry in plan.columns:
+        samples = found[entry.column]
+        values = decoded(samples.values, entry.period, entry.sign_bit)
+        values = values * _factor(entry, samples, model) + entry.offset
+        if not np.isfinite(values).all():
+            raise InvalidData(f"{entry.place}: scaled, its values are too large for a number")
+        longest = bridged(samples.time, entry.gap_s)
+        columns.append(_Column(entry, samples.place, samples.since(origin), values, longest))
+    return columns
+
+
+def _factor(entry: ColumnEntry, samples: Samples, model: mujoco.MjModel) -> float:
+    """Factor from the channel's values to SI units."""
+    wanted = column_quantity(model, entry.column)
+    name = entry.unit or samples.unit
+    if not name:
+        return entry.sign * entry.scale
+    unit = unit_named(name, f"{entry.place}.unit")
+    if wanted is not None and unit.quantity != wanted:
+        fitting = " ".join(n for n, each in UNITS.items() if each.quantity == wanted)
+        told = "" if entry.unit else f" (so says {samples.place})"
+        raise InvalidData(
+            f"{entry.place}.unit: {name!r}{told} measures {unit.quantity}, and the column holds "
+            f"{wanted}: {fitting}. A sensor's sensitivity goes into scale"
+        )
+    return entry.sign * entry.scale * unit.factor
+
+
+def _ends(run: RunPlan, columns: Sequence[_Column]) -> tuple[float, float]:
+    late = max(columns, key=lambda c: float(c.time[0]))
+    early = min(columns, key=lambda c: c.last)
+    first, last = float(late.time[0]), early.last
+    # Commands may end before the readings, but rows end with the readings.
+    last = min(last, max(float(c.time[-1]) for c in columns))
+    if first >= last:
+        raise InvalidData(
+            f"{run.place}: its channels have no time in common: {early.place} ends "
+            f"{first - last:.6g} s before {late.place} begins. Where clocks differ, set "
+            "offset_s or from_start of a source's time"
+        )
+    start = first + (run.start or 0.0)
+    stop = last if run.stop is None else first + run.stop
+    if stop > last + 1e-6 or start >= stop:
+        raise InvalidData(
+            f"{run.place}: from {start - first:.6g} to {stop - first:.6g} s is not within what "
+            f"all its channels have, 0 to {last - first:.6g} s ({late.place} begins last, "
+            f"{early.place} ends first)"
+        )
+    return start, stop
+
+
+def _rows(run: RunPlan, lead: _Column, start: float, stop: float, columns: int) -> Array:
+    most = MOST_VALUES // (columns + 1)
+    rows: Array | None
+    if run.rate_hz is None:
+        rows = rows_of(lead.time, start, stop, lead.longest, most)
+    else:
+        count = (stop - start) * run.rate_hz
+        rows = start + np.arange(int(count + 1e-6) + 1) / run.rate_hz if count < most else None
+    if rows is None:
+        raise InvalidData(
+            f"{run.place}: more than {most} rows; take a shorter time by start and stop, or a "
+            "lower rate_hz"
+        )
+    if len(rows) < FEWEST_SAMPLES:
+        raise InvalidData(
+            f"{run.place}: {len(rows)} rows in {stop - start:.6g} s; a run has at least "
+            f"{FEWEST_SAMPLES}"
+        )
+    return rows
+
+
+def _pose(
+    run: RunPlan, model: mujoco.MjModel, sensors: Mapping[str, Array]
+) -> dict[str, float] | None:
+    if run.pose != "measured":
+        return None if run.pose is None else dict(run.pose)
+    pose = {
+        joint: float(np.nanmedian(sensors[name]))
+        for joint, each in joint_sensors(model).items()
+        for name in each.position[:1]
+        if name in sensors
+    }
+    if not pose:
+        raise InvalidData(
+            f"{run.place}.pose is 'measured', and the run has no column of a joint's position"
+        )
+    return pose

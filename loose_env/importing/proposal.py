@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,39 +13,69 @@ import mujoco
 import numpy as np
 
 from loose_env.errors import InvalidData, LooseEnvError
-from loose_env.importing.clocks import samples_of
-from loose_env.importing.describe import (
-    LogFile,
-    LogSource,
-    column_line,
-    mapping_text,
-    source_name,
-)
-from loose_env.importing.evidence import Signal, coding_of, on_one_base
-from loose_env.importing.join_runs import decoded
-from loose_env.importing.mapping import printable, quoted
+from loose_env.importing.clocks import chosen_time, samples_of, time_line
+from loose_env.importing.evidence import Signal, coding_of, decoded, on_one_base
+from loose_env.importing.mapping import MAPPING_FORMAT, TimeSource
 from loose_env.importing.names import meaning_of, quantities
-from loose_env.importing.reading import given_files, open_log
 from loose_env.importing.roles import Line, Roles
-from loose_env.importing.samples import ChannelKey, Samples, natural
+from loose_env.importing.samples import (
+    ChannelKey,
+    Log,
+    Samples,
+    Table,
+    natural,
+    printable,
+    quoted,
+)
+from loose_env.importing.sources import given_files, open_log
 from loose_env.importing.targets import joint_targets
+from loose_env.importing.units import quantity_of
+from loose_env.recording import ModelColumns
 
 _MOST_RUNS = 4
 """Runs of which signals are compared; more tell hardly more."""
-_MOST_LEFT = 40
+_MOST_LEFT = 500
 """Channels without a column that are listed, at most."""
 _SAME = 0.7
 """Share of channels that two files have in common to be two runs of one log."""
 _ALL_NAN = "no sample: all its values are NaN"
 
 
-class Left(NamedTuple):
-    """A channel without a column, and the reason."""
+class LogFile(NamedTuple):
+    """A file of the command line, and the tables of its first episode."""
 
-    source: str
-    key: ChannelKey
-    unit: str
-    reason: str
+    call: str
+    log: Log
+    tables: list[Table]
+
+
+@dataclass(eq=False, kw_only=True)
+class LogSource:
+    """A source of the mapping: files of one kind, one in each run."""
+
+    files: list[LogFile]
+    times: dict[str, TimeSource] = field(default_factory=dict)
+    """Time of each topic that has one."""
+    lines: list[str] = field(default_factory=list)
+    """Lines of the mapping that say so."""
+
+    def take_times(self, rate_hz: float | None) -> None:
+        """Choose the time of each topic by all files; a file of one table needs one."""
+        for topic in dict.fromkeys(t.topic for each in self.files for t in each.tables):
+            tables = [t for each in self.files for t in each.tables if t.topic == topic]
+            time, words = TimeSource(rate_hz=rate_hz), ""
+            try:
+                time, words = (time, "") if rate_hz else chosen_time(tables)
+            except InvalidData:
+                if len(self.files[0].tables) == 1:
+                    raise
+                continue
+            self.times[topic] = time
+            line = time_line(time, words)
+            if topic and rate_hz is None:
+                line = f"topics.{quoted(topic)} = {line.removeprefix('time = ')}"
+            if time != TimeSource() and line not in self.lines:
+                self.lines.append(line)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,17 +85,20 @@ class Proposal:
     logs: Mapping[str, LogSource]
     columns: tuple[Line, ...]
     notes: tuple[str, ...]
-    unassigned: tuple[Left, ...] = ()
+    unassigned: tuple[Line, ...] = ()
+    """Channels without a column, and the reasons."""
     runs: tuple[Mapping[str, str], ...] = ()
     """Files of each run, by source."""
     unused: tuple[str, ...] = ()
     """Files that hold no signals."""
+    refused: str = ""
+    """Reason for which no recording can be made so; "" where one can."""
 
 
 def propose(
     sources: Sequence[str], model: mujoco.MjModel, rate_hz: float | None = None
 ) -> Proposal:
-    """Propose a mapping of files to the columns of a model.
+    r"""Propose a mapping of files to the columns of a model.
 
     Parameters
     ----------
@@ -79,42 +112,52 @@ def propose(
     Raises
     ------
     InvalidData
-        If a file cannot be read, its times are not known, or no channel is a measured one.
+        If a file cannot be read or its times are not known.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> xml = '''<mujoco><worldbody><body><joint name="turn"/><geom size=".1"/></body></worldbody>
+    ... <sensor><jointpos name="encoder" joint="turn"/></sensor></mujoco>'''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     rows = "".join(f"{i},{i % 7}\n" for i in range(50))
+    ...     _ = Path(folder, "log.csv").write_text("time [s],angle [deg]\n" + rows)
+    ...     found = propose([f"{folder}/log.csv"], mujoco.MjModel.from_xml_string(xml))
+    >>> [(line.column, line.candidate.key.channel, line.scaling.unit) for line in found.columns]
+    [('sensor.encoder', 'angle [deg]', 'deg')]
     """
     logs, notes, unused = _sources(sources, rate_hz)
     runs = _runs(logs)
-    signals, step, left = _signals(logs, runs, [t.name for t in joint_targets(model)])
-    defined = {
-        name: "rad"
-        for name, log in logs.items()
-        if log.files[0][2].kind in ("mcap", "rosbag2", "sysid", "hdf5") or any(
-            key.startswith(("actual_q", "target_q")) for key in log.files[0][3][0].columns
-        )
-    }  # fmt: skip
-    roles = Roles(model, signals, step, defined).found()
-    columns = (*roles.lines.values(), *roles.open)
-    left = [*(Left(s.source, s.key, s.unit, why) for s, why in roles.left()), *left]
-    measured = [c for c in roles.lines if not c.startswith("ctrl.")]
-    if not measured:
-        names = ", ".join(dict.fromkeys(log.files[0][0] for log in logs.values()))
-        if roles.notes:  # the log has them, and the model no place for them
-            raise InvalidData(f"{names}: {'; '.join(roles.notes)[:600]}")
-        heard = "; ".join(f"{each.key}: {each.reason}" for each in left[:3])
-        found = ", ".join(f"{line.candidate.key} as {c}" for c, line in [*roles.lines.items()][:2])
-        raise InvalidData(
-            f"{names}: no channel is a measured position, velocity or torque of the model "
-            f"({found or 'nothing was recognised'}); record the joints' states too, or write a "
-            f"mapping by loose import --describe. {heard[:400]}"
-        )
+    signals = _signals(logs, runs, [t.name for t in joint_targets(model)])
+    roles = Roles(model, signals).found()
+    columns, left = (*roles.lines.values(), *roles.open), roles.left()
+    refused = "" if any(not c.startswith("ctrl.") for c in roles.lines) else _nothing(
+        logs, roles, left, [*ModelColumns.of(model).known])  # fmt: skip
     taken = {line.candidate.source for line in roles.lines.values()}
-    for name in [name for name in logs if name not in taken]:
+    for name in [name for name in logs if taken and name not in taken]:
         notes.append(f"{name}: none of its channels is used")
-        unused += [call for call, *_ in logs.pop(name).files]
-    runs = [{k: v for k, v in run.items() if k in taken} for run in runs]
+        unused += [each.call for each in logs.pop(name).files]
+    runs = [{k: v for k, v in run.items() if k in logs} for run in runs]
     return Proposal(
-        logs=logs, columns=columns, notes=(*notes, *roles.notes), unassigned=tuple(left),
-        runs=tuple(runs), unused=tuple(unused),
+        logs=logs, columns=columns, notes=(*notes, *roles.notes), unassigned=left,
+        runs=tuple(runs), unused=tuple(unused), refused=refused,
     )  # fmt: skip
+
+
+def _nothing(
+    logs: Mapping[str, LogSource], roles: Roles, left: Sequence[Line], known: Sequence[str]
+) -> str:
+    """Reason why no channel is a measured one."""
+    names = ", ".join(dict.fromkeys(log.files[0].call for log in logs.values()))
+    if roles.notes:  # the log has them, and the model no place for them
+        return f"{names}: {'; '.join(roles.notes)[:600]}"
+    heard = "; ".join(f"{each.candidate.key}: {each.reason}" for each in left[:3])
+    found = ", ".join(f"{line.candidate.key} as {c}" for c, line in [*roles.lines.items()][:2])
+    return (
+        f"{names}: no channel is a measured position, velocity or torque of the model "
+        f"({found or 'nothing was recognised'}); record the joints' states too, or name the "
+        f"channels of columns such as {', '.join(known[:3])} in the mapping. {heard[:400]}"
+    )
 
 
 # ------------------------------------------------------------------------- files
@@ -140,7 +183,7 @@ def _sources(
             notes.append(f"left out: {error}")
             unused.append(call)
             continue
-        entry = (call, given[call], log, tables)
+        entry = LogFile(call, log, tables)
         group = next((g for g in groups if _of_one_kind(g.files[0], entry)), None)
         if group is None:
             groups.append(LogSource(files=[entry]))
@@ -150,7 +193,7 @@ def _sources(
         raise first or InvalidData(f"{', '.join(words)}: no logs")
     named: dict[str, LogSource] = {}
     for group in groups:
-        name = source_name(group.files[0][0], named)
+        name = source_name(group.files[0].call, named)
         group.take_times(rate_hz)
         named[name] = group
     return named, notes, unused
@@ -158,11 +201,11 @@ def _sources(
 
 def _of_one_kind(one: LogFile, other: LogFile) -> bool:
     """Whether two files are runs of one log: the same channels, and no other quantity by name."""
-    keys = [{(t.topic, c) for t in each[3] for c in t.columns} for each in (one, other)]
-    if one[2].kind != other[2].kind or len(keys[0] & keys[1]) < _SAME * len(keys[0] | keys[1]):
+    keys = [{(t.topic, c) for t in each.tables for c in t.columns} for each in (one, other)]
+    if len(keys[0] & keys[1]) < _SAME * len(keys[0] | keys[1]):
         return False
-    told = [quantities(Path(each[0]).stem) for each in (one, other)]
-    own = {q for t in one[3] for c in t.columns for q in quantities(c)} - {"other"}
+    told = [quantities(Path(each.call).stem) for each in (one, other)]
+    own = {q for t in one.tables for c in t.columns for q in quantities(c)} - {"other"}
     return told[0] == told[1] or len(own) > 1
 
 
@@ -173,12 +216,12 @@ def _runs(logs: Mapping[str, LogSource]) -> list[dict[str, str]]:
         most = max(counts, key=lambda name: counts[name])
         few = min(counts, key=lambda name: counts[name])
         raise InvalidData(
-            f"{counts[most]} files are like {logs[most].files[0][0]}, and {counts[few]} like "
-            f"{logs[few].files[0][0]}: which belong to one run cannot be told; give them in one "
+            f"{counts[most]} files are like {logs[most].files[0].call}, and {counts[few]} like "
+            f"{logs[few].files[0].call}: which belong to one run cannot be told; give them in one "
             "folder a run, or import each kind apart"
         )
     return [
-        {name: log.files[i][0] for name, log in logs.items()} for i in range(max(counts.values()))
+        {name: log.files[i].call for name, log in logs.items()} for i in range(max(counts.values()))
     ]
 
 
@@ -187,80 +230,67 @@ def _runs(logs: Mapping[str, LogSource]) -> list[dict[str, str]]:
 
 def _signals(
     logs: Mapping[str, LogSource], runs: Sequence[Mapping[str, str]], joints: Sequence[str]
-) -> tuple[list[Signal], float, list[Left]]:
-    """Channels of some runs on common times, and those that have no samples."""
+) -> list[Signal]:
+    """All channels, on common times of some runs where they have samples."""
     read: list[dict[tuple[str, ChannelKey], Samples]] = []
-    left: dict[tuple[str, ChannelKey], Left] = {}
     units: dict[tuple[str, ChannelKey], str] = {}
+    why: dict[tuple[str, ChannelKey], str] = {}
     for i in _chosen(len(runs)):
-        episodes = {name: log.files[i][2].episodes for name, log in logs.items()}
-        parts = next((e for e in episodes.values() if e), ("",))
+        parts = next((e for log in logs.values() if (e := log.files[i].log.episodes)), ("",))
         for n in _chosen(len(parts), most=max(1, _MOST_RUNS // max(len(runs), 1))):
-            own: dict[tuple[str, ChannelKey], Samples] = {}
-            for name, log in logs.items():
-                _, _, file, first = log.files[i]
-                tables = file.tables(parts[n], None) if n and file.episodes else first
-                for table in tables:
-                    time = log.times.get(table.topic)
-                    if time is None:
-                        continue
-                    for channel in table.columns:
-                        if channel in (time.column, time.fine):
+            read.append({})
+            for name, source in logs.items():
+                _, log, first = source.files[i]
+                for table in log.tables(parts[n], None) if n and log.episodes else first:
+                    time = source.times.get(table.topic)
+                    for channel, values in table.columns.items():
+                        if time and channel in (time.column or table.time, time.fine):
                             continue
                         key = (name, ChannelKey(channel, table.topic))
                         units[key] = table.units.get(channel, "")
+                        if time is None or quantity_of(units[key]) == "time":
+                            why[key] = "a time" if time else "its topic has no time in order"
+                            continue
                         try:
-                            own[key] = samples_of(table, channel, time)
+                            read[-1][key] = samples_of(table, channel, time)
                         except InvalidData as error:
-                            nan = np.isnan(np.asarray(table.columns[channel], dtype=float)).all()
-                            why = _ALL_NAN if nan else str(error)
-                            left[key] = Left(*key, units[key], why)
-            read.append(own)
-    keys = list(dict.fromkeys(key for own in read for key in own))
-    coded = {key: _coding([own[key].values for own in read if key in own]) for key in keys}
-    step, bases = 0.0, []
-    for own in read:
-        plain = {
-            i: replace(own[key], values=decoded(own[key].values, *coded[key]))
-            for i, key in enumerate(keys)
-            if key in own
-        }
-        own_step, base = on_one_base(plain)
-        step = step or own_step
-        bases.append(base)
+                            nan = np.isnan(np.asarray(values, dtype=float)).all()
+                            why[key] = _ALL_NAN if nan else str(error)
+    coded = {key: _coding([own[key].values for own in read if key in own]) for key in units}
+    bases = [
+        on_one_base({k: replace(v, values=decoded(v.values, *coded[k])) for k, v in own.items()})
+        for own in read
+    ]
     signals = []
-    for i, key in enumerate(keys):
-        values = [base.get(i, np.empty(0)) for base in bases]
-        if not any(len(v) for v in values):
-            left[key] = Left(*key, units[key], "has no time in common with the other channels")
-            continue
-        source, channel_key = key
-        beside = Path(logs[source].files[0][0]).stem if len(logs) > 1 else ""
-        told = quantities(beside)
+    for i, key in enumerate(units):
+        name, own_key = key
+        file, beside = logs[name].files[0], Path(logs[name].files[0].call).stem
+        stated = any(c.startswith(("actual_q", "target_q")) for c in file.tables[0].columns)
+        told = len(logs) > 1 and quantities(beside)
         signals.append(
             Signal(
-                source=source,
-                key=channel_key,
+                source=name,
+                key=own_key,
                 unit=units[key],
-                meaning=meaning_of(channel_key, joints, beside if told else ""),
-                runs=values,
-                step=step,
+                meaning=meaning_of(own_key, joints, beside if told else ""),
+                runs=[base.get(key, np.empty(0)) for _, base in bases],
+                step=bases[0][0],
                 period=coded[key][0],
                 sign_bit=coded[key][1],
-                whole=all(_is_whole(own[key].values) for own in read if key in own),
+                whole=all(bool(np.all(own[key].values == np.round(own[key].values)))
+                          for own in read if key in own),
                 sort=i,
+                defined=bool(file.log.angle) or stated,
+                why=why.get(key, "has no time in common with the other channels"),
             )
+        )  # fmt: skip
+    if not any(s.values.size for s in signals):
+        names = ", ".join(log.files[0].call for log in logs.values())
+        reason = next(iter(why.values()), "give the runs of one motion")
+        raise InvalidData(
+            f"{names}: no channels of numbers that have 10 samples in common; {reason}"
         )
-    if not signals:
-        names = ", ".join(log.files[0][0] for log in logs.values())
-        why = next((each.reason for each in left.values()), "give the runs of one motion")
-        raise InvalidData(f"{names}: no channels of numbers that have 10 samples in common; {why}")
-    used = {(s.source, s.key) for s in signals}
-    return signals, step, [each for key, each in left.items() if key not in used]
-
-
-def _is_whole(values: np.ndarray) -> bool:
-    return bool(np.all(values == np.round(values)))
+    return signals
 
 
 def _chosen(count: int, most: int = _MOST_RUNS) -> list[int]:
@@ -290,14 +320,18 @@ def proposal_text(proposal: Proposal, model: str) -> str:
     Returns
     -------
     str
-        TOML; a line that lacks something is a comment.
+        TOML; a line that lacks something, and one of each channel without a column, is a comment.
     """
     several = len(proposal.logs) > 1
-    head = [f"model = {quoted(model)}" if model else "# model: give it by --model"]
+    lines = [f"format = {quoted(MAPPING_FORMAT)}"]
+    lines.append(f"model = {quoted(model)}" if model else "# model: give it by --model")
     if proposal.unused:
         names = ", ".join(map(quoted, proposal.unused))
-        head.append(f"unused = [{names}]  # none of their signals is used")
-    lines = [
+        lines.append(f"unused = [{names}]  # none of their signals is used")
+    for name, source in proposal.logs.items():
+        file = source.files[0].call
+        lines += ["", f"[sources.{name}]", f"file = {quoted(file)}", *source.lines]
+    lines += [
         "",
         "# Proposed by what the channels do, names and ranges besides: check every line.",
         "[columns]",
@@ -308,11 +342,9 @@ def proposal_text(proposal: Proposal, model: str) -> str:
     lines += [f"# {printable(note)}" for note in proposal.notes]
     lines += ["# Not used:"] if proposal.unassigned else []
     for left in proposal.unassigned[:_MOST_LEFT]:
-        line = column_line("", left.source if several else "", left.key, left.unit)
-        lines.append(f"# {line}  # {printable(left.reason)}")
+        lines.append(f"# {_line(left, several)}  # {printable(left.reason)}")
     if len(proposal.unassigned) > _MOST_LEFT:
-        more = len(proposal.unassigned) - _MOST_LEFT
-        lines.append(f"# and {more} more: loose import --describe lists them")
+        lines.append(f"# and {len(proposal.unassigned) - _MOST_LEFT} more")
     for i, (name, files) in enumerate(zip(_run_names(proposal), proposal.runs, strict=True)):
         lines += ["", "[[runs]]", f"file = {quoted(name)}"]
         if len(proposal.runs) > 1:
@@ -320,10 +352,21 @@ def proposal_text(proposal: Proposal, model: str) -> str:
             lines.append(f"sources = {{ {own} }}")
         if i == 0:
             lines.append('condition = "suspect"  # or "healthy"')
-        episodes = max(len(log.files[i][2].episodes) for log in proposal.logs.values())
+        episodes = max(len(log.files[i].log.episodes) for log in proposal.logs.values())
         if episodes:
-            lines.append(f'episodes = "all"  # of {episodes}; or such as "0, 3-5"')
-    return mapping_text(head, proposal.logs, lines)
+            lines.append(f'episodes = "all"  # of {episodes}; or such as [0, 3]')
+    return "\n".join(lines) + "\n"
+
+
+def source_name(given: str, taken: Container[str]) -> str:
+    """Name of a source from that of its file."""
+    stem = Path(given).stem
+    plain = "".join(c if (c.isascii() and c.isalnum()) or c in "-_" else "-" for c in stem)
+    name = first = plain.strip("-_") or "source"
+    count = 2
+    while name in taken:  # run-01.mcap and run-01.csv
+        name, count = f"{first}-{count}", count + 1
+    return name
 
 
 def _run_names(proposal: Proposal) -> list[str]:
@@ -353,10 +396,15 @@ def _shared(runs: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _line(each: Line, several: bool) -> str:
+    """Line of a mapping for the channel of a column."""
     s, scaling = each.candidate, each.scaling
-    more = [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
-    more += [f"sign = {each.sign}"] if each.sign != 1 else []
-    more += [f"offset = {scaling.offset:.9g}"] if scaling.offset else []
-    more += [f"period = {s.period:.9g}"] if s.period is not None else []
-    more += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None else []
-    return column_line(each.column, s.source if several else "", s.key, scaling.unit, *more)
+    parts = [f"source = {quoted(s.source)}"] if several else []
+    parts += [f"topic = {quoted(s.key.topic)}"] if s.key.topic else []
+    parts += [f"channel = {quoted(s.key.channel)}"]
+    parts += [f"unit = {quoted(scaling.unit)}"] if scaling.unit else []
+    parts += [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
+    parts += [f"sign = {each.sign}"] if each.sign != 1 else []
+    parts += [f"offset = {scaling.offset:.9g}"] if scaling.offset else []
+    parts += [f"period = {s.period:.9g}"] if s.period is not None and each.column else []
+    parts += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None and each.column else []
+    return f"{quoted(each.column or 'sensor.?')} = {{ {', '.join(parts)} }}"

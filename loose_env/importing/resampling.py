@@ -6,7 +6,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from loose_env.typing import Array
@@ -40,21 +39,18 @@ def median_step(time: Array) -> float:
     return float(np.median(np.diff(time)))
 
 
-def is_even(time: Array) -> bool:
-    """True if samples are evenly spaced, missing ones aside."""
-    steps = np.diff(time) / median_step(time)
-    return bool(np.all(np.abs(steps - np.round(steps)) <= 2 * EVEN) and np.all(steps > 0.5))
-
-
 def bridged(time: Array, gap_s: float | None) -> float:
     """Longest pause between two samples that is no gap [s].
 
-    One and a half steps where samples are evenly spaced, so that one missing sample is seen, and
-    three where they are not; or what the mapping says.
+    One and a half steps where samples are evenly spaced, missing ones aside, so that one missing
+    sample is seen, and three where they are not; or what the mapping says.
     """
     if gap_s is not None:
         return gap_s
-    return (_GAP_EVEN if is_even(time) else _GAP_UNEVEN) * median_step(time)
+    step = median_step(time)
+    steps = np.diff(time) / step
+    even = np.all(np.abs(steps - np.round(steps)) <= 2 * EVEN) and np.all(steps > 0.5)
+    return (_GAP_EVEN if even else _GAP_UNEVEN) * step
 
 
 def rows_of(time: Array, start: float, stop: float, gap: float, most: int) -> Array | None:
@@ -104,13 +100,13 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
     """
     step = median_step(time)
     out_step = median_step(rows) if len(rows) > 1 else step
-    near = np.clip(np.searchsorted(time, rows), 1, len(time) - 1)
-    near -= (rows - time[near - 1]) < (time[near] - rows)
+    after = np.clip(np.searchsorted(time, rows), 1, len(time) - 1)
+    near = after - ((rows - time[after - 1]) < (time[after] - rows))
     same = np.abs(time[near] - rows) <= _SAME * step
     found = np.full(len(rows), np.nan)
     if step >= 0.99 * out_step:
         found[same] = values[near[same]]
-        inside = _inside(time, rows, longest)
+        inside = (rows >= time[0]) & (rows <= time[-1]) & (np.diff(time)[after - 1] <= longest)
         if not np.any(inside & ~same):
             return Resampled(found, "taken as it is")
     found[:] = np.nan
@@ -128,13 +124,6 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
     if step < 0.99 * out_step:
         return Resampled(found, f"low-passed at {0.5 * _SHARE / out_step:.4g} Hz, from {rate}")
     return Resampled(found, f"{'band-limited' if even else 'spline, uneven samples'} from {rate}")
-
-
-def _inside(time: Array, rows: Array, longest: float) -> NDArray[np.bool_]:
-    """Mask of the rows between two samples that are no gap apart."""
-    after = np.clip(np.searchsorted(time, rows, side="left"), 1, len(time) - 1)
-    near = time[after] - time[after - 1] <= longest
-    return np.asarray((rows >= time[0]) & (rows <= time[-1]) & near)
 
 
 def _segment(time: Array, values: Array, rows: Array, out_step: float) -> tuple[Array, bool]:

@@ -1,4 +1,4 @@
-"""Data that readers return: tables of named columns with their times, and samples of a channel.
+"""Data that readers return: tables of named columns, one of them the time; samples of a channel.
 
 Every reader gives a `Log` of `Table`s as the file holds them; which column is the time, and
 whether it can be one, is decided in `clocks`.
@@ -6,10 +6,11 @@ whether it can be one, is decided in `clocks`.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,6 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.recording import nearest
 from loose_env.typing import Array
-
-FileKind = Literal["csv", "mcap", "rosbag2", "lerobot", "hdf5", "sysid", "arrays"]
-"""Kinds of files and folders that are read."""
 
 
 @dataclass(frozen=True, order=True)
@@ -29,7 +27,7 @@ class ChannelKey:
     channel: str
     """Column of a table, field of a message, or entry of a vector of a dataset."""
     topic: str = ""
-    """Topic of an MCAP file or ROS bag, or part of a trajectory; empty elsewhere."""
+    """Topic of a ROS bag or MCAP file; empty elsewhere."""
 
     def __str__(self) -> str:
         return f"{self.topic} {self.channel}".strip()
@@ -69,97 +67,60 @@ class Table:
     place: str
     """File and topic, as errors say it."""
     columns: Mapping[str, NDArray[Any]]
-    """Numbers by channel, each of shape (T,); NaN where a sample is missing."""
+    """Numbers by channel, each of shape (T,); NaN where a sample is missing. Dates are int64, in
+    nanoseconds since 1970."""
     topic: str = ""
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Columns that are no numbers, such as dates."""
-    stamps: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
-    """Times that the container keeps of each row [ns since 1970]: header, log, publish."""
-    times: Array | None = None
-    """Times that belong to the columns by the format [s], where it has them."""
+    """Columns that are no numbers."""
+    time: str = ""
+    """Column that is the time by the format, where it has one."""
     rate_hz: float | None = None
     """Rate that the file states, where rows have no times [Hz]."""
     units: Mapping[str, str] = field(default_factory=dict)
-    words: Mapping[str, str] = field(default_factory=dict)
-    """Further description of channels."""
-    aliases: Mapping[str, str] = field(default_factory=dict)
-    """Other names by which a mapping may call channels."""
-    hidden: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    """Columns that are not listed, as they are others in another order."""
-    doubles: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Names that several channels have, and their numbers."""
     rows: NDArray[np.int64] | None = None
     """Numbers of the rows, as errors count them; from 1 by default."""
     row_word: str = "row"
     column_word: str = "channel"
-    kind: str = ""
-    """Type and encoding."""
-    note: str = ""
     done: tuple[str, ...] = ()
     """What the reader mended, with counts."""
 
     def __len__(self) -> int:
-        held = [*self.columns.values(), *self.texts.values(), *self.stamps.values()]
-        return len(held[0]) if held else 0
-
-    @property
-    def has_times(self) -> bool:
-        """True if its times follow from the format."""
-        return self.times is not None or self.rate_hz is not None
+        return len(next(iter([*self.columns.values(), *self.texts.values()]), ()))
 
     def row(self, i: int) -> str:
         """Place of a row, as errors say it."""
         return f"{self.place}: {self.row_word} {i + 1 if self.rows is None else self.rows[i]}"
 
-    def named(self, channel: str) -> str | None:
-        """Own name of a channel; None where the table lacks it."""
-        own = self.aliases.get(channel, channel)
-        there = own in self.columns or own in self.texts or own in self.hidden
-        return own if there else None
-
-    def numbers(self, own: str) -> NDArray[Any]:
-        """Values of a channel by its own name."""
-        return self.columns[own] if own in self.columns else self.hidden[own]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Log:
-    """One file or folder: how it is read, and its tables."""
+    """One file or folder, and its tables."""
 
     name: str
-    kind: FileKind
-    words: str
-    """The kind in words."""
     tables: Callable[[str, Sequence[ChannelKey] | None], list[Table]]
     """Tables of an episode, "" where there are none, with all channels or those asked for."""
-    options: tuple[str, ...] = ()
-    """Lines of a mapping that say how to read it."""
     episodes: tuple[str, ...] = ()
     """Names of its episodes, each of which becomes a run; empty where it has none."""
+    angle: str = ""
+    """Unit of angles that its format defines."""
+    ambiguous: str = ""
+    """Units that its columns may have, where every column of a mapping has to state one."""
 
     def first(self) -> list[Table]:
         """Tables of the file, or of its first episode."""
         return self.tables(self.episodes[0] if self.episodes else "", None)
 
 
-def found_in(tables: Iterable[Table], key: ChannelKey, name: str) -> tuple[Table, str]:
-    """Table and own name of a channel that a mapping asks for."""
+def found_in(tables: Iterable[Table], key: ChannelKey, name: str) -> Table:
+    """Table of a channel that a mapping asks for."""
     topics: dict[str, None] = {}
     known: list[str] = []
     for table in tables:
         topics[table.topic] = None
-        if table.topic != key.topic:
-            continue
-        own = table.named(key.channel)
-        if own is not None:
-            return table, own
-        known += [*table.columns, *table.texts]
-        if key.channel in table.doubles:
-            numbers = table.doubles[key.channel]
-            raise InvalidData(
-                f"{name}: {key.channel!r} is there {len(numbers)} times; take one by its number, "
-                f"{' or '.join(numbers)}"
-            )
+        if table.topic == key.topic:
+            if key.channel in table.columns or key.channel in table.texts:
+                return table
+            known += [*table.columns, *table.texts]
     if key.topic not in topics:
         if "" in topics:
             raise InvalidData(f"{name}: it has no topics; leave out topic = {key.topic!r:.60}")
@@ -190,3 +151,19 @@ def natural(name: str) -> list[tuple[int, str]]:
 def unreadable(name: str, error: OSError) -> InvalidData:
     """Error for a file that the system does not read."""
     return InvalidData(f"{name}: it cannot be read: {error.strerror or error}")
+
+
+def damaged(place: str, kind: str, error: Exception, more: str = "") -> InvalidData:
+    """Error for a file on which its library gives up."""
+    words = " ".join(str(error).split())[:120] or type(error).__name__
+    return InvalidData(f"{place}: no whole {kind}, cut short or damaged ({words}){more}")
+
+
+def quoted(words: str) -> str:
+    """Quote text for TOML, whose strings are JSON's but for one control character."""
+    return json.dumps(words, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def printable(words: str) -> str:
+    """Words for a comment of a mapping."""
+    return "".join(c if c.isprintable() else " " for c in words)

@@ -44,16 +44,16 @@ _DEFINED = 2.0
 """What the definition of a format speaks for radians: less than values far outside the limits."""
 _RATES = {"rad/s": 1.0, "deg/s": 180 / math.pi, "rpm": 30 / math.pi, "rev/s": 0.5 / math.pi}
 _SPEEDS = {"m/s": 1.0, "mm/s": 1e3, "cm/s": 1e2, "mm/min": 6e4}
-_ALLOWED: dict[Role, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "position": (("angle", "number"), ("length", "number")),
-    "velocity": (("angular speed",), ("speed",)),
-    "torque": (("torque", "number", "current"), ("force", "number", "current")),
-    "command": (
-        ("angle", "angular speed", "torque", "number", "voltage", "current"),
-        ("length", "speed", "force", "number", "voltage", "current"),
-    ),
+_ALLOWED: dict[str, tuple[str, ...]] = {
+    "position": ("angle", "length", "number"),
+    "velocity": ("angular speed", "speed"),
+    "torque": ("torque", "force", "number", "current"),
+    "position drive": ("number", "voltage", "angle", "length"),
+    "velocity drive": ("number", "voltage", "angle", "length", "angular speed", "speed"),
+    "torque drive": ("number", "voltage", "torque", "force", "current"),
 }
-"""Role -> quantities of a channel of a hinge and of a slide."""
+"""Role, or kind of drive that is commanded -> quantities of a channel."""
+_OF_SLIDES, _OF_HINGES = ("length", "speed", "force"), ("angle", "angular speed", "torque")
 _RATE_OF = {"angle": "angular speed", "length": "speed"}
 
 
@@ -77,7 +77,7 @@ class Scaling:
         return [v * self.factor + self.offset for v in runs]
 
 
-def admits(unit: str, role: Role, *, slide: bool) -> bool:
+def admits(unit: str, role: Role, *, slide: bool, drive: str = "") -> bool:
     """Return whether a channel with a stated unit may have a role at a joint.
 
     Examples
@@ -86,7 +86,9 @@ def admits(unit: str, role: Role, *, slide: bool) -> bool:
     (True, False)
     """
     quantity = quantity_of(unit)
-    return not quantity or role not in _ALLOWED or quantity in _ALLOWED[role][slide]
+    allowed = _ALLOWED[f"{drive} drive" if role == "command" else role]
+    other = _OF_HINGES if slide else _OF_SLIDES
+    return not quantity or (quantity in allowed and quantity not in other)
 
 
 def is_rate(unit: str, of: str) -> bool:

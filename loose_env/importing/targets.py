@@ -74,21 +74,6 @@ _GRAVITY = 0.2
 off 1 g [1]."""
 
 
-def named_sensors(
-    model: mujoco.MjModel, joints: Mapping[str, JointTarget], free: Sequence[Signal]
-) -> Iterator[tuple[str, Signal, str]]:
-    """Channels that are named as sensors of the model other than those of joints."""
-    own = {c for t in joints.values() for c in t.columns}
-    known = set(ModelColumns.of(model).known) - own
-    for s in free:
-        text = s.key.channel
-        axis = {"[0]": ".x", "[1]": ".y", "[2]": ".z"}.get(text[-3:], "")
-        names = [text, f"sensor.{text}", f"sensor.{text[:-3]}{axis}" if axis else ""]
-        column = next((n for n in names if n in known), "")
-        if column:
-            yield column, s, f"named as the model's {text!r}"
-
-
 def tool_sensors(
     model: mujoco.MjModel, free: Sequence[Signal], rates: Mapping[str, Sequence[Array]]
 ) -> Iterator[tuple[str, Signal, str, str]]:

@@ -1,12 +1,15 @@
-"""Units of a mapping, and the quantity of each column of a recording."""
+"""Units of a mapping, dates, and the quantity of each column of a recording."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.recording import nearest
@@ -59,21 +62,17 @@ _SAME = {
     for given in all_given.split()
 }  # fmt: skip
 _QUANTITIES = {
-    f"mjSENS_{kind}": quantity
-    for quantity, kinds in {
-        "acceleration": "ACCELEROMETER FRAMELINACC", "angular acceleration": "FRAMEANGACC",
-        "speed": "VELOCIMETER FRAMELINVEL SUBTREELINVEL", "angular speed": "GYRO FRAMEANGVEL",
-        "force": "FORCE TOUCH", "torque": "TORQUE", "length": "FRAMEPOS RANGEFINDER",
-        "number": "FRAMEXAXIS FRAMEYAXIS FRAMEZAXIS",
+    f"mjSENS_{kind}": quantities.split(", ")
+    for kinds, quantities in {
+        "ACCELEROMETER FRAMELINACC": "acceleration", "FRAMEANGACC": "angular acceleration",
+        "VELOCIMETER FRAMELINVEL SUBTREELINVEL": "speed", "GYRO FRAMEANGVEL": "angular speed",
+        "FORCE TOUCH": "force", "TORQUE": "torque", "FRAMEPOS RANGEFINDER": "length",
+        "FRAMEXAXIS FRAMEYAXIS FRAMEZAXIS": "number", "JOINTPOS": "angle, length",
+        "JOINTVEL": "angular speed, speed", "JOINTACTFRC JOINTLIMITFRC": "torque, force",
     }.items()
     for kind in kinds.split()
 }  # fmt: skip
-_BY_JOINT = {
-    "mjSENS_JOINTPOS": ("angle", "length"),
-    "mjSENS_JOINTVEL": ("angular speed", "speed"),
-    "mjSENS_JOINTACTFRC": ("torque", "force"),
-    "mjSENS_JOINTLIMITFRC": ("torque", "force"),
-}
+"""Kind of sensor -> its quantity; of a joint that turns, and of one that slides."""
 
 
 def unit_named(name: str, place: str) -> Unit:
@@ -118,21 +117,18 @@ def column_quantity(model: mujoco.MjModel, column: str) -> str | None:
     """Quantity of a column of a recording; None where the model does not determine it."""
     group, _, name = column.partition(".")
     if group == "torque":
-        return _of_joint(model, int(model.joint(name).id), ("torque", "force"))
-    if group != "sensor":
+        quantities, joint = ["torque", "force"], int(model.joint(name).id)
+    elif group == "sensor":
+        names = {model.sensor(i).name: i for i in range(model.nsensor)}
+        index = names.get(name, names.get(name[:-2]))
+        kind = "" if index is None else mujoco.mjtSensor(int(model.sensor_type[index])).name
+        quantities = _QUANTITIES.get(kind, [])
+        joint = -1 if index is None else int(model.sensor_objid[index])
+    else:
         return None  # an actuator's input is in the unit that its gain takes
-    names = {model.sensor(i).name: i for i in range(model.nsensor)}
-    index = names.get(name, names.get(name[:-2]))
-    if index is None:
-        return None
-    kind = mujoco.mjtSensor(int(model.sensor_type[index])).name
-    if kind in _BY_JOINT:
-        return _of_joint(model, int(model.sensor_objid[index]), _BY_JOINT[kind])
-    return _QUANTITIES.get(kind)
-
-
-def _of_joint(model: mujoco.MjModel, joint: int, kinds: tuple[str, str]) -> str:
-    return kinds[int(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)]
+    if len(quantities) < 2:
+        return next(iter(quantities), None)
+    return quantities[int(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)]
 
 
 def _plain(name: str) -> str:
@@ -163,3 +159,54 @@ def unit_in(name: str) -> str:
         if pattern is _MARKED or len(found.group(1)) > 1:
             return found.group(1)
     return ""
+
+
+_DATE = re.compile(
+    r"(?:(\d{1,4})([./-])(\d{1,2})\2(\d{1,4})[T ,]\s*)?(\d{1,2}):(\d{2})(?::(\d{2})"
+    r"(?:[.,](\d{1,9})\d*)?)?\s*([AaPp])?[Mm]?\s*(?:Z|([+-])(\d{2}):?(\d{2}))?",
+    re.ASCII,
+)
+
+
+def dates_ns(cells: Sequence[str]) -> NDArray[np.int64] | None:
+    """Dates, or times of day, in nanoseconds since 1970; None where a cell is none.
+
+    The order of day and month is the one in which all cells are dates and the log is shortest; of
+    equals the day stands first. Without a zone they are in UTC.
+
+    Examples
+    --------
+    >>> dates_ns(["1970-01-01T00:00:01.000000250Z", "1970-01-02T00:00:00+01:00"]).tolist()
+    [1000000250, 82800000000000]
+    """
+    found = [_DATE.fullmatch(cell.strip()) for cell in cells]
+    if not found or any(each is None for each in found):
+        return None
+    groups = [each.groups() for each in found if each is not None]
+    clock = []
+    for *_, hour, minute, second, fine, half, sign, hours, minutes in groups:
+        whole = int(hour) % 12 + 12 * (half in "Pp") if half else int(hour)
+        zone = int(f"{sign}1") * (int(hours) * 60 + int(minutes)) if sign else 0
+        seconds = whole * 3600 + (int(minute) - zone) * 60 + int(second or 0)
+        clock.append(seconds * 10**9 + int((fine or "0").ljust(9, "0")))
+    best: NDArray[np.int64] | None = None
+    for year, month, day in ((0, 2, 3), (3, 2, 0), (3, 0, 2)):
+        try:
+            days = {
+                own[:4]: _day(own[year], own[month], own[day], first=year == 0) for own in groups
+            }
+        except ValueError:
+            continue
+        own_ns = np.array(clock) + np.array([days[own[:4]] for own in groups])
+        if best is None or np.ptp(own_ns) < np.ptp(best):
+            best = own_ns
+    return best
+
+
+def _day(year: str | None, month: str | None, day: str | None, *, first: bool) -> int:
+    if year is None or month is None or day is None:
+        return 0
+    if len(year) not in ((4,) if first else (2, 4)) or len(day) > 2:
+        raise ValueError("no date")
+    whole = f"{'20' * (len(year) == 2)}{year}-{int(month):02d}-{int(day):02d}"
+    return int(np.datetime64(whole, "ns").astype(np.int64))

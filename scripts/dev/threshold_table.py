@@ -6,6 +6,7 @@ Usage: python -m scripts.dev.threshold_table [doctor | gap | instrument]
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -23,10 +24,21 @@ PARTS = {
 """Part -> the module of its thresholds, or the folder of such."""
 _ENTRY = re.compile(
     r"^(?:# (?P<part>[^\n]+)"
-    r"|(?P<name>_?[A-Z][A-Z_0-9]+|    [a-z_]+: float) = (?P<value>[^\n#]+?)"
+    r"|(?P<name>_?[A-Z][A-Z_0-9]*|    [a-z_]+: \w+) = (?P<value>[^\n#]+?)"
     r'(?:  # (?P<short>[^\n]+)|\n *"""(?P<meaning>.+?)"""))$',
     re.MULTILINE | re.DOTALL,
 )
+
+
+def entries(source: str) -> Iterator[tuple[str, str, str]]:
+    """Name, value and meaning of each constant; of a heading of a part, itself alone."""
+    for entry in _ENTRY.finditer(source):
+        if entry["part"]:
+            yield entry["part"], "", ""
+        else:
+            meaning = " ".join((entry["meaning"] or entry["short"]).split()).rstrip(".")
+            meaning = meaning[:1].upper() + meaning[1:]
+            yield entry["name"].strip().partition(":")[0], entry["value"], meaning
 
 
 def threshold_table(source: str) -> str:
@@ -41,16 +53,12 @@ def threshold_table(source: str) -> str:
     | `LEAST_Z` | 3.0 | Smallest z-score |
     """
     rows, part = ["| constant | value | meaning and reason |", "|---|---|---|"], ""
-    for entry in _ENTRY.finditer(source):
-        if entry["part"]:
-            part = f"| **{entry['part']}** | | |"
-        else:
-            if part:  # sections without constants have no heading
-                rows.append(part)
-                part = ""
-            meaning = " ".join((entry["meaning"] or entry["short"]).split()).rstrip(".")
-            name = entry["name"].strip().removesuffix(": float")
-            rows.append(f"| `{name}` | {entry['value']} | {meaning} |")
+    for name, value, meaning in entries(source):
+        if not value:
+            part = f"| **{name}** | | |"
+        else:  # sections without constants have no heading
+            rows += [line for line in (part, f"| `{name}` | {value} | {meaning} |") if line]
+            part = ""
     return "\n".join(rows)
 
 

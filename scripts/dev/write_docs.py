@@ -8,6 +8,7 @@ With --check nothing is written; the exit status says whether the pages are up t
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import inspect
 import json
 import re
@@ -31,9 +32,9 @@ from loose_env.instrument import PRESETS, Diagnosis, Numbers, Plan, Trend
 from loose_env.io import plain, write_text
 from loose_env.recording import Description
 from loose_env.registration import IDS, TIERS
-from scripts.dev.threshold_table import threshold_table
+from scripts.dev.threshold_table import entries, threshold_table
 from scripts.study import between
-from scripts.suites.gap.ablation import numbers_table
+from scripts.suites.gap.ablation import NUMBERS, PACKAGE, tried
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = DOCS / "environments.md"
@@ -167,12 +168,21 @@ def preset_sections() -> list[str]:
 
 def tolerance_table() -> list[str]:
     """Tolerances of a nominal model, from their dataclass."""
-    source = inspect.getsource(Tolerances)
-    rows = re.findall(
-        r'^    (\w+): \w+ = ([\d.]+)\n    """(.+?)"""', source, re.MULTILINE | re.DOTALL
-    )
-    lines = [f"| `{name}` | {sd} | {' '.join(of.split()).rstrip('.')} |" for name, sd, of in rows]
+    rows = entries(inspect.getsource(Tolerances))
+    lines = [f"| `{name}` | {sd} | {of} |" for name, sd, of in rows]
     return ["| `--tolerances.` | standard deviation | of |", "|---|---|---|", *lines]
+
+
+def numbers_table() -> str:
+    """Numbers of `loose gap` that decide, with the reasons that stand where they are defined."""
+    lines = ["| number | value | meaning and reason | also tried |", "|---|---|---|---|"]
+    for path in NUMBERS:
+        module, _, constant = f"{PACKAGE}.{path}".rpartition(".")
+        known = entries(inspect.getsource(importlib.import_module(module)))
+        value, meaning = next(rest for name, *rest in known if name == constant)
+        others = ", ".join(f"{x:g}" for x in tried(path))
+        lines.append(f"| `{path.removeprefix('core.')}` | {value} | {meaning} | {others} |")
+    return "\n".join(lines)
 
 
 def made(env_id: str) -> DiagnosisEnv:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -49,6 +50,19 @@ def share(hits: int, count: int) -> str:
         return "none"
     low, high = wilson(hits, count)
     return f"{hits}/{count} = {100 * hits / count:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def columns_table(
+    lines: Iterable[tuple[str, Callable[[Any], str]]],
+    columns: Mapping[str, Any],
+    first: str = "",
+) -> str:
+    """Table in Markdown: a line for each way to count, a column for each group of rows."""
+    head = f"| {first}| {' | '.join(columns)} |"
+    found = [head, re.sub(r"[^|]+", "---", head)]
+    for words, cell in lines:
+        found.append(f"| {words} | {' | '.join(cell(rows) for rows in columns.values())} |")
+    return "\n".join(found)
 
 
 # ---------------------------------------------------------- suites that are made for others

@@ -94,7 +94,7 @@ def test_every_command_has_the_options_of_output(name: str, capsys: Capture) -> 
         (["gap", "a", "--tolerances.mass", "x"], "--tolerances.mass takes FLOAT; got"),
         (["export", "here", "--to", "gazebo", "--out", "o"], "--to must be one of sysid, mjlab, "),
         (["import"], "loose import: SOURCE must be given"),
-        (["import", "a", "--guess", "--describe"], "give --describe or --guess, not both"),
+        (["import", "a"], "give --mapping MAP and --out RECORDING, or --guess"),
     ],
 )
 def test_a_wrong_command_line_ends_in_one_line(
@@ -123,15 +123,6 @@ def test_json_stands_alone_on_the_standard_output_or_in_a_file(
     assert json.loads(quiet.out) == read(tmp_path / "session" / "plan.json")
 
 
-def test_import_describes_sources_in_json(tmp_path: Path, capsys: Capture) -> None:
-    lines = [f"{k / 100:.2f},{0.1 + 0.001 * k:.3f}" for k in range(40)]
-    (tmp_path / "daq.csv").write_text("\n".join(["time [s],elbow [rad]", *lines]) + "\n")
-    assert main(["import", "--describe", str(tmp_path / "daq.csv"), "--json", "-"]) == 0
-    (stream,) = json.loads(capsys.readouterr().out)["sources"]["daq"]["streams"]
-    assert [each["channel"] for each in stream["channels"]] == ["time [s]", "elbow [rad]"]
-    assert stream["channels"][1]["unit"] == "rad"
-
-
 def test_a_json_file_never_overwrites_what_the_command_reads_or_writes(
     in_degrees: Path, tmp_path: Path, capsys: Capture
 ) -> None:
@@ -143,7 +134,7 @@ def test_a_json_file_never_overwrites_what_the_command_reads_or_writes(
         ["inspect", str(model), "--json", str(model)],
         [*told, str(tmp_path / "out" / "x.json")],
         [*told, str(in_degrees / "recording.json")],
-        ["import", "--describe", f"own={log}", "--json", str(log)],
+        ["import", "--guess", f"own={log}", "--json", str(log)],
     ):
         assert "reads or writes" in refused(capsys, *words)
     assert "is a folder" in refused(capsys, *told, str(tmp_path))

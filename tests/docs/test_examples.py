@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,6 @@ import numpy as np
 import pytest
 
 from loose_env.arms import DESK_ARM
-from loose_env.cli.main import main
 from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.importing import read_mapping
 from loose_env.recording import read_recording
@@ -161,23 +158,10 @@ def test_the_page_s_files_become_a_recording(
     imported = read_recording("recording").runs[0]
     tool = 98.0665 * np.stack([signals["x"], signals["z"], -signals["y"]], 1)
     np.testing.assert_allclose(imported.sensors["tool"], tool[100:901], atol=1e-6)
-    # The printed table itself, its two rows, is recognised by --describe.
-    Path("daq.csv").write_text(printed)
-    assert main(["import", "--describe", "daq.csv"]) == 0
-    found = tomllib.loads(capsys.readouterr().out)["sources"]["daq"]
-    given = tomllib.loads(mapping)["sources"]["daq"]
-    assert {key: found[key] for key in given} == given
 
 
 def test_the_page_s_pieces_of_mappings_are_read(tmp_path: Path) -> None:
     texts = [b.text for b in blocks(ROOT / "docs" / "recordings.md") if b.language == "toml"]
-    first, more_runs, align = texts
-    whole = tomllib.loads(first + more_runs)
-    whole["sources"] |= tomllib.loads(align)["sources"] | {"robot": {}}
-    for column in whole["columns"].values():
-        column["source"] = "daq"
-    (tmp_path / "mapping.json").write_text(json.dumps(whole))
-    found = read_mapping(tmp_path / "mapping.json")
-    assert found.runs[1].pose == {"elbow": pytest.approx(np.pi / 6)}
-    shift = found.sources["vibration"].align
-    assert shift is not None and shift.to == "robot"
+    (tmp_path / "mapping.toml").write_text("".join(texts))
+    found = read_mapping(tmp_path / "mapping.toml")
+    assert found.runs[1].pose == {"elbow": 0.52}

@@ -15,7 +15,6 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.effects.elasticity import JointCompliance
 from loose_env.gap.model.effects.joints import CoulombFriction, ViscousFriction
 from loose_env.gap.model.effects.sensors import SensorBias, SensorGain
-from loose_env.gap.model.hypothesis import NominalParameters
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.corrected_model import correction_code, step_for
 from loose_env.recording import ModelColumns
@@ -57,26 +56,20 @@ def test_the_file_compiles_and_keeps_its_names_step_and_integrator(
     assert effect.in_model or effect.where in correction_code(corrected)
 
 
-def test_nominal_parameters_and_several_effects_stand_in_one_file(tmp_path: Path) -> None:
+def test_several_effects_stand_in_one_file(tmp_path: Path) -> None:
     machine = stepped("planar")
-    nominal = NominalParameters(machine, tolerance=0.03)
-    figures = np.linspace(0.98, 1.02, len(nominal.entries))
     wet = ViscousFriction(machine, "joint1"), np.array([1.5])
     others = JointCompliance(machine, "joint2"), CoulombFriction(machine, "joint3")
-    corrected = Hypothesis(nominal=nominal, factors=figures).with_effects(
-        [wet, *((e, np.array(e.starts[0])) for e in others)]
-    )
+    corrected = Hypothesis().with_effects([wet, *((e, np.array(e.starts[0])) for e in others)])
     file = write_model(tmp_path / "model.xml", machine, corrected)[0]
     model = mujoco.MjModel.from_xml_path(str(file))
     spec = machine.fresh()
-    nominal.edit(spec, figures)
     for effect, own in corrected.pairs:
         effect.edit(spec, own)
     expected = spec.compile()
     assert np.allclose(model.body_mass, expected.body_mass, rtol=1e-5)
     assert np.allclose(model.dof_damping, expected.dof_damping, rtol=1e-5)
     assert np.allclose(model.actuator_gainprm, expected.actuator_gainprm, rtol=1e-5)
-    assert not np.allclose(model.body_mass[1], machine.model.body_mass[1], rtol=1e-3)
     assert model.nv == machine.model.nv + 1 and model.dof_frictionloss.any()
 
 

@@ -245,7 +245,7 @@ def test_torque_commands_and_torque_logs_follow_the_desired_positions(
     ]
     player, _ = player_of(replace(recording, runs=tuple(log)))
     played = player.play(desired)
-    run = player.run("log", played, noise=True)
+    run = player.run("log", played)
     assert np.abs(played.position - played.desired).max() < 0.05
     assert run.comparison == "inverse" and set(run.torques) == {"shoulder", "elbow"}
 

@@ -24,11 +24,11 @@ from loose_env.gap.runs import Channel, Trial, align_run, channels_of
 from loose_env.gap.simulator import Simulator
 from loose_env.recording import Run
 from loose_env.typing import Array
-from scripts.suites.gap.arms import ARMS, Figures, model_xml
-from scripts.suites.gap.dynamics import Factors, Signals
+from scripts.suites.gap.arms import MACHINES, Machine, model_xml
+from scripts.suites.gap.dynamics import Signals, exactly
 from scripts.suites.gap.effects import KINDS
 from scripts.suites.gap.effects import Effect as TrueEffect
-from scripts.suites.gap.machine import Motion, TrueArm
+from scripts.suites.gap.worlds import SAMPLE, Motion, Noise, Setup
 from tests.gap.cases.effect_arms import PLANAR
 
 COUNT = 1500
@@ -70,14 +70,15 @@ class Compared:
 
     def __init__(self, case: Case, *, lacking: bool = True) -> None:
         kind, name, where, parameters, variant, values = case
-        figures = ARMS[name]()
-        place = next(p for p in KINDS[kind].places(figures) if p.name == where)
+        nominal = MACHINES[name]
+        place = next(p for p in KINDS[kind].places(nominal) if p.name == where)
         true = (TrueEffect(kind=kind, place=place, parameters=parameters),) if lacking else ()
-        factors = Factors.ones(figures.joints)
-        arm = TrueArm(figures=figures, factors=factors, effects=true)
-        self.commands = swing(figures)
-        signals = arm.run(Motion(commands=self.commands, straight=False))
-        spec = mujoco.MjSpec.from_string(model_xml(figures))
+        noise = Noise.draw(nominal, np.random.default_rng(0), SAMPLE)
+        factors = exactly(nominal.joints)
+        arm = Setup(machine=nominal, factors=factors, effects=true, noise=noise)
+        self.commands = swing(nominal)
+        signals = arm.run(Motion(commands=self.commands))
+        spec = mujoco.MjSpec.from_string(model_xml(nominal))
         spec.option.timestep, spec.option.integrator = 5e-4, 1
         self.machine = NominalModel(spec)
         run = run_of(signals, self.commands)
@@ -98,12 +99,12 @@ class Compared:
         return float(np.linalg.norm(error / seen.max()))
 
 
-def swing(figures: Figures) -> Array:
+def swing(machine: Machine) -> Array:
     """Commands that move every joint to and fro, from rest."""
     time = np.arange(COUNT) * 1e-3
-    rates = np.array([0.9, 1.3, 1.9, 2.4])[: figures.joints]
+    rates = np.array([0.9, 1.3, 1.9, 2.4])[: machine.joints]
     wave = np.sin(2 * np.pi * rates * time[:, None]) * np.minimum(time / 0.3, 1.0)[:, None] ** 2
-    return np.asarray(figures.home + 0.4 * figures.reach * wave)
+    return np.asarray(machine.home + 0.4 * machine.reach * wave)
 
 
 def run_of(signals: Signals, commands: Array) -> Run:

@@ -1,7 +1,7 @@
 """A simulated arm's motion, and the files in which people keep such motions.
 
-ROS 2 bags are written by ``rosbags``, time series by ``mujoco.sysid``, HDF5 by ``h5py``. LeRobot's
-own package is too heavy to install for a test: its documented layout is written by ``pyarrow``.
+ROS 2 bags are written by ``rosbags``, HDF5 by ``h5py``. LeRobot's own package is too heavy to
+install for a test: its documented layout is written by ``pyarrow``.
 The RTDE log is written as the recorder of Universal Robots' Python library writes it.
 """
 
@@ -18,7 +18,6 @@ import mujoco
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from mujoco.sysid._src.timeseries import SignalType, TimeSeries
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy import signal
@@ -241,20 +240,6 @@ def write_robomimic(path: Path, motion: Motion, *, rate: float | None = 125.0) -
             demo["obs/robot0_joint_vel"] = motion.velocity
             demo["obs/agentview_image"] = np.zeros((len(motion.time), 4, 4, 3), np.uint8)
     return path
-
-
-def write_sysid(folder: Path, motion: Motion) -> tuple[Path, Path]:
-    """Sensors and controls as ``mujoco.sysid.TimeSeries`` saves them."""
-    sensors = {f"{n}_pos": (SignalType.MjSensor, [i]) for i, n in enumerate(JOINTS)}
-    sensors |= {f"{n}_qvel": (SignalType.MjStateQVel, [3 + i]) for i, n in enumerate(JOINTS)}
-    controls = {
-        f"{n}_ctrl": (SignalType.MjCtrl, [i]) for i, n in enumerate(("pan", "lift", "bend"))
-    }
-    one, other = folder / "sensors.npz", folder / "controls.npz"
-    values = np.hstack([motion.position, motion.velocity])
-    TimeSeries.create(motion.time, values, sensors).save_to_disk(one)
-    TimeSeries.create(motion.time, motion.command, controls).save_to_disk(other)
-    return one, other
 
 
 def _vectors(values: np.ndarray) -> pa.Array:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
-from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros2.writer import Writer as Ros2Writer
 
 ARM = """<mujoco>
@@ -170,56 +165,6 @@ def write_robot(path: Path, *, seconds: float = 2.0, hz: float = 200.0, **option
         },
         **options,
     )
-
-
-def write_json_mcap(
-    path: Path, messages: Sequence[tuple[int, Any]], *, topic: str = "/tool", **options: Any
-) -> Path:
-    with path.open("wb") as file:
-        writer = McapWriter(file, compression=options.pop("compression", CompressionType.LZ4))
-        writer.start()
-        schema = writer.register_schema("Tool", "jsonschema", b'{"type": "object"}')
-        channel = writer.register_channel(topic, options.pop("encoding", "json"), schema)
-        for ns, message in messages:
-            data = message if isinstance(message, bytes) else json.dumps(message).encode()
-            writer.add_message(channel, log_time=ns, data=data, publish_time=ns)
-        writer.finish()
-    return path
-
-
-def vector_class() -> Any:
-    """A protobuf message class: a time and a vector, like Foxglove's."""
-    file = descriptor_pb2.FileDescriptorProto(name="tool.proto", package="tool", syntax="proto3")
-    kinds = descriptor_pb2.FieldDescriptorProto
-    at = file.message_type.add(name="Stamp")
-    at.field.add(name="seconds", number=1, type=kinds.TYPE_INT64, label=kinds.LABEL_OPTIONAL)
-    at.field.add(name="nanos", number=2, type=kinds.TYPE_INT32, label=kinds.LABEL_OPTIONAL)
-    reading = file.message_type.add(name="Reading")
-    reading.field.add(
-        name="timestamp",
-        number=1,
-        type=kinds.TYPE_MESSAGE,
-        type_name=".tool.Stamp",
-        label=kinds.LABEL_OPTIONAL,
-    )
-    reading.field.add(name="axes", number=2, type=kinds.TYPE_DOUBLE, label=kinds.LABEL_REPEATED)
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("tool.Reading"))
-
-
-def write_protobuf_mcap(path: Path, time: np.ndarray) -> Path:
-    reading = vector_class()
-    signals = motion(time)
-    with path.open("wb") as file:
-        writer = ProtobufWriter(file)
-        for i, t in enumerate(time):
-            ns = START_NS + round(t * 1e9)
-            message = reading(axes=[float(signals[axis][i]) for axis in "xyz"])
-            message.timestamp.seconds, message.timestamp.nanos = ns // 10**9, ns % 10**9
-            writer.write_message("/tool", message, log_time=ns + 700_000, publish_time=ns)
-        writer.finish()
-    return path
 
 
 def write_csv(path: Path, rows: np.ndarray, names: Sequence[str], **how: Any) -> Path:

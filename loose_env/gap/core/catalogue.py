@@ -20,11 +20,12 @@ from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.typing import Array
 
-_MOVING = 2.0  # speed, or foretold reading, over its noise from which a joint moves
+_MOVING = 2.0
+"""Speed over its noise from which a joint moves, and foretold reading: three quarters of its power are motion."""
 _BINS = 50  # frequencies at which that noise is averaged
 LAW_WIDTH = 0.15
-"""Prior standard deviation of a law's coefficient about one: shapes are tried a factor of
-sqrt(1.6) apart and refined."""
+"""Prior standard deviation of a law's coefficient about one: a shape midway between two that are
+tried, ln(1.7) / 2 away, is two of them off."""
 USUAL_SHARE = 0.3
 """Prior standard deviation of an effect's force over the drive's: it matters, and does not rule."""
 _LADDER = 1.7  # ratio of neighbouring sizes of a law: about two widths of its coefficient

@@ -31,11 +31,14 @@ HELD_OUT = 4.0
 """Rise of twice the held-out log likelihood for an effect: a factor of e² in likelihood, positive
 evidence (Kass and Raftery 1995)."""
 CONTRADICTED = -10.0
-"""The same below which one of the ways to hold out refutes it: very strong evidence against."""
+"""The same below which one of the ways to hold out refutes it: very strong evidence (Kass and
+Raftery 1995)."""
 _RIVAL = 0.05  # probability from which another effect is a rival
 _Z = 1.96  # half width of a 95 % interval in standard deviations
 _ASIDE = 0.25  # relative step of a shape over which the fall of its evidence is read
-_NOISE = 1.6  # held-out residual up to which nothing more is needed [noise standard deviations]
+_NOISE = 1.6
+"""Held-out residual up to which nothing more is needed [noise standard deviations]: noise alone,
+where its estimate is a third too small."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

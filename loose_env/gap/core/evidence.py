@@ -19,17 +19,21 @@ from loose_env.gap.core.tolerances import Nuisance
 from loose_env.typing import Array
 
 BANDS = 7
-"""Bands of a channel, the first around zero, the others of equal ratio."""
+"""Bands of a channel, the first around zero, the others of equal ratio: three or four a decade, for
+motion, its harmonics and resonances lie apart."""
 STRETCHES = 8
-"""Stretches of a recording, about: enough to see whether a residual repeats."""
+"""Stretches of a recording, about: two of each of four runs tell whether a residual repeats."""
 _MOST_STRETCHES = 16  # stretches whose cells are apart; of more runs, several share theirs
-_SHORTEST_S = 4.0  # shortest stretch [s]
+_SHORTEST_S = 4.0  # shortest stretch [s]: some periods of slow motion
 KNOCK = 16.0
-"""Mean square residual over its local median beyond which a stretch is a knock, not motion."""
+"""Mean square residual over its local median beyond which a stretch is a knock: four times the
+usual amplitude is no motion of the machine's own."""
 _NOISE = 1.1
 """Noise that is believed over its estimate, which takes it for white: filters and rounding colour
 it by some per cent."""
-_REST = 0.01  # speed over the typical one below which a joint is at rest, or four times its noise
+_REST = 0.01
+"""Speed over the typical one below which a joint is at rest (or four times its noise): presliding,
+in which dry friction takes any value."""
 _LEAST_SHARE = 0.01  # mean square of a window below which a stretch has no cells
 _FELT = 0.05
 """Squared noise standard deviations of a standard deviation of tolerance below which it is not
@@ -196,7 +200,7 @@ def _compared(balance: Balance, channel: int) -> bool:
         return True
     if balance.seen[:, channel].mean() <= 0.5 or not moves_at(balance, channel):
         return False
-    return len(_grid(balance, channel).pieces) > 0
+    return len(grid_of(balance, channel).pieces) > 0
 
 
 def append(evidence: Evidence, *terms: Term) -> None:
@@ -285,16 +289,12 @@ def _at(wide: Sequence[Change], joint: int) -> Array:
 
 def _rows(balance: Balance, joint: int, stacked: Array) -> _Rows:
     """Whitened rows of some columns (T, K) of a channel."""
-    grid = _grid(balance, joint)
-    parts = []
-    for rows, window, scale, kept in grid.pieces:
-        spectrum = np.fft.rfft(stacked[rows] * window, axis=0)[kept] * scale
-        parts += [spectrum.real, spectrum.imag]
-    return replace(grid.rows, whitened=np.concatenate(parts)[grid.order])
+    grid = grid_of(balance, joint)
+    return replace(grid.rows, whitened=grid.whitened(stacked))
 
 
 @dataclass(frozen=True, eq=False)
-class _Grid:
+class Grid:
     """How a channel is cut into cells."""
 
     pieces: list[tuple[slice, Array, Array, NDArray[np.intp]]]
@@ -302,10 +302,18 @@ class _Grid:
     order: NDArray[np.intp]  # Order of the rows by cells
     rows: _Rows  # Cells, without rows
 
+    def whitened(self, stacked: Array) -> Array:
+        """Columns (T, K) of the channel as rows in noise standard deviations (R, K)."""
+        parts = []
+        for rows, window, scale, kept in self.pieces:
+            spectrum = np.fft.rfft(stacked[rows] * window, axis=0)[kept] * scale
+            parts += [spectrum.real, spectrum.imag]
+        return np.asarray(np.concatenate(parts)[self.order])
 
-def _grid(balance: Balance, joint: int) -> _Grid:
-    """Cut a channel into cells, once."""
-    cache: dict[int, _Grid] = balance.__dict__.setdefault("_grids", {})
+
+def grid_of(balance: Balance, joint: int, *, taper: float = 0.25) -> Grid:
+    """Cut a channel into cells, once, with a taper over a share of a stretch at either end."""
+    cache: dict[int, Grid] = balance.__dict__.setdefault("_grids", {})
     if joint in cache:
         return cache[joint]
     motion, edges, whole = balance.motion, _edges(balance), stretches_of(balance)
@@ -315,7 +323,7 @@ def _grid(balance: Balance, joint: int) -> _Grid:
     counts: dict[tuple[int, int], float] = {}
     for number, (run, own) in enumerate(whole):
         rows = slice(int(first[run]) + own.start, int(first[run]) + own.stop)
-        window = _taper(own.stop - own.start) * weight[rows]
+        window = _taper(own.stop - own.start, taper) * weight[rows]
         if np.mean(window**2) < _LEAST_SHARE:
             continue
         frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
@@ -342,7 +350,7 @@ def _grid(balance: Balance, joint: int) -> _Grid:
         whitened=np.empty(0), cell=cell[order], count=np.array(list(counts.values())),
         stretch=stretch, run=runs[stretch], turn=centres[bands],
     )  # fmt: skip
-    cache[joint] = _Grid(pieces, order, found)
+    cache[joint] = Grid(pieces, order, found)
     return cache[joint]
 
 
@@ -369,10 +377,10 @@ def stretches_of(balance: Balance) -> list[tuple[int, slice]]:
     return found
 
 
-def _taper(count: int) -> Array:
-    """Cosine taper over a quarter of a stretch at either end."""
+def _taper(count: int, share: float) -> Array:
+    """Cosine taper over a share of a stretch at either end."""
     at = np.linspace(0, 1, count)
-    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(at, 1 - at) / 0.25, 0, 1)))
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(at, 1 - at) / share, 0, 1)))
 
 
 def _edges(balance: Balance) -> Array:

@@ -96,8 +96,10 @@ class Motion:
         return np.split(values, np.cumsum([len(r.position) for r in self.runs])[:-1])
 
 
-def smooth(recording: Recording, machine: NominalModel) -> Motion:
+def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None = None) -> Motion:
     """Estimate the motion of every run from its position and velocity readings.
+
+    In the band and with the noise of another motion of the machine, where one is given.
 
     Raises
     ------
@@ -118,7 +120,11 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     noise = np.median(floors, axis=0)
     ends = [_band_end(log, noise) for log in logs]
     band = float(np.clip(max(ends), LOWEST_HZ, min(0.35 / step, HIGHEST_HZ)))
+    if like is not None:
+        band = like.band
     thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
+    if like is not None:
+        noise = like.noise * np.sqrt(thin)
     most = _most_of_each([len(log.position) // thin for log in logs])
     alone = [
         [
@@ -146,9 +152,10 @@ def smooth(recording: Recording, machine: NominalModel) -> Motion:
     if followers.numbers:
         runs = tuple(replace(run, followed=followers.paths(run.position)) for run in runs)
     seen = [[noise_floor(c) for c in log.readings.T] for log in logs]
+    level = np.median(np.array(seen).reshape(len(logs), -1), axis=0) / np.sqrt(thin)
     return Motion(
         runs=runs, band=band, noise=noise / np.sqrt(thin), sensors=sensors,
-        sensor_noise=np.median(np.array(seen).reshape(len(logs), -1), axis=0) / np.sqrt(thin),
+        sensor_noise=level if like is None else like.sensor_noise,
         followers=followers.numbers,
     )  # fmt: skip
 

@@ -26,13 +26,15 @@ from loose_env.inference import log_determinant
 from loose_env.typing import Array
 
 KIND = 10.0
-"""Minus twice the log prior of one more kind of effect: about 1 in 150 kinds is missing."""
+"""Minus twice the log prior of one more kind of effect: one in 150 is missing, for a model in four
+lacks one of 36."""
 FORM = 4.6
 """The same of a place whose friction has more than the simplest form: about 1 in 10."""
 LEAST_VALUES = 1.5
-"""Values of a cell's discrepancy, at least: its amplitude, and a half for its shape, and:"""
+"""Values of a cell's discrepancy at least: one that repeats has an amplitude, and half a number for
+its shape."""
 SHARE_VALUES = 0.02
-"""share of a cell's values that they are at most when nothing repeats."""
+"""The same at most, as a share of a cell's values: discrepancies repeat to some per cent."""
 _ROUNDS = 8  # reweighted rounds of one fit
 _LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is taken
 _SCREENED = 14  # candidates that are fitted in one step

@@ -1,11 +1,10 @@
-"""Hypothesis: nominal model, its uncertain parameters, and effects; edits and compiles a spec."""
+"""Hypothesis: effects that are added to a nominal model; edits and compiles a spec."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -16,45 +15,8 @@ from loose_env.typing import Array
 
 _FORCE = "loose_env force of "
 _OFF = 30  # group of actuators that are switched off
-_SPREAD = 0.6
-"""Prior standard deviation, as a share of the tolerance (of a uniform distribution: 0.58)."""
-_JOINT = ("damping", "armature", "frictionloss")  # attributes of joints
-
-
-class NominalParameters:
-    """Factors on masses, inertias, dampings, frictions, rotor inertias and actuator gains.
-
-    They are nuisance parameters: fitted with every hypothesis, within the tolerance, and never
-    reported as an effect.
-    """
-
-    def __init__(self, machine: NominalModel, *, tolerance: float) -> None:
-        self.machine, self.tolerance = machine, tolerance
-
-    @cached_property
-    def entries(self) -> tuple[tuple[str, str], ...]:
-        """Attribute and element of the nominal parameters of the model that are not zero."""
-        model, machine = self.machine.model, self.machine
-        links = [link for link in machine.links if model.body(link).mass[0] > 0]
-        found = [(name, link) for link in links for name in ("mass", "inertia")]
-        for k, joint in enumerate(machine.joints):
-            values = (getattr(model, f"dof_{name}")[model.jnt_dofadr[k]] for name in _JOINT)
-            found += [(f, joint) for f, value in zip(_JOINT, values, strict=True) if value > 0]
-        for k, actuator in enumerate(machine.actuators):
-            found.append(("gain", actuator))
-            if model.actuator_biasprm[k, 2] != 0:
-                found.append(("velocity_gain", actuator))
-        return tuple(found)
-
-    @property
-    def deviation(self) -> float:
-        """Prior standard deviation of each factor."""
-        return self.tolerance * _SPREAD
-
-    def edit(self, spec: mujoco.MjSpec, factors: Array) -> None:
-        """Scale the nominal parameters by factors (P,)."""
-        for (name, of), factor in zip(self.entries, factors, strict=True):
-            scale(spec, name, of, factor)
+JOINT = ("damping", "armature", "frictionloss")
+"""Attributes of joints that can be scaled."""
 
 
 _GAINS = {
@@ -74,13 +36,13 @@ def scale(spec: mujoco.MjSpec, name: str, of: str, factor: float) -> None:
             values[own] *= factor
         actuator.gainprm, actuator.biasprm = gain, bias
     else:
-        element = spec.joint(of) if name in _JOINT else spec.body(of)
+        element = spec.joint(of) if name in JOINT else spec.body(of)
         setattr(element, name, np.asarray(getattr(element, name)) * factor)
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Effects with their values, and values of the nuisance parameters.
+    """Effects with their values.
 
     Examples
     --------
@@ -92,10 +54,6 @@ class Hypothesis:
     """Effects added to the nominal model, in the order in which they act."""
     values: tuple[Array, ...] = ()
     """Parameter values of each effect."""
-    nominal: NominalParameters | None = None
-    """Uncertain parameters of the nominal model, applied before the effects; None: as they are."""
-    factors: Array = field(default_factory=lambda: np.empty(0))
-    """Values of the nominal parameters."""
 
     @property
     def pairs(self) -> tuple[tuple[Effect, Array], ...]:
@@ -103,9 +61,8 @@ class Hypothesis:
         return tuple(zip(self.effects, self.values, strict=True))
 
     def with_effects(self, pairs: Sequence[tuple[Effect, Array]]) -> Hypothesis:
-        """Copy with other effects and values, and the same nuisance parameters."""
-        effects, values = tuple(e for e, _ in pairs), tuple(v for _, v in pairs)
-        return replace(self, effects=effects, values=values)
+        """Hypothesis of other effects and values."""
+        return Hypothesis(tuple(e for e, _ in pairs), tuple(v for _, v in pairs))
 
     def in_run(self, run: str) -> Hypothesis:
         """The same as it was in one run, where runs have a payload in different ways."""
@@ -113,9 +70,7 @@ class Hypothesis:
         return self.with_effects([pair for pair in pairs if pair is not None])
 
     def edit(self, spec: mujoco.MjSpec, *, export: bool = False) -> None:
-        """Change a spec in place, that of the exported model too: factors first, then effects."""
-        if self.nominal is not None:
-            self.nominal.edit(spec, self.factors)
+        """Change a spec in place, that of the exported model too."""
         for effect, values in self.pairs:
             (effect.export if export else effect.edit)(spec, values)
 

@@ -1,7 +1,7 @@
 r"""Ablation of `loose gap`: the suite again with one thing changed at a time.
 
-`NUMBERS` is the one list of numbers that decide what is named. Each is halved and doubled, and five
-parts of the method are left out. Each variant is a tool of its own, ``loose_gap@VARIANT``, with its
+Each number that decides what is named is halved and doubled, and five parts of the method are left
+out. Each variant is a tool of its own, ``loose_gap@VARIANT``, with its
 own rows; those of the method as shipped are the suite's.
 
     python -m scripts.suites.gap.run --numbers 0-59 --ablate --most-seconds 20
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from importlib import import_module
 from typing import Any
 
@@ -26,102 +26,22 @@ PACKAGE = "loose_env.gap"
 """Package whose numbers are changed."""
 Changes = Mapping[str, Any]
 """New values by name: ``core.decision.NAMED``, ``tolerances.mass`` or ``settings.simulate``."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Number:
-    """A number that decides what is named."""
-
-    name: str
-    """Module in the package, and constant."""
-    unit: str
-    reason: str
-    """Why it has this value, from outside."""
-    tried: tuple[float, float] | None = None
-    """Values in place of its half and its double, where these have no meaning."""
-
-    @property
-    def value(self) -> float:
-        """Value as shipped."""
-        module, _, constant = self.name.rpartition(".")
-        return getattr(import_module(f"{PACKAGE}.{module}"), constant)  # type: ignore[no-any-return]
-
-    def values(self) -> tuple[float, float]:
-        """Values that are tried; whole numbers stay whole."""
-        if self.tried is not None:
-            return self.tried
-        half = self.value / 2
-        return (max(round(half), 1) if isinstance(self.value, int) else half, 2 * self.value)
-
-    def places(self) -> list[str]:
-        """Everywhere that the number is known: where it is defined, and where it is imported."""
-        import_module(f"{PACKAGE}.explain")  # the whole way, from recording to result
-        constant = self.name.rpartition(".")[2]
-        if constant.startswith("_"):
-            return [self.name]
-        return sorted(
-            f"{name.removeprefix(PACKAGE + '.')}.{constant}"
-            for name, module in sys.modules.items()
-            if name.startswith(PACKAGE) and vars(module).get(constant) is self.value
-        )
-
-
-NUMBERS: tuple[Number, ...] = (
-    # prior
-    Number(name="core.selection.KIND", unit="−2 ln prior",
-           reason="one kind of effect in 150 is missing: a model in four lacks one of 36"),
-    Number(name="core.selection.FORM", unit="−2 ln prior",
-           reason="one friction in ten has more than the simplest form"),
-    Number(name="core.catalogue.LAW_WIDTH", unit="share",
-           reason="a shape midway between two that are tried, ln(1.7) / 2 away, is two widths off"),
-    Number(name="core.catalogue.USUAL_SHARE", unit="of the drive's force",
-           reason="an effect matters, and does not rule"),
-    # noise and discrepancy
-    Number(name="core.evidence._NOISE", unit="of the estimate", tried=(1.05, 1.2),
-           reason="filters and rounding colour noise, which is taken for white, by some per cent"),
-    Number(name="core.selection.LEAST_VALUES", unit="values a cell",
-           reason="a discrepancy that repeats has an amplitude, and half a number for its shape"),
-    Number(name="core.selection.SHARE_VALUES", unit="of a cell's values",
-           reason="and repeats to some per cent"),
-    Number(name="core.evidence.BANDS", unit="bands",
-           reason="three or four a decade: motion, its harmonics and resonances lie apart"),
-    Number(name="core.evidence.STRETCHES", unit="stretches",
-           reason="two of each of four runs: whether a residual repeats"),
-    Number(name="core.evidence._SHORTEST_S", unit="s",
-           reason="some periods of slow motion in each stretch"),
-    # data that are left out
-    Number(name="core.evidence.KNOCK", unit="of the median square",
-           reason="four times the usual amplitude is no motion of the machine's own"),
-    Number(name="core.evidence._REST", unit="of the speed",
-           reason="below, presliding: dry friction takes any value"),
-    Number(name="core.motion.HIGHEST_HZ", unit="Hz",
-           reason="structural modes of any arm lie above"),
-    Number(name="core.catalogue._MOVING", unit="noise sd",
-           reason="a range of motion beyond drift and rounding of an encoder at rest"),
-    Number(name="core.balance._MOST_LOAD", unit="of the load", tried=(0.45, 0.95),
-           reason="with more friction by load a drive would lock"),
-    # exact fits
-    Number(name="core.exact.WINDOW_S", unit="s",
-           reason="some periods of a joint's motion, before errors of the start have grown"),
-    Number(name="core.exact.LEAD_S", unit="s",
-           reason="longer than most drives are late"),
-    Number(name="core.exact.LARGE", unit="noise sd",
-           reason="three standard deviations: 1 in 370 by chance"),
-    Number(name="core.exact.EXPLAINED", unit="of the power", tried=(0.8, 0.95),
-           reason="less than a third of the amplitude is left"),
-    # decision
-    Number(name="core.decision.NAMED", unit="probability", tried=(0.25, 0.75),
-           reason="as likely as not"),
-    Number(name="core.decision._Z", unit="sd", tried=(1.64, 2.58),
-           reason="95 of 100 intervals contain the true value"),
-    Number(name="core.decision.HELD_OUT", unit="2 ln likelihood",
-           reason="positive evidence (Kass and Raftery 1995)"),
-    Number(name="core.decision.CONTRADICTED", unit="2 ln likelihood",
-           reason="very strong evidence (Kass and Raftery 1995)"),
-    Number(name="core.decision._NOISE", unit="noise sd", tried=(1.3, 2.4),
-           reason="noise alone where its estimate is a third too small needs no effect"),
-)  # fmt: skip
-"""The numbers that decide, in the order of the method; half and double of each are tried."""
+_NUMBERS = """
+    selection.KIND selection.FORM catalogue.LAW_WIDTH catalogue.USUAL_SHARE
+    evidence._NOISE selection.LEAST_VALUES selection.SHARE_VALUES evidence.BANDS evidence.STRETCHES
+    evidence._SHORTEST_S evidence.KNOCK evidence._REST motion.HIGHEST_HZ catalogue._MOVING
+    balance._MOST_LOAD exact.WINDOW_S exact.LEAD_S exact.LARGE exact.EXPLAINED
+    decision.NAMED decision._Z decision.HELD_OUT decision.CONTRADICTED decision._NOISE
+"""
+NUMBERS = tuple(f"core.{name}" for name in _NUMBERS.split())
+"""The numbers that decide, modules and constants in the order of the method: priors; noise and
+discrepancy; data that are left out; exact fits; decision. Reasons stand where they are defined."""
+TRIED = {
+    "core.evidence._NOISE": (1.05, 1.2), "core.balance._MOST_LOAD": (0.45, 0.95),
+    "core.exact.EXPLAINED": (0.8, 0.95), "core.decision.NAMED": (0.25, 0.75),
+    "core.decision._Z": (1.64, 2.58), "core.decision._NOISE": (1.3, 2.4),
+}  # fmt: skip
+"""Values that are tried where half and double have no meaning."""
 
 _RIGID = ("mass", "centre", "centre_m", "inertia")
 _NONE = 1e-3
@@ -129,6 +49,32 @@ _NONE = 1e-3
 _FULL = 1e6
 """Values of a cell's discrepancy at which all beyond the noise counts at full weight."""
 _NEVER = -1e300
+
+
+def value_of(name: str) -> float:
+    """Number as shipped."""
+    module, _, constant = name.rpartition(".")
+    return getattr(import_module(f"{PACKAGE}.{module}"), constant)  # type: ignore[no-any-return]
+
+
+def tried(name: str) -> tuple[float, float]:
+    """Values of a number that are tried; whole numbers stay whole."""
+    value = value_of(name)
+    half = max(round(value / 2), 1) if isinstance(value, int) else value / 2
+    return TRIED.get(name, (half, 2 * value))
+
+
+def _everywhere(name: str, value: float) -> Changes:
+    """The change of a number where it is defined, and where it is imported."""
+    import_module(f"{PACKAGE}.explain")  # the whole way, from recording to result
+    constant, known = name.rpartition(".")[2], value_of(name)
+    if constant.startswith("_"):
+        return {name: value}
+    return {
+        f"{module.removeprefix(PACKAGE + '.')}.{constant}": value
+        for module, there in sorted(sys.modules.items())
+        if module.startswith(PACKAGE) and vars(there).get(constant) is known
+    }
 
 
 def variants() -> dict[str, Changes]:
@@ -149,16 +95,9 @@ def variants() -> dict[str, Changes]:
         "all tolerances x0.5": times(0.5, list(tolerances)),
         "all tolerances x2": times(2.0, list(tolerances)),
     }  # fmt: skip
-    for number in NUMBERS:
-        for value in number.values():
-            found[f"{number.name}={value:g}"] = _everywhere(number.name, value)
+    for name in NUMBERS:
+        found |= {f"{name}={value:g}": _everywhere(name, value) for value in tried(name)}
     return found
-
-
-def _everywhere(name: str, value: float) -> Changes:
-    """The change of a number in all modules that know it."""
-    number = next(own for own in NUMBERS if own.name == name)
-    return dict.fromkeys(number.places(), value)
 
 
 def changes_of(name: str) -> Changes:
@@ -253,13 +192,3 @@ def summary(
         if found := differences(own, shipped):
             words.append(f"- {name}: {'; '.join(found)}")
     return "\n".join(words).rstrip() + "\n"
-
-
-def numbers_table() -> str:
-    """Table of the numbers that decide in Markdown, with unit and reason."""
-    lines = ["| number | value | unit | reason | also tried |", "|---|---|---|---|---|"]
-    for own in NUMBERS:
-        tried = ", ".join(f"{value:g}" for value in own.values())
-        name = own.name.removeprefix("core.")
-        lines.append(f"| `{name}` | {own.value:g} | {own.unit} | {own.reason} | {tried} |")
-    return "\n".join(lines)

@@ -3,84 +3,71 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from functools import partial
+import re
+from types import SimpleNamespace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.typing import Array
 
 GRAVITY = 9.81
 """Acceleration of free fall [m/s²]; the world's z axis points up."""
-Three = tuple[float, float, float]
 BAR_CENTRE = 0.48
 """Centre of mass of a bar over its length."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Link:
-    """A joint, the rigid body it moves and the drive of the joint; of a slide in m, N and kg."""
-
-    kind: str = "hinge"
-    """`hinge` or `slide`."""
-    axis: Three
-    """Axis of the joint, a unit vector in the link's frame."""
-    offset: Three
-    """Origin of the link's frame in the frame of the link before [m]."""
-    end: Three
-    """Distal end of the link, in its own frame [m]."""
-    mass: float
-    """Mass [kg]."""
-    com: Three
-    """Centre of mass in the link's frame [m]."""
-    inertia: Three
-    """Moments of inertia about the centre of mass, along the link's frame [kg m²]."""
-    armature: float
-    """Inertia of the rotor, seen at the joint [kg m²]."""
-    damping: float
-    """Viscous damping of the joint [N m s/rad]."""
-    kp: float
-    """Position gain of the servo [N m/rad]."""
-    kv: float
-    """Velocity gain of the servo [N m s/rad]."""
-    limit: float
-    """Largest torque of the servo [N m]."""
-    home: float
-    """Middle of the joint's range of motion [rad]."""
-    reach: float
-    """Half of the joint's range of motion [rad]."""
-
-    @property
-    def length(self) -> float:
-        """Length by which tolerances of its centre go [m]."""
-        return max(float(np.linalg.norm(self.end)), 0.1)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Figures:
-    """A nominal arm: what its model.xml says."""
+class Machine:
+    """A nominal serial machine: arrays with a row a link, from the base; a slide's in m, N, kg."""
 
     name: str
-    """A word for the arm; never written into a recording."""
-    links: tuple[Link, ...]
-    """The links from the base."""
-    hanging: tuple[float, ...] | None = None
-    """Joint positions in which the arm hangs at rest with its drives off, if there are any."""
+    """A word for the machine; never written into a recording."""
+    hanging: Array | None
+    """Joint positions in which it hangs at rest with its drives off, if there are any."""
+    slide: NDArray[np.bool_]
+    """Joints that slide; the others turn."""
+    axis: Array
+    """Axis of the joint, a unit vector in the link's frame."""
+    offset: Array
+    """Origin of the link's frame in the frame of the link before [m]."""
+    end: Array
+    """Distal end of the link, in its own frame [m]."""
+    mass: Array
+    """Mass [kg]."""
+    com: Array
+    """Centre of mass in the link's frame [m]."""
+    inertia: Array
+    """Moments of inertia about the centre of mass, along the link's frame [kg m²]."""
+    armature: Array
+    """Inertia of the rotor, seen at the joint [kg m²]."""
+    damping: Array
+    """Viscous damping of the joint [N m s/rad]."""
+    kp: Array
+    """Position gain of the servo [N m/rad]."""
+    kv: Array
+    """Velocity gain of the servo [N m s/rad]."""
+    limit: Array
+    """Largest torque of the servo [N m]."""
+    home: Array
+    """Middle of the joint's range of motion [rad]."""
+    reach: Array
+    """Half of the joint's range of motion [rad]."""
 
     @property
     def joints(self) -> int:
         """Number of joints."""
-        return len(self.links)
+        return len(self.slide)
 
     @property
-    def home(self) -> Array:
-        """Middles of the ranges of motion, of shape (n,) [rad or m]."""
-        return np.array([link.home for link in self.links])
+    def length(self) -> Array:
+        """Lengths by which tolerances of the links' centres go, of shape (n,) [m]."""
+        return np.array([max(float(np.linalg.norm(end)), 0.1) for end in self.end])
 
-    @property
-    def reach(self) -> Array:
-        """Half ranges of motion, of shape (n,) [rad or m]."""
-        return np.array([link.reach for link in self.links])
+    def link(self, j: int) -> SimpleNamespace:
+        """Numbers of one link, by the names of the arrays."""
+        rows = {name: values[j] for name, values in vars(self).items() if name not in _WHOLE}
+        return SimpleNamespace(**rows, length=self.length[j])
 
 
 # A link: its axis, | rest of the drive: armature damping kp kv limit home reach.
@@ -135,144 +122,96 @@ bar x .22 0 0   1.4 .16 .035 | .08 .6 600 18 40 0 1
 bar y .16 0 0   1.1 .12 .035 | .05 .4 400 11 25 .6 .8
 part x .12 0 0  .5; .06 .02 .02; .03 .012 .01; .0003 .00042 .00042 | .015 .1 80 2.2 8 0 1.3
 """
+_WHOLE = ("name", "hanging")
+_DRIVE = ("armature", "damping", "kp", "kv", "limit", "home", "reach")
 
 
-def rod(mass: float, length: float, radius: float) -> Three:
-    """Moments of inertia of a round bar along x about its middle [kg m²]."""
-    across = mass * (length**2 / 12 + radius**2 / 4)
-    return (mass * radius**2 / 2, across, across)
-
-
-def _link(line: str) -> Link:
-    """A link of the table."""
-    body, drive = line.split("|")
-    word, axis, *places = body.replace(";", "").split()
-    x = [float(number) for number in places]
-    if word == "bar":  # its mass is around the middle
-        mass, length, radius = x[3:]
-        rigid = (length, 0.0, 0.0, BAR_CENTRE * length, 0.0, 0.0, *rod(mass, length, radius))
-        x = [*x[:4], *rigid]
-    own = ("armature", "damping", "kp", "kv", "limit", "home", "reach")
-    figures = dict(zip(own, map(float, drive.split()), strict=True))
-    return Link(
-        kind="slide" if word == "slide" else "hinge",
-        axis=(float(axis == "x"), float(axis == "y"), float(axis == "z")),
-        offset=(x[0], x[1], x[2]), mass=x[3], end=(x[4], x[5], x[6]), com=(x[7], x[8], x[9]),
-        inertia=(x[10], x[11], x[12]), **figures,
+def _machine(text: str) -> Machine:
+    """A machine of the table."""
+    head, *lines = text.splitlines()
+    name, *hanging = head.replace("hangs", "").split()
+    links = []
+    for line in lines:
+        body, drive = line.split("|")
+        word, axis, *places = body.replace(";", "").split()
+        x = [float(number) for number in places]
+        if word == "bar":  # its mass is around the middle
+            mass, length, radius = x[3:]
+            across = mass * (length**2 / 12 + radius**2 / 4)
+            x = [*x[:4], length, 0, 0, BAR_CENTRE * length, 0, 0]
+            x += [mass * radius**2 / 2, across, across]
+        unit = [float(axis == each) for each in "xyz"]
+        links.append([word == "slide", *unit, *x, *map(float, drive.split())])
+    slide, axes, offset, heavy, end, com, inertia, drives = np.split(
+        np.array(links, dtype=float), [1, 4, 7, 8, 11, 14, 17], axis=1
+    )
+    return Machine(
+        name=name, hanging=np.array(hanging, dtype=float) if hanging else None,
+        slide=slide[:, 0] > 0, axis=axes, offset=offset, mass=heavy[:, 0], end=end, com=com,
+        inertia=inertia, **dict(zip(_DRIVE, drives.T, strict=True)),
     )  # fmt: skip
 
 
-def _machine(name: str) -> Figures:
-    """A machine of the table."""
-    lines = iter(_TABLE.strip().splitlines())
-    head = next(line for line in lines if line.split()[0] == name).split()
-    links = []
-    for line in lines:
-        if "|" not in line:
-            break
-        links.append(_link(line))
-    hanging = tuple(map(float, head[2:])) if "hangs" in head else None
-    return Figures(name=name, links=tuple(links), hanging=hanging)
+MACHINES = {each.name: each for each in map(_machine, re.split(r"\n(?=[a-z]+\d)", _TABLE.strip()))}
+"""Nominal machines by name."""
 
 
-MACHINES: dict[str, Callable[[], Figures]] = {
-    line.split()[0]: partial(_machine, line.split()[0])
-    for line in _TABLE.strip().splitlines()
-    if "|" not in line
-}
-"""Makers of the nominal machines by name."""
-ARMS = {name: MACHINES[name] for name in ("planar3", "spatial3", "scara4", "elbow4")}
-"""Those on which parts rattle."""
-planar3, spatial3 = MACHINES["planar3"], MACHINES["spatial3"]
-
-
-def varied(figures: Figures, rng: np.random.Generator) -> Figures:
+def varied(machine: Machine, rng: np.random.Generator) -> Machine:
     """A machine of other lengths, masses and stiffness, with the same shape."""
     long, heavy, stiff = np.exp(rng.uniform(np.log(0.8), np.log(1.25), 3))
-    links = []
-    for link in figures.links:
-        slide = link.kind == "slide"
-        inert, way = (heavy, long) if slide else (heavy * long**2, 1.0)
-        scales = {
-            "mass": heavy, "offset": long, "end": long, "com": long, "inertia": heavy * long**2,
-            "armature": inert, "damping": inert, "kp": inert * stiff**2, "kv": inert * stiff,
-            "limit": heavy if slide else heavy * max(long, long**2), "reach": way, "home": way,
-        }  # fmt: skip
-        changed = {
-            name: tuple(scale * x for x in own) if isinstance(own, tuple) else scale * own
-            for name, scale in scales.items()
-            for own in [getattr(link, name)]
-        }
-        links.append(dataclasses.replace(link, **changed))  # type: ignore[arg-type]
-    return dataclasses.replace(figures, links=tuple(links))
+    slide, turned = machine.slide, heavy * long**2
+    inert, way = np.where(slide, heavy, turned), np.where(slide, long, 1.0)
+    scales = {
+        "mass": heavy, "offset": long, "end": long, "com": long, "inertia": turned,
+        "armature": inert, "damping": inert, "kp": inert * stiff**2, "kv": inert * stiff,
+        "limit": np.where(slide, heavy, heavy * max(long, long**2)), "reach": way, "home": way,
+    }  # fmt: skip
+    changed = {name: scale * getattr(machine, name) for name, scale in scales.items()}
+    return dataclasses.replace(machine, **changed)
 
 
 TIME_STEP = 5e-4
 """Time step of the model [s]: with the Runge-Kutta method its own error is about 1e-8 rad."""
 
 
-def _text(values: object) -> str:
-    return " ".join(f"{value:.10g}" for value in values)  # type: ignore[attr-defined]
-
-
-def joint_names(figures: Figures) -> list[str]:
-    """Names of the joints in the model."""
-    return [f"joint{i + 1}" for i in range(figures.joints)]
+def _text(*values: float) -> str:
+    return " ".join(f"{value:.10g}" for value in values)
 
 
 def model_xml(
-    figures: Figures,
-    *,
-    drives: str = "position",
-    speeds: bool = True,
-    accelerometer: bool = True,
+    machine: Machine, *, servos: bool = True, speeds: bool = True, accelerometer: bool = True,
     plain: bool = False,
-) -> str:
-    """MJCF of the nominal arm, with position servos, with motors, or "" for no drives.
-
-    `plain` has MuJoCo's usual integrator and time step, as a user's file has.
-    """
-    option = (
-        'timestep="0.001" integrator="implicitfast"'
-        if plain
-        else f'timestep="{TIME_STEP:g}" integrator="RK4"'
-    )
+) -> str:  # fmt: skip
+    """MJCF of the nominal machine; plain with MuJoCo's usual integrator and step, as users have."""
+    fine = f'timestep="{TIME_STEP:g}" integrator="RK4"'
+    option = 'timestep="0.001" integrator="implicitfast"' if plain else fine
     lines = [
         '<mujoco model="arm">',
         '  <compiler angle="radian" autolimits="true"/>',
         f'  <option {option} gravity="0 0 -9.81"/>',
         "  <worldbody>",
     ]
-    indent = "    "
-    for i, link in enumerate(figures.links):
+    motors, sensors, m = [], [], machine
+    for i in range(m.joints):
+        indent, number, kind = "    " + "  " * i, i + 1, "slide" if m.slide[i] else "hinge"
         lines += [
-            f'{indent}<body name="link{i + 1}" pos="{_text(link.offset)}">',
-            f'{indent}  <inertial mass="{link.mass:.10g}" pos="{_text(link.com)}" '
-            f'diaginertia="{_text(link.inertia)}"/>',
-            f'{indent}  <joint name="joint{i + 1}" type="{link.kind}" axis="{_text(link.axis)}" '
-            f'damping="{link.damping:.10g}" armature="{link.armature:.10g}"/>',
+            f'{indent}<body name="link{number}" pos="{_text(*m.offset[i])}">',
+            f'{indent}  <inertial mass="{_text(m.mass[i])}" pos="{_text(*m.com[i])}" '
+            f'diaginertia="{_text(*m.inertia[i])}"/>',
+            f'{indent}  <joint name="joint{number}" type="{kind}" axis="{_text(*m.axis[i])}" '
+            f'damping="{_text(m.damping[i])}" armature="{_text(m.armature[i])}"/>',
         ]
-        indent += "  "
-    lines.append(f'{indent}<site name="tool" pos="{_text(figures.links[-1].end)}"/>')
-    for _ in figures.links:
-        indent = indent[:-2]
-        lines.append(f"{indent}</body>")
+        motors.append(
+            f'    <position name="motor{number}" joint="joint{number}" kp="{_text(m.kp[i])}" '
+            f'kv="{_text(m.kv[i])}" forcerange="{_text(-m.limit[i], m.limit[i])}"/>'
+        )
+        read = ["jointpos", "jointvel"] if speeds else ["jointpos"]
+        sensors += [f'    <{x} name="joint{number}_{x[5:]}" joint="joint{number}"/>' for x in read]
+    lines.append(f'{indent}  <site name="tool" pos="{_text(*m.end[-1])}"/>')
+    lines += ["    " + "  " * i + "</body>" for i in reversed(range(m.joints))]
     lines.append("  </worldbody>")
-    if drives:
-        lines.append("  <actuator>")
-        lines += [
-            f'    <{drives} name="motor{i + 1}" joint="joint{i + 1}" '
-            + f'kp="{link.kp:.10g}" kv="{link.kv:.10g}" ' * (drives == "position")
-            + f'forcerange="{-link.limit:.10g} {link.limit:.10g}"/>'
-            for i, link in enumerate(figures.links)
-        ]
-        lines.append("  </actuator>")
-    lines.append("  <sensor>")
-    for name in joint_names(figures):
-        lines.append(f'    <jointpos name="{name}_pos" joint="{name}"/>')
-        if speeds:
-            lines.append(f'    <jointvel name="{name}_vel" joint="{name}"/>')
+    if servos:
+        lines += ["  <actuator>", *motors, "  </actuator>"]
     if accelerometer:
-        lines.append('    <accelerometer name="tool_acc" site="tool"/>')
-    lines += ["  </sensor>", "</mujoco>", ""]
-    return "\n".join(lines)
+        sensors.append('    <accelerometer name="tool_acc" site="tool"/>')
+    return "\n".join([*lines, "  <sensor>", *sensors, "  </sensor>", "</mujoco>", ""])

@@ -9,22 +9,21 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy import signal
 from scipy.optimize import lsq_linear
 
-from loose_env.errors import InvalidSetting
 from loose_env.io import write_text
 from loose_env.recording import Run, write_recording
 from loose_env.typing import Array
 from scripts.suites.blind import drawn_from
-from scripts.suites.gap.arms import ARMS, MACHINES, Figures, model_xml, varied
-from scripts.suites.gap.dynamics import DAMPING, Factors, Signals, build, forward, mass_and_bias
+from scripts.suites.gap.arms import model_xml
+from scripts.suites.gap.dynamics import NEUTRAL, RATIOS, Factors, Signals, System, needed
 from scripts.suites.gap.effects import (
     ACCELEROMETER,
     CATALOGUE,
@@ -38,36 +37,24 @@ from scripts.suites.gap.effects import (
     Spot,
     drawn,
 )
-from scripts.suites.gap.machine import (
-    FAMILIES,
+from scripts.suites.gap.worlds import (
+    SHIFT,
+    TOLERANCES,
+    WORLDS,
     Motion,
-    Noise,
-    TrueArm,
-    add_noise,
-    free_motion,
-    rich_motion,
+    Setup,
+    draw_motions,
+    draw_setup,
     rounded,
-    shaken_motion,
 )
 
 SEED = 53_001
 """Seed of the development numbers."""
 FORMAT = "gap-truth/2"
 """Format of a file of truth."""
-WORLDS = ("exact", "servo", "torque", "free", "rough", "shaken")
-"""Worlds, by the number's remainder."""
-ROLES = ("none", "one", "two", "many", "outside")
-"""What is missing: nothing, one effect, two, four to six, or one that the catalogue lacks."""
 _TURN = ("one", "two", "none", "one", "many", "one", "outside", "two", "none", "one")
-"""Roles of sixty successive numbers, ten for each world."""
-TOLERANCES = {
-    "mass": 0.04, "inertia": 0.20, "armature": 0.20, "damping": 0.10, "kp": 0.04, "kv": 0.10,
-    "x": 0.03, "y": 0.03, "z": 0.03, "zero": 1e-3, "constant": 0.04, "offset": 0.006,
-}  # fmt: skip
-"""Largest error of a model: shares, centres as shares of the link's length, zeros [rad, m], torques
-as shares of the limit. A model errs by half of that, a standard deviation, and never by more."""
-SHIFT = 0.5
-"""Largest shift of the commands [samples], of either sign."""
+"""What is missing in sixty successive numbers, ten for each world: nothing, one effect, two, four
+to six, or one that the catalogue lacks."""
 VISIBLE = 5.0
 """Standard deviations of its own scatter by which what an effect changes, and no model within
 tolerances explains, exceeds the noise."""
@@ -93,31 +80,8 @@ ALIKE = (
 """Kinds that data may not separate; whether they do is computed for each case."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Setup:
-    """A machine in a world: everything but its motions and what it lacks."""
-
-    world: str
-    form: str
-    """Form of the recording."""
-    arm: TrueArm
-    sample: float
-    """Time between two samples of the log [s]."""
-    noise: Noise
-    speeds: bool = True
-    """Whether velocities are recorded."""
-    accelerometer: bool = False
-    """Whether the tool has one."""
-    torques: bool = False
-    """Whether torques are recorded."""
-    straight: bool = False
-    """Whether the drives go in straight lines from command to command."""
-    garbage: str = ""
-    """Column that says nothing."""
-    ignored: tuple[str, ...] = ()
-    """Places of which answers count neither for nor against a tool."""
-    spoiled: tuple[int, ...] = ()
-    """Joints where no effect is put."""
+Names = tuple[tuple[str, str], ...]
+"""Kinds and places that together are a right answer."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -125,23 +89,13 @@ class Case:
     """A case, drawn: everything that its recording is made of."""
 
     number: int
-    name: str
-    """Name of the recording; it tells nothing."""
-    role: str
-    """One of `ROLES`."""
+    phrase: str
     setup: Setup
-    effects: tuple[Effect, ...]
     motions: tuple[Motion, ...]
     scores: tuple[float, ...]
     """How visible each effect is, in units of which `VISIBLE` is asked."""
-    accepted: tuple[tuple[tuple[tuple[str, str], ...], ...], ...]
+    accepted: tuple[tuple[Names, ...], ...]
     """For each effect the sets of names that count as right."""
-    seed: tuple[int, ...]
-
-    @property
-    def arm(self) -> TrueArm:
-        """The true arm."""
-        return dataclasses.replace(self.setup.arm, effects=self.effects)
 
 
 def seed_of(number: int, phrase: str = "") -> tuple[int, ...]:
@@ -150,7 +104,7 @@ def seed_of(number: int, phrase: str = "") -> tuple[int, ...]:
 
 
 def name_of(number: int, phrase: str = "") -> str:
-    """Name of a case's recording."""
+    """Name of a case's recording; it tells nothing."""
     seed = seed_of(number, phrase)
     return f"case-{hashlib.sha256(repr((seed, 'name')).encode()).hexdigest()[:8]}"
 
@@ -163,132 +117,6 @@ def world_of(number: int) -> str:
 def role_of(number: int) -> str:
     """Role of a case by its number."""
     return _TURN[number // len(WORLDS) % len(_TURN)]
-
-
-# ----------------------------------------------------------------------------------- worlds
-
-
-def _errors(rng: np.random.Generator, figures: Figures, sample: float, shift: bool) -> Factors:
-    """What a model of a real machine never has exactly."""
-    n = figures.joints
-
-    def off(name: str) -> Array:
-        return np.clip(rng.normal(scale=0.5, size=n), -1, 1) * TOLERANCES[name]
-
-    ratios = {name: 1 + off(name) for name in ("mass", "inertia", "armature", "damping")}
-    gains = {name: 1 + off(name) for name in ("kp", "kv", "constant")}
-    scale = [0.05 if link.kind == "slide" else 1.0 for link in figures.links]
-    others = {name: off(name) for name in ("x", "y", "z", "offset")}
-    late = rng.uniform(-SHIFT, SHIFT) * sample if shift else 0.0
-    return Factors(
-        **ratios, **gains, **others, zero=off("zero") * scale, shift=np.full(n, late)
-    )  # fmt: skip
-
-
-def _servo(rng: np.random.Generator, log: float) -> tuple[float, float, float]:
-    """A drive's own rate [Hz], so far above the log's that no delay of it counts."""
-    rate = float(rng.choice([r for r in (1000.0, 2000.0, 4000.0, 8000.0) if r >= 4 * log]))
-    late = float(rng.integers(0, 2)) if rate >= 8 * log else 0.0
-    return rate, late, float(rng.uniform(0.5, 1.0))
-
-
-def _machine(rng: np.random.Generator, names: Sequence[str]) -> Figures:
-    return varied(MACHINES[str(rng.choice(names))](), rng)
-
-
-def draw_setup(world: str, role: str, rng: np.random.Generator) -> Setup:
-    """A machine in a world, with nothing missing yet."""
-    small = {"many": 3, "two": 2}.get(role, 1)  # so many effects need that many joints
-    names = [name for name, make in MACHINES.items() if make().joints >= small]
-    chance = rng.random(6)
-    if world in ("exact", "shaken"):
-        figures = _machine(rng, list(ARMS) if world == "shaken" else names)
-        factors = Factors.draw(figures.joints, rng)
-        arm = TrueArm(figures=figures, factors=factors)
-        return Setup(world=world, form=SERVO, arm=arm, sample=1e-3, accelerometer=True,
-                     noise=Noise.draw(figures, rng))  # fmt: skip
-    form = {"servo": SERVO, "torque": TORQUE, "free": FREE}.get(world)
-    trouble = ""
-    if form is None:
-        form = SERVO if chance[0] < 0.5 else TORQUE
-        trouble = "garbage" if chance[1] < 0.4 else "wrist" if chance[1] < 0.7 else "slow"
-    if trouble == "wrist":
-        names = ["upright6", "redundant7", "elbow4"]
-    if form == FREE:
-        hanging = [n for n in names if MACHINES[n]().hanging is not None]
-        names = hanging + ["rig1"] * (2 if small == 1 else 0)
-    figures = _machine(rng, names)
-    if form == FREE:  # one that is let swing has light gears or none
-        links = [
-            dataclasses.replace(
-                link, damping=0.05 * link.damping, armature=0.2 * link.armature,
-                limit=0.12 * link.limit,
-            )
-            for link in figures.links
-        ]  # fmt: skip
-        figures = dataclasses.replace(figures, links=tuple(links))
-    rates = {SERVO: (100, 125, 200, 250, 500, 1000), TORQUE: (100, 200, 250, 500, 1000),
-             FREE: (60, 100, 200, 500, 1000)}[form]  # fmt: skip
-    rate = float(rng.choice((30, 50, 60, 100) if trouble == "slow" else rates))
-    arm = TrueArm(
-        figures=figures,
-        factors=_errors(rng, figures, 1 / rate, shift=form == SERVO and bool(chance[2] < 0.6)),
-        link_side=form != TORQUE and bool(chance[3] < 0.5),
-        servo=_servo(rng, rate) if form == SERVO else None,
-    )
-    setup = Setup(
-        world=world, form=form, arm=arm, sample=1 / rate, noise=Noise.draw(figures, rng, 1 / rate),
-        speeds=bool(chance[4] < 0.5), accelerometer=form == SERVO and bool(rng.random() < 0.3),
-        torques=form == TORQUE or (form == SERVO and bool(rng.random() < 0.2)),
-        straight=form == TORQUE or (form == SERVO and bool(rng.random() < 0.4)),
-    )  # fmt: skip
-    n = figures.joints
-    if trouble == "wrist":
-        last = figures.links[-1]
-        ratio = float(rng.choice([-1.0, 1.0]))
-        arm = dataclasses.replace(arm, coupling=(ratio, 0.02 * last.limit, 0.3 * last.armature))
-        setup = dataclasses.replace(setup, arm=arm, spoiled=(n - 2, n - 1),
-                                    ignored=_places(n - 2) + _places(n - 1))  # fmt: skip
-    if trouble == "garbage":
-        j = int(rng.integers(n))
-        if setup.form == TORQUE or not setup.speeds:
-            column = f"torque.joint{j + 1}" if setup.form == TORQUE else f"sensor.joint{j + 1}_pos"
-            setup = dataclasses.replace(setup, garbage=column, spoiled=(j,), ignored=_places(j))
-        else:
-            name = f"joint{j + 1}_vel"
-            setup = dataclasses.replace(setup, garbage=f"sensor.{name}", ignored=(name,))
-    return setup
-
-
-def _places(j: int) -> tuple[str, ...]:
-    """Names of all that belongs to a joint."""
-    words = ("joint{}", "motor{}", "link{}", "joint{}_pos", "joint{}_vel")
-    return tuple(word.format(j + 1) for word in words)
-
-
-def draw_motions(setup: Setup, rng: np.random.Generator) -> tuple[Motion, ...]:
-    """The runs of a recording."""
-    figures, sample = setup.arm.figures, setup.sample
-    if setup.form == FREE:
-        seconds = rng.uniform(5.0, 10.0)
-        return tuple(free_motion(rng, figures, seconds=seconds, sample=sample) for _ in range(4))
-    if setup.world == "shaken":
-        # the joint stays the same over runs of other poses, then the next one is shaken
-        first = int(rng.integers(figures.joints))
-        return tuple(
-            shaken_motion(rng, figures, joint=(first + i % 2) % figures.joints, seconds=6.0)
-            for i in range(4)
-        )
-    slow = setup.sample > 0.015
-    seconds = rng.uniform(10.0, 16.0) if setup.form == TORQUE or slow else rng.uniform(5.0, 9.0)
-    order = rng.permutation(len(FAMILIES))
-    return tuple(
-        dataclasses.replace(
-            rich_motion(rng, figures, family=FAMILIES[i], seconds=seconds, sample=sample),
-            straight=setup.straight,
-        )
-        for i in order
-    )
 
 
 # ------------------------------------------------------------------------------- visibility
@@ -308,22 +136,7 @@ SEEN = 4.0
 THIN = 4
 """Of trajectories one sample in this many is looked at and counted for all: what effects do
 changes little in between."""
-
-
-@njit(cache=True)
-def _needed(bodies, damping, gravity, q, v, a):  # type: ignore[no-untyped-def]
-    samples, n = q.shape
-    out = np.zeros((samples, n))
-    work = np.zeros((n, 40))
-    mass, bias = np.zeros((n, n)), np.zeros(n)
-    for i in range(samples):
-        forward(bodies, q[i], v[i], gravity, work)
-        mass_and_bias(bodies, work, mass, bias)
-        for j in range(n):
-            out[i, j] = bias[j] + damping[j] * v[i, j]
-            for k in range(n):
-                out[i, j] += mass[j, k] * a[i, k]
-    return out
+Effects = tuple[Effect, ...]
 
 
 class Visibility:
@@ -331,14 +144,11 @@ class Visibility:
 
     def __init__(self, setup: Setup, motion: Motion, rng: np.random.Generator) -> None:
         self.setup = setup
-        most = round(SEEN / motion.sample) + (motion.release or 0)
+        most = round(SEEN / setup.sample) + (motion.release or 0)
         self.motion = dataclasses.replace(motion, commands=motion.commands[:most])
         self.balance = setup.form != SERVO
+        self._scale = self._torque_noise(rng) if self.balance else np.ones(())
         self._base = self.features(())
-        if self.balance:
-            self._scale = self._torque_noise(rng)
-            self._base = self._base / self._scale
-        self._base = self._base.ravel()
         self.count = self._base.size * (1 if self.balance else THIN)
         columns, lows, highs = self._tolerances()
         lengths = np.linalg.norm(columns, axis=0)
@@ -346,115 +156,118 @@ class Visibility:
         self._columns = columns[:, acts] / lengths[acts]
         self._low, self._high = lows[acts] * lengths[acts], highs[acts] * lengths[acts]
 
-    def _signals(self, arm: TrueArm) -> Signals:
+    def signals(self, effects: Effects = (), factors: Factors | None = None) -> Signals:
+        """Readings without noise of the machine with effects, and with other factors."""
+        factors = factors or self.setup.factors
+        arm = dataclasses.replace(self.setup, effects=effects, factors=factors)
+        return arm.run(self.motion, step=COARSE, settle=0.8)
+
+    def features(self, effects: Effects, factors: Factors | None = None) -> Array:
+        """Signals, or torques that are missing along the motion, in noise standard deviations."""
         # friction that turns over less abruptly needs fewer steps and shows the same
         rubbing = tuple(
             dataclasses.replace(e, parameters={**e.parameters, "smooth_speed": SMOOTH})
             if e.parameters.get("smooth_speed", SMOOTH) < SMOOTH
             else e
-            for e in arm.effects
+            for e in effects
         )
-        arm = dataclasses.replace(arm, effects=rubbing)
-        return arm.run(self.motion, step=COARSE, settle=0.8)
-
-    def features(self, effects: tuple[Effect, ...], factors: Factors | None = None) -> Array:
-        """Signals in noise standard deviations, or torques that are missing along the motion."""
-        arm = dataclasses.replace(self.setup.arm, effects=effects)
+        setup, noise = self.setup, self.setup.noise
         if self.balance:
-            return self._missing(self._signals(arm), factors or arm.factors)
-        if factors is not None:
-            arm = dataclasses.replace(arm, factors=factors)
-        found, noise = self._signals(arm), self.setup.noise
-        parts = [found.position / noise.reading]
-        parts += [found.velocity / noise.velocity] * self.setup.speeds
-        parts += [found.acceleration / noise.acceleration] * self.setup.accelerometer
-        kept = [k for k in range(self.setup.arm.figures.joints) if k not in self.setup.spoiled]
-        parts[0] = parts[0][:, kept]
-        return np.asarray(np.sqrt(THIN) * np.hstack(parts)[::THIN])
+            return self._missing(self.signals(rubbing), self.setup.factors)
+        found = self.signals(rubbing, factors)
+        parts = [np.delete(found.position / noise.reading, setup.spoiled, axis=1)]
+        parts += [found.velocity / noise.velocity] * setup.speeds
+        parts += [found.acceleration / noise.acceleration] * setup.accelerometer
+        return np.asarray(np.sqrt(THIN) * np.hstack(parts)[::THIN]).ravel()
 
-    def _missing(self, found: Signals, factors: Factors, smooth: bool = False) -> Array:
+    def _missing(self, found: Signals, factors: Factors) -> Array:
+        return np.asarray((self._lacking(found, factors) / self._scale).ravel())
+
+    def _lacking(self, found: Signals, factors: Factors, smooth: bool = False) -> Array:
         """Torque logged (none, swinging freely) less what the machine needs for the motion."""
-        sample, arm = self.motion.sample, self.setup.arm
-        system = build(arm.figures, factors)
-        q, v, a = found.position - system.drives[:, 7], found.velocity, found.joint_acceleration
+        sample, machine = self.setup.sample, self.setup.machine
+        system = System.build(machine, factors)
+        q, v, a = found.position - factors["zero"], found.velocity, found.joint_acceleration
         band = min(BAND, 0.2 / sample)
         low = signal.butter(4, band, fs=1 / sample, output="sos")
         if smooth:
             q = signal.sosfiltfilt(low, q, axis=0)
             v = np.gradient(q, sample, axis=0)
             a = np.gradient(v, sample, axis=0)
-        arrays = (np.ascontiguousarray(x, dtype=float) for x in (q, v, a))
-        needed = _needed(system.bodies, system.laws[:, DAMPING].copy(), system.gravity, *arrays)
-        torque = np.zeros_like(q)
+        moved = (np.ascontiguousarray(x, dtype=float) for x in (q, v, a))
+        torque = -needed(system.bodies, system.laws["damping"].copy(), system.gravity, *moved)
         if self.setup.form == TORQUE:
-            limits = np.array([link.limit for link in arm.figures.links])
-            torque = (found.torque - factors.offset * limits) / factors.constant
-        rest = signal.sosfiltfilt(low, torque - needed, axis=0)
+            torque += (found.torque - factors["offset"] * machine.limit) / factors["constant"]
+        rest = signal.sosfiltfilt(low, torque, axis=0)
         thin = max(1, round(0.5 / band / sample))
         return np.delete(rest[2 * thin : -2 * thin : thin], self.setup.spoiled, axis=1)
 
     def _torque_noise(self, rng: np.random.Generator) -> Array:
-        arm = self.setup.arm
-        clean = self._signals(arm)
-        noisy = add_noise(clean, self.setup.noise, rng)
-        moved = [self._missing(each, arm.factors, smooth=True) for each in (noisy, clean)]
+        clean = self.signals()
+        both = (self.setup.noise.added(clean, rng), clean)
+        moved = [self._lacking(each, self.setup.factors, smooth=True) for each in both]
         return np.asarray((moved[0] - moved[1]).std(axis=0))
 
     def _tolerances(self) -> tuple[Array, Array, Array]:
-        """Changes of the features by every figure of the model, and how far each may go."""
-        arm = self.setup.arm
-        n, names = arm.figures.joints, list(TOLERANCES)
-        if self.balance:
-            names = [name for name in names if name not in ("kp", "kv")]
-        if self.setup.form != TORQUE:
-            names = [name for name in names if name not in ("constant", "offset")]
-        motion = self._signals(arm) if self.balance else None
+        """Changes of the features by every parameter of the model, and how far each may go."""
+        factors, n = self.setup.factors, self.setup.machine.joints
+        absent = {"kp", "kv"} if self.balance else set()
+        absent |= {"constant", "offset"} if self.setup.form != TORQUE else set()
+        motion = self.signals()
         columns, lows, highs = [], [], []
-        for name in names:
-            for j in range(n):
-                step = STEP.get(name, 2e-3)
-                moved = arm.factors.changed(name, j, step)
-                columns.append((self._moved(motion, moved) - self._base) / step)
-                neutral = 0.0 if name in ("x", "y", "z", "zero", "offset") else 1.0
-                off = float(np.broadcast_to(getattr(arm.factors, name), n)[j]) - neutral
-                # a figure of the model less that of the arm; forces along a motion change in sign
+
+        def add(name: str, joints: Any, step: float, low: float, high: float) -> None:
+            moved = {**factors, name: factors[name].copy()}
+            moved[name][joints] += step
+            found = self._missing(motion, moved) if self.balance else self.features((), moved)
+            columns.append((found - self._base) / step)
+            lows.append(low)
+            highs.append(high)
+
+        for name, most in TOLERANCES.items():
+            for j in range(n if name not in absent else 0):
+                off = float(factors[name][j]) - NEUTRAL[name]
+                # a parameter of the model less that of the arm; forces along a motion change sign
                 middle = off if self.balance else -off
-                lows.append(min(middle - TOLERANCES[name], 0.0))
-                highs.append(max(middle + TOLERANCES[name], 0.0))
+                step = STEP.get(name, 2e-3)
+                add(name, j, step, min(middle - most, 0.0), max(middle + most, 0.0))
         if self.setup.form == SERVO:
-            step = 0.02 * self.setup.sample
-            late = np.broadcast_to(arm.factors.shift, n)
-            moved = dataclasses.replace(arm.factors, shift=late + step)
-            columns.append((self._moved(motion, moved) - self._base) / step)
-            lows.append(-2 * SHIFT * self.setup.sample)
-            highs.append(2 * SHIFT * self.setup.sample)
+            late = 2 * SHIFT * self.setup.sample
+            add("shift", slice(None), 0.02 * self.setup.sample, -late, late)
         return np.stack(columns, axis=1), np.array(lows), np.array(highs)
 
-    def _moved(self, motion: Signals | None, factors: Factors) -> Array:
-        if motion is None:
-            return self.features((), factors).ravel()
-        return np.asarray((self._missing(motion, factors) / self._scale).ravel())
-
-    def change(self, effects: tuple[Effect, ...]) -> Array:
+    def change(self, effects: Effects) -> Array:
         """What effects change, in standard deviations, of shape (features,)."""
-        found = self.features(effects)
-        if self.balance:
-            found = found / self._scale
-        return np.asarray(found.ravel() - self._base)
+        return self.features(effects) - self._base
 
     def score(self, change: Array, others: Sequence[Array] = ()) -> float:
         """What no tolerance and no multiple of other changes explains, in its own scatter."""
         if not np.all(np.isfinite(change)):
             return 0.0
         free = [c / max(float(np.linalg.norm(c)), 1e-9) for c in others]
-        columns = np.column_stack([self._columns, *free])
         bound = np.full(len(free), np.inf)
-        q, r = np.linalg.qr(columns)
+        q, r = np.linalg.qr(np.column_stack([self._columns, *free]))
         inside = q.T @ change
         low, high = np.concatenate((self._low, -bound)), np.concatenate((self._high, bound))
         rest = max(float(change @ change - inside @ inside), 0.0)
         excess = rest + 2 * float(lsq_linear(r, inside, bounds=(low, high), method="bvls").cost)
         return float(excess / np.sqrt(2 * self.count + 4 * excess))
+
+    def scores(self, effects: Effects) -> list[float]:
+        """How visible each effect is beside the others, any size of which is possible."""
+        whole = self.change(effects)
+        changes = [whole - self.change(_without(effects, i)) for i in range(len(effects))]
+        return [self.score(each, _without(changes, i)) for i, each in enumerate(changes)]
+
+    def examples(self, kind: str, place: Place, others: Effects) -> Iterator[tuple[Effect, Array]]:
+        """Examples of a kind, and what they change with other effects beside them."""
+        for k in range(3):
+            effect = drawn(kind, Spot(self.setup.machine, place, np.random.default_rng(k)), 0.5)
+            yield effect, self.change((*others, effect))
+
+
+def _without(values: Any, left_out: int) -> Any:
+    return tuple(each for i, each in enumerate(values) if i != left_out)
 
 
 # ----------------------------------------------------------------------------- what is missing
@@ -462,18 +275,16 @@ class Visibility:
 
 def _wanted(role: str, setup: Setup, rng: np.random.Generator) -> list[str]:
     """Kinds for a role that this recording can show."""
-    can = [name for name in CATALOGUE if setup.form in KINDS[name].forms]
-    if not setup.accelerometer:
-        can = [name for name in can if name != "sensor_misalignment"]
-    if setup.world not in ("exact", "shaken"):
+    lacking = set() if setup.accelerometer else {"sensor_misalignment"}
+    if not setup.ideal:
         # a slow log has nothing of impacts, and a link cannot be cut whose inertia is far off
-        can = [name for name in can if name not in ("structural_looseness", "link_flexibility")]
+        lacking |= {"structural_looseness", "link_flexibility"}
     if setup.form == FREE:
-        can = [name for name in can if name not in ("friction_behind_slack",)]
+        lacking |= {"friction_behind_slack"}
     if setup.straight or setup.sample < 4e-3:
-        can = [name for name in can if name != "command_interpolation"]
-    if role == "one":
-        return [str(rng.choice(can))]
+        lacking |= {"command_interpolation"}
+    known = OUTSIDE if role == "outside" else CATALOGUE
+    can = [name for name in known if KINDS[name].shown_by(setup.form) and name not in lacking]
     if role == "two":
         return [str(name) for name in rng.choice(can, 4, replace=False)]
     if role == "many":
@@ -483,24 +294,25 @@ def _wanted(role: str, setup: Setup, rng: np.random.Generator) -> list[str]:
         first = int(rng.integers(2, count))
         rest = [str(name) for name in rng.choice(others, 5, replace=False)]
         return [str(rng.choice(rubbing)) for _ in range(first)] + rest
-    return [str(rng.choice([name for name in OUTSIDE if setup.form in KINDS[name].forms]))]
+    return [str(rng.choice(can))]
 
 
-def _recorded(place: Place, setup: Setup) -> bool:
-    """Whether what happens at a place can be seen and judged."""
-    if place.name.endswith("_vel"):
-        return setup.speeds and f"sensor.{place.name}" != setup.garbage
-    if place.name == ACCELEROMETER:
-        return setup.accelerometer
-    return place.index not in setup.spoiled
+def _seen(name: str, setup: Setup) -> list[Place]:
+    """Places of a kind where it can be seen and judged."""
+
+    def recorded(place: Place) -> bool:
+        if place.name.endswith("_vel"):
+            return setup.speeds and f"sensor.{place.name}" != setup.garbage
+        if place.name == ACCELEROMETER:
+            return setup.accelerometer
+        return place.index not in setup.spoiled
+
+    return [place for place in KINDS[name].places(setup.machine) if recorded(place)]
 
 
-def _placed(
-    name: str, found: Sequence[Effect], setup: Setup, rng: np.random.Generator
-) -> Effect | None:
+def _placed(name: str, found: Effects, setup: Setup, rng: np.random.Generator) -> Effect | None:
     """An effect at a place that is free for it, if there is one."""
-    figures = setup.arm.figures
-    places = [p for p in KINDS[name].places(figures) if _recorded(p, setup)]
+    places = _seen(name, setup)
     for each in found:
         # viscous and dry friction at a joint are usual; else two could be one behind another
         both = {each.kind, name}
@@ -508,17 +320,17 @@ def _placed(
             places = [p for p in places if p.index != each.place.index]
         if each.kind == name and -1 in (each.place.index, *(p.index for p in places)):
             places = []
-    return (
-        drawn(name, Spot(figures, places[int(rng.integers(len(places)))], rng)) if places else None
-    )
+    if not places:
+        return None
+    return drawn(name, Spot(setup.machine, places[int(rng.integers(len(places)))], rng))
 
 
 def draw_effects(
     role: str, setup: Setup, visibility: Visibility, rng: np.random.Generator
-) -> tuple[tuple[Effect, ...], tuple[float, ...]] | None:
+) -> tuple[Effects, tuple[float, ...]] | None:
     """Effects that can be seen beside each other, and how well; None where they cannot."""
     least, most = {"two": (2, 2), "many": (4, int(rng.integers(4, 7)))}.get(role, (1, 1))
-    effects: tuple[Effect, ...] = ()
+    effects: Effects = ()
     for name in _wanted(role, setup, rng):
         before = visibility.change(effects)
         for _ in range(4):
@@ -534,10 +346,10 @@ def draw_effects(
         rivals = _rivals(effects[0], visibility)
         score = visibility.score(visibility.change(effects), rivals)
         return (effects, (score,)) if score >= VISIBLE else None
-    scores = _scores(effects, visibility)
+    scores = visibility.scores(effects)
     while effects and min(scores) < VISIBLE:
         effects = _without(effects, int(np.argmin(scores)))
-        scores = _scores(effects, visibility)
+        scores = visibility.scores(effects)
     if len(effects) < least:
         return None
     if role == "one" and effects[0].kind == "payload" and rng.random() < 0.3:
@@ -549,15 +361,10 @@ WILD = 0.4
 """Share of a joint's half range by which a machine that still works is off, at most."""
 
 
-def _sane(effects: tuple[Effect, ...], visibility: Visibility) -> bool:
+def _sane(effects: Effects, visibility: Visibility) -> bool:
     """Whether the machine still goes where it is told."""
-    arm, motion = visibility.setup.arm, visibility.motion
-    moved = dataclasses.replace(arm, effects=effects).run(motion, step=COARSE, settle=0.8).position
-    return bool((np.abs(moved - motion.commands).max(axis=0) < WILD * arm.figures.reach).all())
-
-
-def _without(effects: Sequence[Effect], left_out: int) -> tuple[Effect, ...]:
-    return tuple(e for i, e in enumerate(effects) if i != left_out)
+    off = np.abs(visibility.signals(effects).position - visibility.motion.commands).max(axis=0)
+    return bool((off < WILD * visibility.setup.machine.reach).all())
 
 
 RIVALS = {
@@ -571,95 +378,71 @@ RIVALS = {
 
 def _rivals(effect: Effect, visibility: Visibility) -> list[Array]:
     """Changes with kinds of the catalogue that could stand for one from outside."""
-    setup, found = visibility.setup, []
-    joints = (effect.place.index, effect.parameters.get("other", effect.place.index))
-    for kind in RIVALS.get(effect.kind, ()):
-        for place in KINDS[kind].places(setup.arm.figures):
-            if setup.form in KINDS[kind].forms and (place.index in joints or joints[0] < 0):
-                for k in range(2):
-                    shape = drawn(
-                        kind, Spot(setup.arm.figures, place, np.random.default_rng(k)), 0.5
-                    )
-                    found.append(visibility.change((shape,)))
+    j, found = effect.place.index, []
+    for name in RIVALS.get(effect.kind, ()):
+        if KINDS[name].shown_by(visibility.setup.form):
+            for place in KINDS[name].places(visibility.setup.machine):
+                if j < 0 or place.index in (j, effect.parameters.get("other", j)):
+                    examples = visibility.examples(name, place, ())
+                    found += [change for _, change in islice(examples, 2)]
     return found
 
 
-def _scores(effects: tuple[Effect, ...], visibility: Visibility) -> list[float]:
-    """How visible each is beside the others, any size of which is possible."""
-    seen = tuple(dataclasses.replace(e, runs=()) for e in effects)
-    whole = visibility.change(seen)
-    changes = [whole - visibility.change(_without(seen, i)) for i in range(len(seen))]
-    return [
-        visibility.score(change, _without(changes, i))  # type: ignore[arg-type]
-        for i, change in enumerate(changes)
-    ]
-
-
 def accepted_of(
-    effects: tuple[Effect, ...], setup: Setup, visibility: Visibility
-) -> tuple[tuple[tuple[tuple[str, str], ...], ...], ...]:
+    effects: Effects, setup: Setup, visibility: Visibility
+) -> tuple[tuple[Names, ...], ...]:
     """For each effect the sets of kinds and places that are as right as its own."""
-    figures = setup.arm.figures
-    n = figures.joints
-    found = []
-    for i, effect in enumerate(effects):
-        where, j = effect.place.name, effect.place.index
-        sets: list[tuple[tuple[str, str], ...]] = [((effect.kind, where),)]
-        if where == "all":
-            sets.append(tuple((effect.kind, f"motor{k + 1}") for k in range(n)))
-        if effect.kind == "asymmetric_friction":
-            sets.append((("coulomb_friction", where), ("torque_offset", where)))
-        if effect.kind == "torque_constant" and setup.form == TORQUE:
-            # without commands a drive that gives more than it reads is the same
-            sets.append((("actuator_gain", f"motor{j + 1}"),))
-        if effect.kind in ("payload", "link_mass", "link_com") and j == n - 1:
-            tip = f"link{n}"
-            alike = (("payload", "tool"), ("link_mass", tip), ("link_com", tip))
-            sets += [(name,) for name in alike if name != (effect.kind, where)]
-        seen = tuple(dataclasses.replace(e, runs=()) for e in effects)
+    seen = tuple(dataclasses.replace(e, runs=()) for e in effects)
+    whole, found = visibility.change(seen), []
+    for i, effect in enumerate(seen):
         others = _without(seen, i)
-        change = visibility.change(seen) - visibility.change(others)
-        for kind in _kinds_alike(effect.kind, setup):
-            for place in KINDS[kind].places(figures):
-                near = place.index in (j, -1) or where in ("all", "base", ACCELEROMETER)
-                name = ((kind, place.name),)
-                if not near or not _recorded(place, setup) or name in sets:
-                    continue
-                if _alike(kind, place, change, others, visibility):
-                    sets.append(name)
+        base = visibility.change(others)
+        sets = _by_rule(effect, setup)
+        for name, place in _near(effect, setup):
+            if ((name, place.name),) not in sets:
+                shapes = []
+                for example, change in visibility.examples(name, place, others):
+                    shapes.append(change - base)
+                    if len(example.parameters) == 1:  # others may point elsewhere
+                        break
+                finite = all(np.all(np.isfinite(shape)) for shape in shapes)
+                if finite and visibility.score(whole - base, shapes) < EQUAL:
+                    sets.append(((name, place.name),))
         found.append(tuple(sets))
     return tuple(found)
 
 
-def _kinds_alike(kind: str, setup: Setup) -> list[str]:
-    """Kinds that could stand for another in this form of recording."""
-    alike = dict.fromkeys(name for group in ALIKE if kind in group for name in group)
-    if setup.world not in ("exact", "shaken"):
-        alike.pop("link_flexibility", None)
-    return [name for name in alike if name != kind and setup.form in KINDS[name].forms]
+def _by_rule(effect: Effect, setup: Setup) -> list[Names]:
+    """Sets of names that stand for an effect whatever the motion."""
+    kind, where, j, n = effect.kind, effect.place.name, effect.place.index, setup.machine.joints
+    sets: list[Names] = [((kind, where),)]
+    if where == "all":
+        sets.append(tuple((kind, f"motor{k + 1}") for k in range(n)))
+    if kind == "asymmetric_friction":
+        sets.append((("coulomb_friction", where), ("torque_offset", where)))
+    if kind == "torque_constant":
+        # without commands a drive that gives more than it reads is the same
+        sets.append((("actuator_gain", f"motor{j + 1}"),))
+    if kind in ("payload", "link_mass", "link_com") and j == n - 1:
+        tip = (("payload", "tool"), ("link_mass", f"link{n}"), ("link_com", f"link{n}"))
+        sets += [(name,) for name in tip if name != (kind, where)]
+    return sets
 
 
-def _alike(
-    kind: str, place: Place, change: Array, others: tuple[Effect, ...], visibility: Visibility
-) -> bool:
-    """Whether an effect of another kind explains a change, tolerances beside it."""
-    figures = visibility.setup.arm.figures
-    base = visibility.change(others)
-    shapes = []
-    for k in range(3):  # of several shapes, for one may point elsewhere
-        effect = drawn(kind, Spot(figures, place, np.random.default_rng(k)), 0.5)
-        shapes.append(visibility.change((*others, effect)) - base)
-        if len(effect.parameters) == 1:
-            break
-    if not all(np.all(np.isfinite(shape)) for shape in shapes):
-        return False
-    return visibility.score(change, shapes) < EQUAL
+def _near(effect: Effect, setup: Setup) -> Iterator[tuple[str, Place]]:
+    """Other kinds and places that could stand for an effect in this form of recording."""
+    kind, where, j = effect.kind, effect.place.name, effect.place.index
+    for name in dict.fromkeys(name for group in ALIKE if kind in group for name in group):
+        cut = name == "link_flexibility" and not setup.ideal
+        if name != kind and not cut and KINDS[name].shown_by(setup.form):
+            for place in _seen(name, setup):
+                if place.index in (j, -1) or where in ("all", "base", ACCELEROMETER):
+                    yield name, place
 
 
 def draw_case(number: int, phrase: str = "") -> Case:
     """Draw a case by its number."""
-    seed = seed_of(number, phrase)
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    rng = np.random.default_rng(np.random.SeedSequence(seed_of(number, phrase)))
     world, role = world_of(number), role_of(number)
     for _ in range(TRIES):
         setup = draw_setup(world, role, rng)
@@ -677,8 +460,8 @@ def draw_case(number: int, phrase: str = "") -> Case:
             if role != "outside":
                 accepted = accepted_of(effects, setup, visibility)
         return Case(
-            number=number, name=name_of(number, phrase), role=role, setup=setup, effects=effects,
-            motions=motions, scores=scores, accepted=accepted, seed=seed,
+            number=number, phrase=phrase, setup=dataclasses.replace(setup, effects=effects),
+            motions=motions, scores=scores, accepted=accepted,
         )  # fmt: skip
     raise RuntimeError(f"case {number}: no effects that can be seen in {TRIES} draws")
 
@@ -692,46 +475,45 @@ def runs_of(case: Case) -> list[Run]:
 
 
 def _run_of(case: Case, number: int, motion: Motion) -> Run:
-    setup, arm = case.setup, case.arm
-    rng = np.random.default_rng(np.random.SeedSequence([*case.seed, 2, number]))
-    readings = arm.assemble(number)[1]
-    true = arm.run(motion, step=FINE, number=number)
-    found = rounded(add_noise(true, setup.noise, rng), readings)
-    joints = range(arm.figures.joints)
-    sensors: dict[str, Any] = {}
-    for j in joints:
-        sensors[f"joint{j + 1}_pos"] = found.position[:, j]
-        if setup.speeds:
-            sensors[f"joint{j + 1}_vel"] = found.velocity[:, j]
-    if setup.accelerometer:
-        sensors[ACCELEROMETER] = found.acceleration
-    torques = {f"joint{j + 1}": found.torque[:, j] for j in joints} if setup.torques else {}
-    controls = {}
-    if setup.form == SERVO:
-        controls = {f"motor{j + 1}": motion.commands[:, j] for j in joints}
+    setup = case.setup
+    rng = np.random.default_rng(
+        np.random.SeedSequence([*seed_of(case.number, case.phrase), 2, number])
+    )
+    true = setup.run(motion, step=FINE, number=number)
+    found = rounded(setup.noise.added(true, rng), setup.assemble(number))
+
+    def columns(name: str, values: Array) -> dict[str, Array]:
+        return {name.format(j + 1): column for j, column in enumerate(values.T)}
+
+    sensors: dict[str, Array] = columns("joint{}_pos", found.position)
+    sensors |= columns("joint{}_vel", found.velocity) if setup.speeds else {}
+    sensors |= {ACCELEROMETER: found.acceleration} if setup.accelerometer else {}
+    torques = columns("joint{}", found.torque) if setup.torques else {}
     if setup.garbage:
         part, _, name = setup.garbage.partition(".")
-        columns = torques if part == "torque" else sensors
-        columns[name] = _garbage(columns[name], rng)
+        own = torques if part == "torque" else sensors
+        own[name] = _garbage(own[name], rng)
     extra: dict[str, Any] = {}
     if motion.excited is not None and motion.pose is not None:
         extra["excited"] = (f"joint{motion.excited + 1}",)
-        extra["pose"] = {f"joint{j + 1}": float(motion.pose[j]) for j in joints}
-    time = np.arange(len(found.position), dtype=float) * motion.sample
-    return Run(name=f"run-{number + 1:02d}", time=time, controls=controls, sensors=sensors,
-               torques=torques, **extra)  # fmt: skip
+        extra["pose"] = {f"joint{j + 1}": float(q) for j, q in enumerate(motion.pose)}
+    return Run(
+        name=f"run-{number + 1:02d}",
+        time=np.arange(len(found.position), dtype=float) * setup.sample,
+        controls=columns("motor{}", motion.commands) if setup.form == SERVO else {},
+        sensors=sensors, torques=torques, **extra,
+    )  # fmt: skip
 
 
 def _garbage(values: Array, rng: np.random.Generator) -> Array:
     """A wire that hangs loose: a constant, a drift or noise."""
-    size = float(np.std(values)) + 1e-6
+    size, count = float(np.std(values)) + 1e-6, len(values)
     kind = int(rng.integers(3))
     if kind == 0:
         return np.full_like(values, rng.normal() * size)
     if kind == 1:
-        drift = np.cumsum(rng.normal(size=len(values)))
-        return np.asarray(drift * size / np.sqrt(len(values)))
-    return np.asarray(rng.normal(size=len(values)) * 3 * size)
+        return np.asarray(np.cumsum(rng.normal(size=count)) * size / np.sqrt(count))
+    return np.asarray(rng.normal(size=count) * 3 * size)
 
 
 _ALONG: dict[str, dict[str, str]] = {
@@ -746,8 +528,7 @@ _ALONG: dict[str, dict[str, str]] = {
 
 def _true_values(effect: Effect, setup: Setup) -> dict[str, float]:
     """Parameters that a result has too, with the error of the model that they add to."""
-    j, factors = effect.place.index, setup.arm.factors
-    link = setup.arm.figures.links[j]
+    j, link = effect.place.index, setup.machine.link(effect.place.index)
     scale = {"offset": link.limit, **dict.fromkeys("xyz", link.length)}
     values = {}
     for name in KINDS[effect.kind].units:
@@ -755,11 +536,10 @@ def _true_values(effect: Effect, setup: Setup) -> dict[str, float]:
             continue
         value, error = float(effect.parameters[name]), _ALONG.get(effect.kind, {}).get(name)
         if error is not None:
-            off = np.broadcast_to(getattr(factors, error), setup.arm.figures.joints)
-            own = float(off[max(j, 0)])
+            own = float(setup.factors[error][max(j, 0)])
             if name in ("gain", "factor"):
                 value *= own
-            elif error in ("damping", "armature", "mass"):
+            elif error in RATIOS:
                 value += (own - 1) * getattr(link, error)
             else:
                 value += own * scale.get(error, 1.0)
@@ -767,73 +547,65 @@ def _true_values(effect: Effect, setup: Setup) -> dict[str, float]:
     return values
 
 
+def _effect_of(case: Case, i: int) -> dict[str, Any]:
+    """What is true of an effect."""
+    effect, units = case.setup.effects[i], KINDS[case.setup.effects[i].kind].units
+    slide = effect.place.index >= 0 and case.setup.machine.slide[effect.place.index]
+    torque, way = ("N", "m") if slide else ("N·m", "rad")
+    return {
+        "kind": effect.kind, "where": effect.place.name, "index": effect.place.index,
+        "values": {
+            name: {"value": value, "unit": units[name].replace("T", torque).replace("A", way)}
+            for name, value in _true_values(effect, case.setup).items()
+        },
+        "parameters": dict(effect.parameters), "visible": round(case.scores[i], 1),
+        "accept": case.accepted[i] if case.accepted else (), "runs": list(effect.runs),
+    }  # fmt: skip
+
+
 def truth_of(case: Case) -> dict[str, Any]:
     """What is true of a case, as it is sealed."""
-    setup, figures = case.setup, case.setup.arm.figures
-    effects = []
-    for i, effect in enumerate(case.effects):
-        slide = effect.place.index >= 0 and figures.links[effect.place.index].kind == "slide"
-        torque, way = ("N", "m") if slide else ("N·m", "rad")
-        units = KINDS[effect.kind].units
-        values = {
-            name: {"value": value, "unit": units[name].replace("T", torque).replace("A", way)}
-            for name, value in _true_values(effect, setup).items()
-        }
-        effects.append(
-            {
-                "kind": effect.kind, "where": effect.place.name, "index": effect.place.index,
-                "values": values,
-                "parameters": dict(effect.parameters), "visible": round(case.scores[i], 1),
-                "accept": case.accepted[i] if case.accepted else (), "runs": list(effect.runs),
-            }
-        )  # fmt: skip
+    setup, noise = case.setup, case.setup.noise
     neutral = [["command_interpolation", "*"]] if setup.straight and setup.form == SERVO else []
-    factors = {
-        f.name: np.broadcast_to(getattr(setup.arm.factors, f.name), figures.joints).tolist()
-        for f in dataclasses.fields(Factors)
-    }
     return {
-        "format": FORMAT, "case": case.name, "number": case.number, "role": case.role,
-        "world": setup.world, "form": setup.form, "machine": figures.name, "joints": figures.joints,
-        "rate": 1 / setup.sample, "families": [motion.family for motion in case.motions],
-        "link_side": setup.arm.link_side, "servo": setup.arm.servo,
-        "straight": setup.straight, "coupled_wrist": setup.arm.coupling, "garbage": setup.garbage,
-        "ignored": list(setup.ignored), "neutral": neutral, "effects": effects,
+        "format": FORMAT, "case": name_of(case.number, case.phrase), "number": case.number,
+        "role": role_of(case.number),
+        "world": setup.world, "form": setup.form, "machine": setup.machine.name,
+        "joints": setup.machine.joints, "rate": 1 / setup.sample,
+        "families": [motion.family for motion in case.motions],
+        "link_side": setup.link_side, "servo": setup.servo, "straight": setup.straight,
+        "coupled_wrist": setup.coupling, "garbage": setup.garbage, "ignored": list(setup.ignored),
+        "neutral": neutral, "effects": [_effect_of(case, i) for i in range(len(setup.effects))],
         "tolerances": TOLERANCES,
-        "factors": factors,
+        "factors": {name: values.tolist() for name, values in setup.factors.items()},
         "noise": {
-            "position": setup.noise.reading.tolist(), "velocity": setup.noise.velocity.tolist(),
-            "acceleration": setup.noise.acceleration, "torque": setup.noise.torque.tolist(),
+            "position": noise.reading.tolist(), "velocity": noise.velocity.tolist(),
+            "acceleration": noise.acceleration, "torque": noise.torque.tolist(),
         },
     }  # fmt: skip
 
 
-def write_case(case: Case, *, recordings: Path, truth: Path) -> Path:
-    """Write a case's recording and its truth, the truth last; return the recording's folder."""
-    if recordings.resolve() in (truth.resolve(), *truth.resolve().parents):
-        raise InvalidSetting(f"truth {truth} lies inside the recordings; keep it apart")
-    setup, folder = case.setup, recordings / case.name
+def write_case(case: Case, folder: Path) -> None:
+    """Write a case into `recordings` and `truth` of a folder, the truth last."""
+    setup, name = case.setup, name_of(case.number, case.phrase)
     model = model_xml(
-        setup.arm.figures,
-        drives="" if setup.form == FREE else "position",
+        setup.machine,
+        servos=setup.form != FREE,
         speeds=setup.speeds,
         accelerometer=setup.accelerometer,
-        plain=setup.world not in ("exact", "shaken"),
+        plain=not setup.ideal,
     )
-    write_recording(folder, model_xml=model, runs=runs_of(case), overwrite=True)
-    write_text(truth / f"{case.name}.json", json.dumps(truth_of(case), indent=1) + "\n")
-    return folder
+    write_recording(
+        folder / "recordings" / name, model_xml=model, runs=runs_of(case), overwrite=True
+    )
+    sealed = json.dumps(truth_of(case), indent=1) + "\n"
+    write_text(folder / "truth" / f"{name}.json", sealed)
 
 
 def made(number: int, phrase: str, folder: Path) -> str:
-    """Write a case into `recordings` and `truth` of a folder, unless it is there; its name."""
-    name, parts = name_of(number, phrase), (folder / "recordings", folder / "truth")
-    if not is_written(name, recordings=parts[0], truth=parts[1]):
-        write_case(draw_case(number, phrase), recordings=parts[0], truth=parts[1])
+    """Write a case into a folder unless it is there, whole; its name."""
+    name = name_of(number, phrase)
+    recording = folder / "recordings" / name / "recording.json"
+    if not (recording.is_file() and (folder / "truth" / f"{name}.json").is_file()):
+        write_case(draw_case(number, phrase), folder)
     return name
-
-
-def is_written(name: str, *, recordings: Path, truth: Path) -> bool:
-    """Whether a case is there already, whole."""
-    written = recordings / name / "recording.json"
-    return (truth / f"{name}.json").is_file() and written.is_file()

@@ -3,149 +3,112 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from loose_env.typing import Array
-from scripts.suites.gap.arms import GRAVITY, Figures
-
-# Columns of a degree of freedom's row of laws.
-DAMPING, THINNING, EXTRA = 0, 1, 21
-"""Viscous coefficient; speed at which a further coefficient has thinned by a tenth, and it."""
-FRICTION, BUMP, STRIBECK_SPEED, SMOOTH_SPEED, WARM_TIME = 2, 3, 4, 5, 6
-"""Coulomb torque, static over Coulomb torque minus one, Stribeck speed, width of the tangent,
-time in which the friction warms away (0: never)."""
-DRAG = 7
-"""Coefficient of speed squared."""
-STIFFNESS, REST, PROGRESS = 8, 9, 10
-"""Spring, its rest, and one over the square of the stretch that doubles its stiffness / 3."""
-GAP_LOW, GAP_HIGH, HERTZ, CROSSLEY = 11, 12, 13, 14
-"""Ends of the free travel, stiffness of the stops (force / travel^1.5), their dissipation."""
-RIPPLE, ORDER, PHASE, SECOND = 15, 16, 17, 18
-"""Amplitude, periods per unit of travel times 2 pi, phase, share of the second harmonic."""
-ASYMMETRY = 22
-"""Excess of the friction in the positive direction over the mean of both directions."""
-GRAIN = 23
-"""Waves per turn by which the friction varies from none to twice its mean (0: not); their phase."""
-SLACK_FORCE, SLACK, ELASTIC = 19, 20, 25
-"""Dry friction of an element that is coupled with slack and an elastic way."""
-LAWS = 26
-
-# Columns of an actuator's row.
-DOF, KP, KV, LIMIT, GAIN, LAG, DELAY, OFFSET, DEAD, SAG = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-"""Driven degree of freedom, gains, largest torque, torque over commanded torque, time constant
-and delay of the command, error of the encoder, dead zone of the position error, fall of the gain
-with the load of all drives."""
-LOADED, LOADED_BUMP, LOADED_SPEED, LOADED_SMOOTH = 10, 11, 12, 13
-"""Friction of the gear over the torque of the drive; static over that, minus one; Stribeck speed;
-width of the tangent."""
-BACK_EMF = 14
-"""Part of the velocity gain that is the motor's back-EMF: it acts beyond the limit of the torque,
-which is that of the voltage."""
-ECCENTRIC_SINE, ECCENTRIC_COSINE = 15, 16
-"""Error of the encoder that is periodic in the turn of the joint."""
-LOADED_EXTERNAL = 17
-"""Friction of what is behind the gear over the torque of the load."""
-LINK_SIDE = 18
-"""Extra degree of freedom that an encoder on the link's side reads too; -1 on the motor's side."""
-SPEED_LIMIT = 19
-"""Largest speed at which the drive follows its command (0: any)."""
-ACTUATOR = 20
+from scripts.suites.gap.arms import GRAVITY, Machine
 
 
-@njit(cache=True, fastmath=False)
-def joint_force(law, q, v, z, time):  # type: ignore[no-untyped-def]
+def _record(names: str) -> np.dtype[np.void]:
+    return np.dtype([(name, float) for name in names.split()])
+
+
+# Viscous coefficient, a further one and the speed at which it has thinned by a tenth; drag by the
+# square of speed; Coulomb torque, static over Coulomb torque minus one, Stribeck speed, width of
+# the tangent, time in which the friction warms away (0: never), excess in the positive direction
+# over the mean of both, waves a turn by which it varies from none to twice its mean (0: not) and
+# their phase; spring, its rest, and one over the square of the stretch that doubles its stiffness
+# / 3; half of a free travel, stiffness of its stops (force / travel^1.5), their dissipation;
+# ripple's amplitude, periods per unit of travel times 2 pi, phase, share of the second harmonic;
+# dry friction of an element that is coupled with slack and an elastic way.
+LAW = _record("""
+    damping extra thinning drag
+    friction bump stribeck_speed smooth_speed warm_time asymmetry waves wave_phase
+    stiffness rest progress  travel hertz crossley
+    ripple order phase second  slack_force slack elastic
+""")
+"""Laws of one degree of freedom."""
+
+# Driven degree of freedom, gains, largest torque, torque over commanded torque, time constant and
+# delay of the command, its largest speed (0: any); error of the encoder, of which a part is
+# periodic in the turn of the joint, and the extra degree of freedom that an encoder on the link's
+# side reads too (-1 on the motor's); dead zone of the position error, fall of the gain with the
+# load of all drives, and the part of kv that is back-EMF, which acts beyond the limit of the
+# torque; friction of the gear over the torque of the drive, static over that minus one, Stribeck
+# speed, width of the tangent, friction of what is behind the gear over the torque of the load.
+DRIVE = _record("""
+    dof kp kv limit gain lag delay speed_limit
+    offset sine cosine link_side  dead sag back_emf
+    loaded loaded_bump loaded_speed loaded_smooth loaded_external
+""")
+"""Numbers of one drive."""
+
+KIND, AXIS, ORIGIN, MASS, COM, INERTIA, ARMATURE, CARRIED = 0, 1, 4, 7, 8, 11, 20, 21
+"""First columns of a body: kind (0 hinge, 1 slide), axis (3), offset (3), mass, centre of mass
+(3), inertia matrix by rows (9), rotor inertia, share of its weight that something else carries."""
+BODY = 22
+WORK = 36
+"""Length of a body's row of working space."""
+_R, _O, _W, _V, _AL, _AO, _OM, _IN = 0, 9, 12, 15, 18, 21, 24, 27
+# rotation (9), origin (3), joint's motion vector about the world's origin (w 3, v 3), angular
+# acceleration (3), acceleration of the origin (3), angular velocity (3), inertia in the world (9)
+
+
+@njit(cache=True)
+def _joint_force(law, q, v, z, time):  # type: ignore[no-untyped-def]
     """Passive force of one degree of freedom."""
-    viscous = law[0] * v
-    if law[21] != 0.0:
-        viscous += law[21] * v / (1.0 + abs(v) / law[1]) ** 0.152
-    force = -viscous - law[7] * v * abs(v)
-    if law[2] != 0.0:
-        bump = 0.0
-        if law[3] != 0.0:
-            x = v / law[4]
-            bump = law[3] * np.exp(-x * x)
-        fade = 1.0
-        if law[6] > 0.0 and time > 0.0:
-            fade = np.exp(-time / law[6])
-        side = 1.0 + law[22] if v > 0.0 else 1.0 - law[22]
-        if law[23] != 0.0:
-            fade *= 1.0 + np.cos(law[23] * q + law[24])
-        force -= law[2] * fade * side * (1.0 + bump) * np.tanh(v / law[5])
-    if law[8] != 0.0:
-        x = q - law[9]
-        force -= law[8] * x * (1.0 + law[10] * x * x)
-    if law[13] > 0.0:
-        if q > law[12]:
-            depth = q - law[12]
-            push = law[13] * depth * np.sqrt(depth) * (1.0 + law[14] * v)
-            if push > 0.0:
-                force -= push
-        elif q < law[11]:
-            depth = law[11] - q
-            push = law[13] * depth * np.sqrt(depth) * (1.0 - law[14] * v)
-            if push > 0.0:
-                force += push
-    if law[15] != 0.0:
-        x = law[16] * q + law[17]
-        force += law[15] * (np.sin(x) + law[18] * np.sin(2.0 * x + 0.7))
-    if law[19] != 0.0:
-        stretch = abs(q - z) - 0.5 * law[20]
-        force -= law[19] * np.sign(q - z) * min(max(stretch / law[25], 0.0), 1.0)
+    viscous = law.damping * v
+    if law.extra != 0.0:
+        viscous += law.extra * v / (1.0 + abs(v) / law.thinning) ** 0.152
+    force = -viscous - law.drag * v * abs(v)
+    if law.friction != 0.0:
+        bump, fade = 0.0, 1.0
+        if law.bump != 0.0:
+            x = v / law.stribeck_speed
+            bump = law.bump * np.exp(-x * x)
+        if law.warm_time > 0.0 and time > 0.0:
+            fade = np.exp(-time / law.warm_time)
+        side = 1.0 + law.asymmetry if v > 0.0 else 1.0 - law.asymmetry
+        if law.waves != 0.0:
+            fade *= 1.0 + np.cos(law.waves * q + law.wave_phase)
+        force -= law.friction * fade * side * (1.0 + bump) * np.tanh(v / law.smooth_speed)
+    if law.stiffness != 0.0:
+        x = q - law.rest
+        force -= law.stiffness * x * (1.0 + law.progress * x * x)
+    if law.hertz > 0.0 and abs(q) > law.travel:
+        depth, side = abs(q) - law.travel, np.sign(q)
+        push = law.hertz * depth * np.sqrt(depth) * (1.0 + law.crossley * side * v)
+        force -= side * max(push, 0.0)
+    if law.ripple != 0.0:
+        x = law.order * q + law.phase
+        force += law.ripple * (np.sin(x) + law.second * np.sin(2.0 * x + 0.7))
+    if law.slack_force != 0.0:
+        stretch = abs(q - z) - 0.5 * law.slack
+        force -= law.slack_force * np.sign(q - z) * min(max(stretch / law.elastic, 0.0), 1.0)
     return force
 
 
-@njit(cache=True, fastmath=False)
-def encoder(row, q):  # type: ignore[no-untyped-def]
+@njit(cache=True)
+def _encoder(drive, q):  # type: ignore[no-untyped-def]
     """Error of an encoder and its derivative by the angle, of a wheel that turns off its centre."""
-    error = row[7] + row[15] * np.sin(q) + row[16] * np.cos(q)
-    return error, row[15] * np.cos(q) - row[16] * np.sin(q)
+    error = drive.offset + drive.sine * np.sin(q) + drive.cosine * np.cos(q)
+    return error, drive.sine * np.cos(q) - drive.cosine * np.sin(q)
 
 
-@njit(cache=True, fastmath=False)
-def drive_torque(row, command, q, v):  # type: ignore[no-untyped-def]
+@njit(cache=True)
+def _drive_torque(drive, command, q, v):  # type: ignore[no-untyped-def]
     """Torque that a drive asks for: position servo with a dead zone, and the limit of its motor."""
-    error, slope = encoder(row, q)
+    error, slope = _encoder(drive, q)
     error = command - q - error
-    if row[8] > 0.0:
-        if error > row[8]:
-            error -= row[8]
-        elif error < -row[8]:
-            error += row[8]
-        else:
-            error = 0.0
-    torque = row[1] * error - (row[2] - row[14]) * v * (1.0 + slope)
-    if torque > row[3]:
-        torque = row[3]
-    elif torque < -row[3]:
-        torque = -row[3]
-    return torque - row[14] * v
+    if drive.dead > 0.0:
+        error = np.sign(error) * max(abs(error) - drive.dead, 0.0)
+    torque = drive.kp * error - (drive.kv - drive.back_emf) * v * (1.0 + slope)
+    return min(max(torque, -drive.limit), drive.limit) - drive.back_emf * v
 
-
-@njit(cache=True, fastmath=False)
-def gear_friction(row, torque, load, v):  # type: ignore[no-untyped-def]
-    """Friction of teeth under the torques of a drive and of its load, against the motion."""
-    x = v / row[12]
-    size = row[10] * abs(torque) * (1.0 + row[11] * np.exp(-x * x)) + row[17] * abs(load)
-    return -size * np.tanh(v / row[13])
-
-
-BODY = 24
-"""Length of a body's row: see the columns below."""
-KIND, AXIS, ORIGIN, MASS, COM, INERTIA, ARMATURE = 0, 1, 4, 7, 8, 11, 20
-"""First columns: kind (0 hinge, 1 slide), axis (3), offset (3), mass, centre of mass (3), inertia
-matrix by rows (9), rotor inertia."""
-CARRIED = 21
-"""Column of the share of a body's weight that something else carries."""
-
-WORK = 40
-"""Length of a body's row of working space."""
-_R, _O, _W, _V, _AL, _AO, _OM, _IN = 0, 9, 12, 15, 18, 21, 27, 30
-# rotation (9), origin (3), joint's motion vector about the world's origin (w 3, v 3), angular
-# acceleration (3), acceleration of the origin (3), angular velocity (3), inertia in the world (9)
 
 # Vectors are tuples of three numbers, which the compiler keeps in registers.
 
@@ -192,9 +155,13 @@ def _carried(turning, spin, a):  # type: ignore[no-untyped-def]
     return _sum(_cross(turning, a), _cross(spin, _cross(spin, a)))
 
 
-@njit(cache=True, fastmath=False)
-def forward(bodies, q, v, gravity, work):  # type: ignore[no-untyped-def]
-    """Poses, velocities and accelerations of the bodies without joint accelerations."""
+@njit(cache=True)
+def _rigid(bodies, q, v, gravity, work, mass, bias):  # type: ignore[no-untyped-def]
+    """Mass matrix and bias forces (gravity, Coriolis, centrifugal); motion of the bodies in `work`.
+
+    First the bodies' poses, velocities and accelerations without joint accelerations, from the
+    base; then, from the tip, mass, moment and inertia of all that each joint carries.
+    """
     turn = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     origin, spin, turning = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     moving = (-gravity[0], -gravity[1], -gravity[2])
@@ -230,14 +197,9 @@ def forward(bodies, q, v, gravity, work):  # type: ignore[no-untyped-def]
         _put(s, _AL, turning)
         _put(s, _AO, moving)
         _put(s, _OM, spin)
-
-
-@njit(cache=True, fastmath=False)
-def mass_and_bias(bodies, work, mass, bias):  # type: ignore[no-untyped-def]
-    """Mass matrix and bias forces (gravity, Coriolis, centrifugal) after `forward`."""
     m, about = 0.0, np.zeros(9)  # mass and inertia about the world's origin of what is carried
     moment, force, load = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    for k in range(bodies.shape[0] - 1, -1, -1):
+    for k in range(q.shape[0] - 1, -1, -1):
         b, s = bodies[k], work[k]
         if b[MASS] > 0.0 or b[INERTIA] > 0.0:
             for i in range(3):  # R I R'
@@ -258,20 +220,19 @@ def mass_and_bias(bodies, work, mass, bias):  # type: ignore[no-untyped-def]
                 for j in range(3):
                     about[3 * i + j] += s[_IN + 3 * i + j] - b[MASS] * at[i] * at[j]
                 about[4 * i] += b[MASS] * square
-        w, v = _vector(s, _W), _vector(s, _V)
-        bias[k] = _dot(w, load) + _dot(v, force)
-        linear = _sum(_times(m, v), _cross(w, moment))
-        angular = _sum(_matrix(about, 0, w), _cross(moment, v))
+        w, v1 = _vector(s, _W), _vector(s, _V)
+        bias[k] = _dot(w, load) + _dot(v1, force)
+        linear = _sum(_times(m, v1), _cross(w, moment))
+        angular = _sum(_matrix(about, 0, w), _cross(moment, v1))
         for j in range(k + 1):
-            t = work[j]
-            e = _dot(_vector(t, _W), angular) + _dot(_vector(t, _V), linear)
-            mass[k, j] = e
-            mass[j, k] = e
+            t1 = work[j]
+            mass[k, j] = _dot(_vector(t1, _W), angular) + _dot(_vector(t1, _V), linear)
+            mass[j, k] = mass[k, j]
         mass[k, k] += b[ARMATURE]
 
 
-@njit(cache=True, fastmath=False)
-def solve(mass, force, out):  # type: ignore[no-untyped-def]
+@njit(cache=True)
+def _solve(mass, force, out):  # type: ignore[no-untyped-def]
     """Solve mass @ out = force by Cholesky; the lower half of `mass` is overwritten."""
     n = force.shape[0]
     for i in range(n):
@@ -279,183 +240,92 @@ def solve(mass, force, out):  # type: ignore[no-untyped-def]
             e = mass[i, j]
             for k in range(j):
                 e -= mass[i, k] * mass[j, k]
-            if i == j:
-                mass[i, i] = np.sqrt(e)
-            else:
-                mass[i, j] = e / mass[j, j]
+            mass[i, j] = np.sqrt(e) if i == j else e / mass[j, j]
     for i in range(n):
-        e = force[i]
+        out[i] = force[i]
         for k in range(i):
-            e -= mass[i, k] * out[k]
-        out[i] = e / mass[i, i]
+            out[i] -= mass[i, k] * out[k]
+        out[i] /= mass[i, i]
     for i in range(n - 1, -1, -1):
-        e = out[i]
         for k in range(i + 1, n):
-            e -= mass[k, i] * out[k]
-        out[i] = e / mass[i, i]
+            out[i] -= mass[k, i] * out[k]
+        out[i] /= mass[i, i]
 
 
-@njit(cache=True, fastmath=False)
-def _add_push(work, count, at, push, force):  # type: ignore[no-untyped-def]
-    """Add the joint forces of a push at a point of the world to `force`."""
+@njit(cache=True)
+def _push(work, body, place, push, force):  # type: ignore[no-untyped-def]
+    """Add the joint forces of a push in the world at a place of a body to `force`."""
+    at = _sum(_vector(work[body], _O), _matrix(work[body], _R, place))
     moment = _cross(at, push)
-    for k in range(count):
+    for k in range(body + 1):
         force[k] += _dot(_vector(work[k], _W), moment) + _dot(_vector(work[k], _V), push)
 
 
-@njit(cache=True, fastmath=False)
-def add_tool_force(work, tool, local, force):  # type: ignore[no-untyped-def]
-    """Add the joint forces of a force at the tool, given in the tool's frame, to `force`."""
+@njit(cache=True)
+def _tool_acceleration(work, tool, acceleration):  # type: ignore[no-untyped-def]
+    """Proper acceleration of the tool in the last link's frame, after `_rigid`."""
     s = work[work.shape[0] - 1]
-    at = _sum(_vector(s, _O), _matrix(s, _R, tool))
-    _add_push(work, work.shape[0], at, _matrix(s, _R, local), force)
-
-
-@njit(cache=True, fastmath=False)
-def add_weight(bodies, work, body, share, gravity, force):  # type: ignore[no-untyped-def]
-    """Add the joint forces of a share of a body's weight, at its centre of mass, to `force`."""
-    s, b = work[body], bodies[body]
-    at = _sum(_vector(s, _O), _matrix(s, _R, _vector(b, COM)))
-    _add_push(work, body + 1, at, _times(share * b[MASS], gravity), force)
-
-
-@njit(cache=True, fastmath=False)
-def tool_acceleration(work, tool, acceleration, out):  # type: ignore[no-untyped-def]
-    """Proper acceleration of the tool in the last link's frame, after `forward`."""
-    n = work.shape[0]
-    s = work[n - 1]
     arm = _matrix(s, _R, tool)
     at = _sum(_vector(s, _O), arm)
-    whole = _sum(_vector(s, _AO), _carried(_vector(s, _AL), _vector(s, _OM), arm))
-    for k in range(n):
-        t = work[k]
-        moved = _sum(_vector(t, _V), _cross(_vector(t, _W), at))
-        whole = _sum(whole, _times(acceleration[k], moved))
-    for d in range(3):
-        out[d] = s[d] * whole[0] + s[3 + d] * whole[1] + s[6 + d] * whole[2]
+    a = _sum(_vector(s, _AO), _carried(_vector(s, _AL), _vector(s, _OM), arm))
+    for k in range(work.shape[0]):
+        moved = _sum(_vector(work[k], _V), _cross(_vector(work[k], _W), at))
+        a = _sum(a, _times(acceleration[k], moved))
+    return (
+        s[0] * a[0] + s[3] * a[1] + s[6] * a[2],
+        s[1] * a[0] + s[4] * a[1] + s[7] * a[2],
+        s[2] * a[0] + s[5] * a[1] + s[8] * a[2],
+    )
 
 
-SAMPLE = 1e-3
-"""Time between two samples [s]."""
-SETTLE = 1.2
-"""Time for which the first command is held before the recording starts [s]."""
+@njit(cache=True)
+def _derivative(arm, room, powered, command, time, y, dy):  # type: ignore[no-untyped-def]
+    """Derivative of the state: positions, velocities, memories of laws, lagging commands.
 
-
-@dataclasses.dataclass(kw_only=True)
-class System:
-    """A true arm in arrays: n drives, N >= n degrees of freedom."""
-
-    bodies: Array
-    """Figures of the bodies, of shape (N, BODY)."""
-    laws: Array
-    """Laws in the degrees of freedom, of shape (N, LAWS)."""
-    drives: Array
-    """Drives in the order of the joints, of shape (n, ACTUATOR)."""
-    gravity: Array
-    """Acceleration of free fall in the world, of shape (3,) [m/s²]."""
-    tool: Array
-    """The tool in the last body's frame, of shape (3,) [m]."""
-    cable: Array = dataclasses.field(default_factory=lambda: np.zeros(7))
-    """A coupling of two joints: their degrees of freedom, ratio, stiffness, rest of a spring,
-    friction and rotor inertia of a motor that turns with both; shape (7,)."""
-    fan: Array = dataclasses.field(default_factory=lambda: np.zeros(5))
-    """A force at the tool in its frame (3) [N], its frequency [Hz] and phase [rad]; shape (5,)."""
-    proximal: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
-    """Body that carries the proximal end of each link, of shape (n,)."""
-    distal: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.zeros(0, np.int64))
-    """Body that carries the distal end of each link, of shape (n,)."""
-
-    def copy(self) -> System:
-        """Another system with the same figures."""
-        return System(**{f.name: getattr(self, f.name).copy() for f in dataclasses.fields(self)})
-
-    @property
-    def joint_dofs(self) -> NDArray[np.int64]:
-        """Degree of freedom on the motor's side of each joint, of shape (n,)."""
-        return self.drives[:, 0].astype(np.int64)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Signals:
-    """What happened at every sample (or at every step inside a sample), or what was read."""
-
-    position: Array
-    """What perfect encoders say, of shape (T, n) [rad or m]."""
-    velocity: Array
-    """Velocities at the motors, of shape (T, n)."""
-    acceleration: Array
-    """Proper acceleration of the tool in its frame, of shape (T, 3) [m/s²]."""
-    torque: Array
-    """Torques that the drives ask for, of shape (T, n) [N m or N]."""
-    joint_acceleration: Array
-    """Accelerations of the joints, of shape (T, n); never recorded."""
-
-
-class _Arrays(NamedTuple):
-    """The arrays of a `System`, as compiled code takes them."""
-
-    bodies: Array
-    laws: Array
-    drives: Array
-    gravity: Array
-    tool: Array
-    cable: Array
-    fan: Array
-
-
-class _Room(NamedTuple):
-    """Working space, and what `_derivative` leaves beside the derivative."""
-
-    work: Array
-    mass: Array
-    force: Array
-    torque: Array
-    held: Array
-
-
-@njit(cache=True, fastmath=False)
-def _derivative(arm, room, powered, sampled, command, time, y, dy):  # type: ignore[no-untyped-def]
-    """Derivative of the state: positions, velocities, memories of laws, lagging commands."""
-    laws, drives, cable, fan = arm.laws, arm.drives, arm.cable, arm.fan
-    mass, force, torque = room.mass, room.force, room.torque
-    n, m = arm.bodies.shape[0], drives.shape[0]
+    `room` is working space; of a drive that is sampled it has the torque that it holds, else what
+    the drives ask for is left in it.
+    """
+    bodies, laws, drives, gravity, tool, cable, fan = arm
+    work, mass, force, torque, sampled = room
+    n, m = bodies.shape[0], drives.shape[0]
     q, v, z, lag = y[:n], y[n : 2 * n], y[2 * n : 3 * n], y[3 * n :]
-    forward(arm.bodies, q, v, arm.gravity, room.work)
-    mass_and_bias(arm.bodies, room.work, mass, force)
+    _rigid(bodies, q, v, gravity, work, mass, force)
     bias = force.copy()
     dy[:n] = v
     for k in range(n):
-        force[k] = joint_force(laws[k], q[k], v[k], z[k], time) - force[k]
+        law = laws[k]
+        force[k] = _joint_force(law, q[k], v[k], z[k], time) - force[k]
         dy[2 * n + k] = 0.0
-        if laws[k, SLACK_FORCE] != 0.0:
-            beyond = abs(q[k] - z[k]) - 0.5 * laws[k, SLACK] - laws[k, ELASTIC]
+        if law.slack_force != 0.0:
+            beyond = abs(q[k] - z[k]) - 0.5 * law.slack - law.elastic
             if beyond > 0.0:  # it slides, and what a step went too far is made good
                 side = np.sign(q[k] - z[k])
                 dy[2 * n + k] = side * (max(side * v[k], 0.0) + beyond / 0.01)
     load = 0.0
     for j in range(m):
-        row, k = drives[j], int(drives[j, 0])
-        late = row[LAG] > 0.0 or row[SPEED_LIMIT] > 0.0
+        drive, k, target = drives[j], int(drives[j].dof), command[j]
         dy[3 * n + j] = 0.0
-        if late:
-            dy[3 * n + j] = (command[j] - lag[j]) / (row[LAG] if row[LAG] > 0.0 else 2e-3)
-        if row[SPEED_LIMIT] > 0.0:
-            dy[3 * n + j] = min(max(dy[3 * n + j], -row[SPEED_LIMIT]), row[SPEED_LIMIT])
-        torque[j] = 0.0
-        if sampled:
-            torque[j] = room.held[j]
-        elif powered:
-            torque[j] = drive_torque(row, lag[j] if late else command[j], q[k], v[k])
-        load += abs(torque[j]) / row[LIMIT]
+        if drive.lag > 0.0 or drive.speed_limit > 0.0:
+            rate = (target - lag[j]) / (drive.lag if drive.lag > 0.0 else 2e-3)
+            if drive.speed_limit > 0.0:
+                rate = min(max(rate, -drive.speed_limit), drive.speed_limit)
+            dy[3 * n + j], target = rate, lag[j]
+        if not sampled:
+            torque[j] = _drive_torque(drive, target, q[k], v[k]) if powered else 0.0
+        load += abs(torque[j]) / drive.limit
     for j in range(m):
-        k = int(drives[j, 0])
-        given = torque[j] * drives[j, GAIN] / (1.0 + drives[j, SAG] * load)
+        drive, k = drives[j], int(drives[j].dof)
+        given = torque[j] * drive.gain / (1.0 + drive.sag * load)
         force[k] += given
-        if drives[j, LOADED] > 0.0:
-            force[k] += gear_friction(drives[j], given, bias[k], v[k])
+        if drive.loaded > 0.0:  # friction of teeth under the torques of a drive and of its load
+            x = v[k] / drive.loaded_speed
+            size = drive.loaded * abs(given) * (1.0 + drive.loaded_bump * np.exp(-x * x))
+            size += drive.loaded_external * abs(bias[k])
+            force[k] -= size * np.tanh(v[k] / drive.loaded_smooth)
     for k in range(n):
-        if arm.bodies[k, CARRIED] != 0.0:
-            add_weight(arm.bodies, room.work, k, -arm.bodies[k, CARRIED], arm.gravity, force)
+        if bodies[k, CARRIED] != 0.0:
+            weight = _times(-bodies[k, CARRIED] * bodies[k, MASS], gravity)
+            _push(work, k, _vector(bodies[k], COM), weight, force)
     if cable[3] != 0.0 or cable[5] != 0.0:
         # a spring over two joints, and a motor that turns with both: its friction and its rotor
         i, j, ratio = int(cable[0]), int(cable[1]), cable[2]
@@ -468,12 +338,12 @@ def _derivative(arm, room, powered, sampled, command, time, y, dy):  # type: ign
         mass[i, j] += ratio * cable[6]
         mass[j, i] += ratio * cable[6]
     if fan[3] > 0.0:
-        swing = np.sin(2.0 * np.pi * fan[3] * time + fan[4])
-        add_tool_force(room.work, arm.tool, fan[:3] * swing, force)
-    solve(mass, force, dy[n : 2 * n])
+        local = _times(np.sin(2.0 * np.pi * fan[3] * time + fan[4]), fan)
+        _push(work, n - 1, tool, _matrix(work[n - 1], _R, local), force)
+    _solve(mass, force, dy[n : 2 * n])
 
 
-@njit(cache=True, fastmath=False)
+@njit(cache=True)
 def _command(commands, straight, x, width):  # type: ignore[no-untyped-def]
     """Commands at x samples each, on a straight line or held; the mean over a width where held."""
     out = np.empty(commands.shape[1])
@@ -489,271 +359,269 @@ def _command(commands, straight, x, width):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True, fastmath=False)
-def _run(  # type: ignore[no-untyped-def]
-    arm, release, commands, q, v, settle, inside, every, straight, servo, sample
-):
-    drives, samples = arm.drives, commands.shape[0]
-    dofs, n = q.shape[0], drives.shape[0]
-    step, rows = sample / inside, samples * inside // every
-    out = np.zeros((rows, 4 * n + 3))
-    room = _Room(
-        np.zeros((dofs, WORK)), np.zeros((dofs, dofs)), np.zeros(dofs), np.zeros(n), np.zeros(n)
-    )
-    z = np.where(arm.laws[:, SLACK_FORCE] != 0.0, q, 0.0)
-    y = np.concatenate((q, v, z, commands[0]))
+@njit(cache=True)
+def _run(arm, release, commands, q, settle, inside, every, straight, servo, sample):  # type: ignore[no-untyped-def]
+    bodies, laws, drives, _, tool, _, _ = arm
+    dofs, n = bodies.shape[0], drives.shape[0]
+    step, steps = sample / inside, commands.shape[0] * inside
+    out = np.zeros((steps // every, 4 * n + 3))
+    period, late, smoothing = int(servo[0]), servo[1] > 0.0, servo[2]
+    work, mass, force = np.zeros((dofs, WORK)), np.zeros((dofs, dofs)), np.zeros(dofs)
+    torque, sampled = np.zeros(n), period > 0
+    room = (work, mass, force, torque, sampled)
+    asked, before, estimate = np.zeros(n), np.zeros(n), np.zeros(n)
+    y = np.concatenate((q, np.zeros(dofs), np.where(laws.slack_force != 0.0, q, 0.0), commands[0]))
     slopes = np.zeros((4, len(y)))
-    acceleration = np.zeros(3)
-    period, delay = int(servo[0]), int(servo[1])
-    sampled = period > 0
-    waiting, before, estimate = np.zeros((8, n)), np.zeros(n), np.zeros(n)
-    row = 0
-    for i in range(-settle * inside, samples * inside):
+    for i in range(-settle * inside, steps):
         time, on = i * step, i < release * inside
-        x = (time - drives[:, DELAY]) / sample
+        x = (time - drives.delay) / sample
         there = _command(commands, straight, x, 0.0)
         command = _command(commands, straight, x, 1.0 / inside)
         if sampled and i % period == 0:
-            turn, first = (i // period) % 8, i == -settle * inside
+            first = i == -settle * inside
             for j in range(n):
-                measured = y[int(drives[j, 0])]
-                if servo[3] > 0.0:
-                    measured = np.round(measured / servo[3]) * servo[3]
+                drive = drives[j]
+                measured = y[int(drive.dof)]
                 if not first:
                     speed = (measured - before[j]) / (period * step)
-                    estimate[j] += servo[2] * (speed - estimate[j])
+                    estimate[j] += smoothing * (speed - estimate[j])
                 before[j] = measured
-                late = drives[j, LAG] > 0.0 or drives[j, SPEED_LIMIT] > 0.0
-                target = y[3 * dofs + j] if late else there[j]
-                waiting[turn, j] = drive_torque(drives[j], target, measured, estimate[j])
-                if first:
-                    waiting[:, j] = waiting[turn, j]
-                room.held[j] = waiting[(turn - delay) % 8, j]
-        if i >= 0 and i % every == 0 and row < rows:
+                lagging = drive.lag > 0.0 or drive.speed_limit > 0.0
+                target = y[3 * dofs + j] if lagging else there[j]
+                now = _drive_torque(drive, target, measured, estimate[j])
+                torque[j] = asked[j] if late and not first else now
+                asked[j] = now
+        if i >= 0 and i % every == 0:
             # sensors read what is there at their moment, not what comes within the step
-            _derivative(arm, room, on, sampled, there, time, y, slopes[0])
+            row = out[i // every]
+            _derivative(arm, room, on, there, time, y, slopes[0])
             a = slopes[0, dofs : 2 * dofs]
-            tool_acceleration(room.work, arm.tool, a, acceleration)
             for j in range(n):
-                k, soft = int(drives[j, 0]), int(drives[j, LINK_SIDE])
-                error, slope = encoder(drives[j], y[k])
-                out[row, j] = y[k] + error + (y[soft] if soft >= 0 else 0.0)
-                out[row, n + j] = y[dofs + k] * (1.0 + slope)
-                out[row, 3 * n + 3 + j] = a[k]
+                k, soft = int(drives[j].dof), int(drives[j].link_side)
+                error, slope = _encoder(drives[j], y[k])
+                row[j] = y[k] + error + (y[soft] if soft >= 0 else 0.0)
+                row[n + j] = y[dofs + k] * (1.0 + slope)
+                row[3 * n + 3 + j] = a[k]
                 if soft >= 0:
-                    out[row, n + j] += y[dofs + soft]
-                    out[row, 3 * n + 3 + j] += a[soft]
-                asked = waiting[(i // period) % 8, j] if sampled else room.torque[j]
-                out[row, 2 * n + 3 + j] = asked
-            out[row, 2 * n : 2 * n + 3] = acceleration
-            row += 1
+                    row[n + j] += y[dofs + soft]
+                    row[3 * n + 3 + j] += a[soft]
+                row[2 * n + 3 + j] = asked[j] if sampled else torque[j]
+            _put(row, 2 * n, _tool_acceleration(work, tool, a))
         for stage in range(4):
             part = 0.0 if stage == 0 else step if stage == 3 else 0.5 * step
             trial = y + part * slopes[max(stage - 1, 0)]
             if straight:
                 command = _command(commands, straight, x + part / sample, 0.0)
-            _derivative(
-                arm, room, on, sampled, command, time + part, trial, slopes[stage]
-            )  # fmt: skip
+            _derivative(arm, room, on, command, time + part, trial, slopes[stage])
         y += step / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3])
     return out
 
 
-def simulate(
-    system: System,
-    commands: Array,
-    *,
-    inside: int = 10,
-    release: int | None = None,
-    settle: float = SETTLE,
-    fine: bool = False,
-    straight: bool = False,
-    start: tuple[Array, Array] | None = None,
-    servo: tuple[int, int, float, float] = (0, 0, 1.0, 0.0),
-    sample: float = SAMPLE,
-) -> Signals:
-    """Run an arm through a list of commands, one every `sample`.
-
-    ``servo`` samples the drives: steps between samples (0: continuous), samples of delay (at most
-    7), share of a new velocity in the filtered one, step of the encoders [rad].
-    """
-    n = system.drives.shape[0]
-    q = np.zeros(len(system.bodies))
-    q[system.joint_dofs] = commands[0] - system.drives[:, OFFSET]
-    v = np.zeros_like(q)
-    if start is not None:
-        q, v = start
-    arm = _Arrays(*(getattr(system, name) for name in _Arrays._fields))
-    out = _run(
-        arm, len(commands) if release is None else release, np.ascontiguousarray(commands), q, v,
-        round(settle / sample), inside, 1 if fine else inside, straight,
-        np.array(servo, dtype=float), sample,
-    )  # fmt: skip
-    position, velocity, acceleration, torque, joint_acceleration = np.split(
-        out, [n, 2 * n, 2 * n + 3, 3 * n + 3], axis=1
+@njit(cache=True)
+def needed(bodies, damping, gravity, q, v, a):  # type: ignore[no-untyped-def]
+    """Torques that bodies need for a motion, of shape (T, n)."""
+    samples, n = q.shape
+    out, work, mass, bias = (
+        np.zeros((samples, n)),
+        np.zeros((n, WORK)),
+        np.zeros((n, n)),
+        np.zeros(n),
     )
-    return Signals(
-        position=position, velocity=velocity, acceleration=acceleration, torque=torque,
-        joint_acceleration=joint_acceleration,
-    )  # fmt: skip
+    for i in range(samples):
+        _rigid(bodies, q[i], v[i], gravity, work, mass, bias)
+        for j in range(n):
+            out[i, j] = bias[j] + damping[j] * v[i, j]
+            for k in range(n):
+                out[i, j] += mass[j, k] * a[i, k]
+    return out
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Factors:
-    """What a true arm is beside its nominal figures, each of shape (n,); a model has tolerances."""
+class Signals(NamedTuple):
+    """What happened at every sample (or at every step inside a sample), or what was read."""
 
-    mass: Array
-    inertia: Array
-    armature: Array
-    damping: Array
-    kp: Array
-    kv: Array
-    """True over nominal figure, of these."""
-    x: Array | float = 0.0
-    y: Array | float = 0.0
-    z: Array | float = 0.0
-    """Shift of the centre of mass, over the length of the link."""
-    zero: Array | float = 0.0
-    """Error of the encoders' zero [rad or m]."""
-    shift: Array | float = 0.0
-    """Time by which commands act late, or if negative early [s]."""
-    constant: Array | float = 1.0
-    """Measured over true torque."""
-    offset: Array | float = 0.0
-    """Offset of the measured torque over the drive's limit."""
+    position: Array
+    """What perfect encoders say, of shape (T, n) [rad or m]."""
+    velocity: Array
+    """Velocities at the motors, of shape (T, n)."""
+    acceleration: Array
+    """Proper acceleration of the tool in its frame, of shape (T, 3) [m/s²]."""
+    torque: Array
+    """Torques that the drives ask for, of shape (T, n) [N m or N]."""
+    joint_acceleration: Array
+    """Accelerations of the joints, of shape (T, n); never recorded."""
+
+
+@dataclasses.dataclass(kw_only=True)
+class System:
+    """A true arm in arrays: n drives, N >= n degrees of freedom."""
+
+    bodies: Array
+    """Figures of the bodies, of shape (N, BODY)."""
+    laws: NDArray[np.void]
+    """Laws in the degrees of freedom, (N,) of `LAW`."""
+    drives: NDArray[np.void]
+    """Drives in the order of the joints, (n,) of `DRIVE`."""
+    gravity: Array
+    """Acceleration of free fall in the world, of shape (3,) [m/s²]."""
+    tool: Array
+    """The tool in the last body's frame, of shape (3,) [m]."""
+    cable: Array
+    """A coupling of two joints: their degrees of freedom, ratio, stiffness, rest of a spring,
+    friction and rotor inertia of a motor that turns with both; shape (7,)."""
+    fan: Array
+    """A force at the tool in its frame (3) [N], its frequency [Hz] and phase [rad]; shape (5,)."""
+    proximal: NDArray[np.int64]
+    """Body that carries the proximal end of each link, of shape (n,)."""
+    torque_gain: Array
+    """Measured over true torque, of shape (n,)."""
+    torque_offset: Array
+    """Constant of the measured torque, of shape (n,) [N m or N]."""
+    rotation: Array = dataclasses.field(default_factory=lambda: np.eye(3))
+    """Reading of the accelerometer = rotation @ truth, of shape (3, 3)."""
+    sensors: dict[str, dict[str, Any]] = dataclasses.field(
+        default_factory=lambda: {"gain": {}, "bias": {}, "delay": {}, "step": {}}
+    )
+    """Factor, constant, delay [s], and step to which it is rounded, noise and all, by sensor."""
+    straight: bool = False
+    """Whether commands are in straight lines that the model takes as held."""
 
     @classmethod
-    def ones(cls, joints: int) -> Factors:
-        """An arm that is exactly the nominal one."""
-        return cls(**{name: np.ones(joints) for name in FACTORS})
-
-    @classmethod
-    def draw(cls, joints: int, rng: np.random.Generator) -> Factors:
-        """Errors of 1 to 3 % and of random sign of all but centres, zeros and times."""
+    def build(cls, machine: Machine, factors: Factors) -> System:
+        """The arm without any missing effect."""
+        n = machine.joints
+        bodies, laws, drives = np.zeros((n, BODY)), np.zeros(n, LAW), np.zeros(n, DRIVE)
+        bodies[:, KIND], bodies[:, MASS] = machine.slide, machine.mass * factors["mass"]
+        bodies[:, AXIS : AXIS + 3], bodies[:, ORIGIN : ORIGIN + 3] = machine.axis, machine.offset
+        centre = np.stack([factors[axis] for axis in "xyz"], axis=1)
+        bodies[:, COM : COM + 3] = machine.com + centre * machine.length[:, None]
+        bodies[:, INERTIA : INERTIA + 9 : 4] = machine.inertia * factors["inertia"][:, None]
+        bodies[:, ARMATURE] = machine.armature * factors["armature"]
+        laws["damping"] = machine.damping * factors["damping"]
+        drives["dof"], drives["link_side"] = np.arange(n), -1
+        drives["kp"], drives["kv"] = machine.kp * factors["kp"], machine.kv * factors["kv"]
+        drives["limit"], drives["gain"] = machine.limit, 1.0
+        drives["offset"], drives["delay"] = factors["zero"], factors["shift"]
         return cls(
-            **{
-                name: 1 + rng.uniform(0.01, 0.03, joints) * rng.choice([-1, 1], joints)
-                for name in FACTORS
-            }
-        )
-
-    def changed(self, name: str, joint: int, by: float) -> Factors:
-        """The same factors with one of them moved by `by`."""
-        values = np.array(np.broadcast_to(getattr(self, name), self.mass.shape), dtype=float)
-        values[joint] += by
-        return dataclasses.replace(self, **{name: values})
-
-
-FACTORS = ("mass", "inertia", "armature", "damping", "kp", "kv")
-"""Names of the factors that are ratios of figures of the model."""
-
-
-def body_row(
-    kind: str, axis: object, offset: object, mass: float, com: object, inertia: Array, rotor: float
-) -> Array:
-    """One row of `System.bodies`; `inertia` is of shape (3, 3) about the centre of mass."""
-    row = np.zeros(BODY)
-    row[0] = float(kind == "slide")
-    row[1:4], row[4:7], row[7], row[8:11] = axis, offset, mass, com  # type: ignore[call-overload]
-    row[11:20] = inertia.ravel()
-    row[20] = rotor
-    return row
-
-
-def build(figures: Figures, factors: Factors) -> System:
-    """The arm without any missing effect."""
-    bodies, laws, drives = [], [], []
-    n = figures.joints
-    centre = np.array([np.broadcast_to(getattr(factors, axis), n) for axis in "xyz"]).T
-    zero, shift = np.broadcast_to(factors.zero, n), np.broadcast_to(factors.shift, n)
-    for i, link in enumerate(figures.links):
-        bodies.append(
-            body_row(
-                link.kind, link.axis, link.offset, link.mass * factors.mass[i],
-                np.array(link.com) + centre[i] * link.length,
-                np.diag(link.inertia) * factors.inertia[i], link.armature * factors.armature[i],
-            )
+            bodies=bodies, laws=laws, drives=drives, gravity=np.array([0.0, 0.0, -GRAVITY]),
+            tool=machine.end[-1].copy(), cable=np.zeros(7), fan=np.zeros(5), proximal=np.arange(n),
+            torque_gain=factors["constant"].copy(), torque_offset=factors["offset"] * machine.limit,
         )  # fmt: skip
-        law = np.zeros(LAWS)
-        law[DAMPING] = link.damping * factors.damping[i]
-        laws.append(law)
-        drive = np.zeros(ACTUATOR)
-        drive[0] = i
-        drive[KP], drive[KV] = link.kp * factors.kp[i], link.kv * factors.kv[i]
-        drive[LIMIT], drive[GAIN] = link.limit, 1.0
-        drive[OFFSET], drive[DELAY], drive[LINK_SIDE] = zero[i], shift[i], -1.0
-        drives.append(drive)
-    return System(
-        bodies=np.array(bodies),
-        laws=np.array(laws),
-        drives=np.array(drives),
-        gravity=np.array([0.0, 0.0, -GRAVITY]),
-        tool=np.array(figures.links[-1].end, dtype=float),
-        proximal=np.arange(figures.joints),
-        distal=np.arange(figures.joints),
-    )
+
+    @property
+    def joint_dofs(self) -> NDArray[np.int64]:
+        """Degree of freedom on the motor's side of each joint, of shape (n,)."""
+        return self.drives["dof"].astype(np.int64)
+
+    @property
+    def slides(self) -> NDArray[np.bool_]:
+        """Degrees of freedom that slide, of shape (N,)."""
+        return self.bodies[:, KIND] > 0.5
+
+    def simulate(
+        self,
+        commands: Array,
+        *,
+        sample: float,
+        inside: int,
+        settle: float,
+        release: int | None = None,
+        fine: bool = False,
+        straight: bool = False,
+        servo: tuple[int, float, float] = (0, 0.0, 1.0),
+    ) -> Signals:
+        """Run through a list of commands, one every `sample`, after the first one was held.
+
+        ``servo`` samples the drives: steps between samples (0: continuous), whether they are a
+        sample late (1), share of a new velocity in the filtered one.
+        """
+        n = len(self.drives)
+        q = np.zeros(len(self.bodies))
+        q[self.joint_dofs] = commands[0] - self.drives["offset"]
+        arm = (self.bodies, self.laws, self.drives, self.gravity, self.tool, self.cable, self.fan)
+        out = _run(
+            arm, len(commands) if release is None else release, np.ascontiguousarray(commands), q,
+            round(settle / sample), inside, 1 if fine else inside, straight,
+            np.array(servo, dtype=float), sample,
+        )  # fmt: skip
+        return Signals(*np.split(out, [n, 2 * n, 2 * n + 3, 3 * n + 3], axis=1))
+
+    def at_rest(self, joints: Array) -> tuple[Array, Array]:
+        """Mass matrix (N, N) and gravity's load (N,), extra joints at zero."""
+        dofs = len(self.bodies)
+        q, mass, bias = np.zeros(dofs), np.zeros((dofs, dofs)), np.zeros(dofs)
+        q[self.joint_dofs] = joints
+        work = np.zeros((dofs, WORK))
+        _rigid(self.bodies, q, np.zeros(dofs), self.gravity, work, mass, bias)
+        return mass, bias
+
+    def felt_inertia(self, dof: int, joints: Array) -> float:
+        """Inertia that a force in one degree of freedom feels, all others free."""
+        return 1.0 / float(np.linalg.inv(self.at_rest(joints)[0])[dof, dof])
+
+    def _insert(self, at: int, body: Array) -> int:
+        """Put a body in front of position `at`; every index to the rows behind moves on."""
+        self.bodies = np.insert(self.bodies, at, body, axis=0)
+        self.laws = np.insert(self.laws, at, np.zeros((), LAW))
+        self.drives["dof"][self.drives["dof"] >= at] += 1
+        self.cable[:2][self.cable[:2] >= at] += 1
+        self.proximal[self.proximal >= at] += 1
+        return at
+
+    def free_link(self, link: int, kind: str, axis: Array) -> int:
+        """Set a link on an extra joint between it and the motor of its joint."""
+        at = int(self.proximal[link])
+        carried = self.bodies[at].copy()
+        carried[KIND] = float(kind == "slide")
+        carried[AXIS:ORIGIN], carried[ORIGIN:MASS], carried[ARMATURE] = axis, 0.0, 0.0
+        self.bodies[at, MASS:ARMATURE] = 0.0
+        self.proximal[link] = self._insert(at + 1, carried)
+        return at + 1
+
+    def free_base(self, axis: Array) -> int:
+        """Set the whole arm on a hinge through the world's origin."""
+        base = np.zeros(BODY)
+        base[AXIS:ORIGIN] = axis
+        return self._insert(0, base)
+
+    def split_link(self, link: int, point: Array, axis: Array, share: float) -> int:
+        """Cut a link in two at a point and join the parts by a hinge; mass and inertia are kept."""
+        at = int(self.proximal[link])
+        whole = self.bodies[at]
+        mass, com, inertia = whole[MASS], whole[COM:INERTIA].copy(), _inertia(whole).copy()
+        near = share * mass
+        length = float(np.linalg.norm(point))
+        along = point / length
+        thick, turn = along @ inertia @ along, np.outer(along, along)
+        bar = near * length**2 / 12 * (np.eye(3) - turn) + share * thick * turn
+        near_com = point / 2
+        far = mass - near
+        far_com = (mass * com - near * near_com) / far
+        rest = inertia - bar - _shifted(near, near_com - com) - _shifted(far, far_com - com)
+        if np.linalg.eigvalsh(rest).min() <= 0:
+            raise ValueError("the link is no bar: nothing is left for its distal part")
+        whole[MASS], whole[COM:INERTIA], whole[INERTIA:ARMATURE] = near, near_com, bar.ravel()
+        if at + 1 < len(self.bodies):
+            self.bodies[at + 1, ORIGIN:MASS] -= point
+        else:
+            self.tool = self.tool - point
+        distal = np.zeros(BODY)
+        distal[AXIS:ORIGIN], distal[ORIGIN:MASS], distal[MASS] = axis, point, far
+        distal[COM:INERTIA], distal[INERTIA:ARMATURE] = far_com - point, rest.ravel()
+        return self._insert(at + 1, distal)
+
+    def add_mass(self, mass: float, at: Array) -> None:
+        """Fix a point mass to the last body."""
+        row = self.bodies[-1]
+        total = row[MASS] + mass
+        com = (row[MASS] * row[COM:INERTIA] + mass * at) / total
+        inertia = (
+            _inertia(row) + _shifted(row[MASS], row[COM:INERTIA] - com) + _shifted(mass, at - com)
+        )
+        row[MASS], row[COM:INERTIA], row[INERTIA:ARMATURE] = total, com, inertia.ravel()
 
 
-def _insert(system: System, at: int, body: Array, law: Array) -> None:
-    """Put a row in front of position `at`; every index to the rows behind moves on."""
-    system.bodies = np.insert(system.bodies, at, body, axis=0)
-    system.laws = np.insert(system.laws, at, law, axis=0)
-    system.drives[system.drives[:, 0] >= at, 0] += 1
-    system.drives[system.drives[:, LINK_SIDE] >= at, LINK_SIDE] += 1
-    system.cable[:2][system.cable[:2] >= at] += 1
-    system.proximal[system.proximal >= at] += 1
-    system.distal[system.distal >= at] += 1
-
-
-def free_link(system: System, link: int, kind: str, axis: Array) -> int:
-    """Set a link on an extra joint between it and the motor of its joint."""
-    at = int(system.proximal[link])
-    carried = system.bodies[at].copy()
-    carried[0] = float(kind == "slide")
-    carried[1:4], carried[4:7], carried[20] = axis, 0.0, 0.0
-    system.bodies[at, 7:20] = 0.0
-    one_body = system.distal[link] == at
-    _insert(system, at + 1, carried, np.zeros(LAWS))
-    system.proximal[link] = at + 1
-    if one_body:
-        system.distal[link] = at + 1
-    return at + 1
-
-
-def free_base(system: System, axis: Array, kind: str = "hinge") -> int:
-    """Set the whole arm on a hinge through the world's origin, or on a slide."""
-    base = body_row(kind, axis, np.zeros(3), 0.0, np.zeros(3), np.zeros((3, 3)), 0.0)
-    _insert(system, 0, base, np.zeros(LAWS))
-    return 0
-
-
-def split_link(system: System, link: int, point: Array, axis: Array, share: float) -> int:
-    """Cut a link in two at a point and join the parts by a hinge; mass and inertia are kept."""
-    at = int(system.proximal[link])
-    whole = system.bodies[at]
-    mass, com, inertia = whole[7], whole[8:11].copy(), whole[11:20].reshape(3, 3).copy()
-    near = share * mass
-    length = float(np.linalg.norm(point))
-    along = point / length
-    thick, turn = along @ inertia @ along, np.outer(along, along)
-    bar = near * length**2 / 12 * (np.eye(3) - turn) + share * thick * turn
-    near_com = point / 2
-    far = mass - near
-    far_com = (mass * com - near * near_com) / far
-    rest = inertia - bar - _shifted(near, near_com - com) - _shifted(far, far_com - com)
-    if np.linalg.eigvalsh(rest).min() <= 0:
-        raise ValueError("the link is no bar: nothing is left for its distal part")
-    whole[7], whole[8:11], whole[11:20] = near, near_com, bar.ravel()
-    end = int(system.distal[link])
-    assert end == at, "a link is cut once"
-    if end + 1 < len(system.bodies):
-        system.bodies[end + 1, 4:7] -= point
-    else:
-        system.tool = system.tool - point
-    row = body_row("hinge", axis, point, far, far_com - point, rest, 0.0)
-    _insert(system, end + 1, row, np.zeros(LAWS))
-    system.distal[link] = end + 1
-    return end + 1
+def _inertia(row: Array) -> Array:
+    return row[INERTIA:ARMATURE].reshape(3, 3)
 
 
 def _shifted(mass: float, arm: Array) -> Array:
@@ -761,34 +629,19 @@ def _shifted(mass: float, arm: Array) -> Array:
     return mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
 
 
-def add_mass(system: System, body: int, mass: float, at: Array) -> None:
-    """Fix a point mass (it may be negative) to a body, in place."""
-    row = system.bodies[body]
-    total = row[7] + mass
-    com = (row[7] * row[8:11] + mass * at) / total
-    inertia = (
-        row[11:20].reshape(3, 3) + _shifted(row[7], row[8:11] - com) + _shifted(mass, at - com)
-    )
-    row[7], row[8:11], row[11:20] = total, com, inertia.ravel()
+Factors = dict[str, Array]
+"""What a true arm is beside its nominal one, each of shape (n,), with the names of `NEUTRAL`."""
+RATIOS = ("mass", "inertia", "armature", "damping", "kp", "kv")
+"""Factors that are true over nominal."""
+NEUTRAL = {
+    **dict.fromkeys(RATIOS, 1.0), "x": 0.0, "y": 0.0, "z": 0.0, "zero": 0.0, "shift": 0.0,
+    "constant": 1.0, "offset": 0.0,
+}  # fmt: skip
+"""Factors of an arm that is exactly the nominal one: ratios, shifts of the centre of mass over the
+length of the link, error of the encoders' zero [rad or m], time by which commands act late (if
+negative early) [s], measured over true torque, its offset over the drive's limit."""
 
 
-def at_rest(system: System, joints: Array) -> tuple[Array, Array, Array]:
-    """Mass matrix (N, N), gravity's load (N,) and working space, extra joints at zero."""
-    dofs = len(system.bodies)
-    q = np.zeros(dofs)
-    q[system.joint_dofs] = joints
-    work = np.zeros((dofs, WORK))
-    mass, bias = np.zeros((dofs, dofs)), np.zeros(dofs)
-    forward(system.bodies, q, np.zeros(dofs), system.gravity, work)
-    mass_and_bias(system.bodies, work, mass, bias)
-    return mass, bias, work
-
-
-def mass_matrix(system: System, joints: Array) -> Array:
-    """Mass matrix with the joints at given positions and the extra ones at rest, (N, N)."""
-    return at_rest(system, joints)[0]
-
-
-def felt_inertia(system: System, dof: int, joints: Array) -> float:
-    """Inertia that a force in one degree of freedom feels, all others free."""
-    return 1.0 / float(np.linalg.inv(mass_matrix(system, joints))[dof, dof])
+def exactly(joints: int) -> Factors:
+    """Factors of an arm that is exactly the nominal one."""
+    return {name: np.full(joints, value) for name, value in NEUTRAL.items()}

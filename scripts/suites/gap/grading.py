@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from scripts.suites.blind import share
-from scripts.suites.gap.cases import FORMAT, WORLDS
+from scripts.suites.blind import columns_table, share
+from scripts.suites.gap.cases import FORMAT
+from scripts.suites.gap.worlds import WORLDS
 
 Named = tuple[str, str]
 """Kind and place."""
@@ -133,86 +134,66 @@ def _values(true: Mapping[str, Any], effect: Mapping[str, Any]) -> tuple[list[bo
 
 # ---------------------------------------------------------------------------------- table
 
-
-def _right(role: str) -> Callable[[Sequence[Marks]], str]:
-    def cell(rows: Sequence[Marks]) -> str:
-        own = [row for row in rows if row["role"] == role]
-        return share(sum(row["right"] for row in own), len(own))
-
-    return cell
+Rows = Sequence[Marks]
 
 
-def _recall(rows: Sequence[Marks]) -> str:
-    own = [hit for row in rows if row["role"] == "many" for hit in row["found"]]
+def _share(hits: Iterable[Any]) -> str:
+    own = [bool(hit) for hit in hits]
     return share(sum(own), len(own))
 
 
-def _precision(rows: Sequence[Marks]) -> str:
-    own = [row for row in rows if row["role"] == "many"]
-    said = sum(len(row["said"]) for row in own)
-    return share(said - sum(len(row["false"]) for row in own), said)
+def _of(rows: Rows, role: str) -> list[Marks]:
+    return [row for row in rows if row["role"] == role]
 
 
-def _all_found(rows: Sequence[Marks]) -> str:
-    own = [row for row in rows if row["role"] == "one"]
-    return share(sum(all(row["found"]) for row in own), len(own))
+def _spread(rows: Rows, name: str, unit: str) -> str:
+    own = [row[name] for row in rows if row.get(name) is not None]
+    return f"{np.median(own):.3g}, {max(own):.3g} {unit}" if own else "none"
 
 
-def _held(rows: Sequence[Marks]) -> str:
-    own = [hit for row in rows for hit in row["held"]]
-    return share(sum(own), len(own))
-
-
-def _error(rows: Sequence[Marks]) -> str:
+def _error(rows: Rows) -> str:
     own = [error for row in rows for error in row["errors"]]
     return f"{100 * np.median(own):.1f} %" if own else "none"
 
 
-def _spread(name: str, unit: str) -> Callable[[Sequence[Marks]], str]:
-    def cell(rows: Sequence[Marks]) -> str:
-        own = [row[name] for row in rows if row.get(name) is not None]
-        return f"{np.median(own):.3g}, {max(own):.3g} {unit}" if own else "none"
-
-    return cell
-
-
-LINES: tuple[tuple[str, str, Callable[[Sequence[Marks]], str]], ...] = (
-    ("one effect, right and nothing false beside", "92 %, each world 85 %", _right("one")),
-    ("one effect, found", "", _all_found),
-    ("two effects, both right and nothing false", "80 %", _right("two")),
-    ("four to six effects, recall", "80 %", _recall),
-    ("four to six effects, precision", "90 %", _precision),
-    ("nothing missing, nothing named", "98 %", _right("none")),
-    ("one from outside, said so", "90 %", _right("outside")),
-    ("true values inside the 95 % intervals", "93 %", _held),
-    ("error of the first parameter, median", "", _error),
-    ("CPU time a case, median and largest", "", _spread("cpu", "s")),
-    ("peak memory, median and largest", "1 GB", _spread("memory", "MB")),
-    ("cases that failed, wrong in all of the above", "0",
-     lambda rows: share(sum(row["verdict"] == "failed" for row in rows), len(rows))),
+LINES: tuple[tuple[str, Callable[[Rows], str]], ...] = (
+    ("one effect, right and nothing false beside | 92 %, each world 85 %",
+     lambda rows: _share(row["right"] for row in _of(rows, "one"))),
+    ("one effect, found | ", lambda rows: _share(all(row["found"]) for row in _of(rows, "one"))),
+    ("two effects, both right and nothing false | 80 %",
+     lambda rows: _share(row["right"] for row in _of(rows, "two"))),
+    ("four to six effects, recall | 80 %",
+     lambda rows: _share(hit for row in _of(rows, "many") for hit in row["found"])),
+    ("four to six effects, precision | 90 %", lambda rows: _share(
+        name not in row["false"] for row in _of(rows, "many") for name in row["said"])),
+    ("nothing missing, nothing named | 98 %",
+     lambda rows: _share(row["right"] for row in _of(rows, "none"))),
+    ("one from outside, said so | 90 %",
+     lambda rows: _share(row["right"] for row in _of(rows, "outside"))),
+    ("true values inside the 95 % intervals | 93 %",
+     lambda rows: _share(hit for row in rows for hit in row["held"])),
+    ("error of the first parameter, median | ", _error),
+    ("CPU time a case, median and largest | ", lambda rows: _spread(rows, "cpu", "s")),
+    ("peak memory, median and largest | 1 GB", lambda rows: _spread(rows, "memory", "MB")),
+    ("cases that failed, wrong in all of the above | 0",
+     lambda rows: _share(row["verdict"] == "failed" for row in rows)),
 )  # fmt: skip
-"""Lines of the table: what, goal, and how it is counted."""
+"""Lines of the table: what and goal, and how it is counted."""
 
 
-def table(rows: Sequence[Marks]) -> str:
+def table(rows: Rows) -> str:
     """The table of all worlds and of each, in Markdown, with Wilson's intervals."""
-    worlds = [name for name in WORLDS if any(row["world"] == name for row in rows)]
-    lines = [f"| | goal | all | {' | '.join(worlds)} |", "|---|---|" + "---|" * (1 + len(worlds))]
-    for words, goal, cell in LINES:
-        own = [cell([row for row in rows if row["world"] == name]) for name in worlds]
-        lines.append(f"| {words} | {goal} | {cell(rows)} | {' | '.join(own)} |")
-    return "\n".join(lines)
+    worlds = {name: [row for row in rows if row["world"] == name] for name in WORLDS}
+    columns = {"all": rows} | {name: own for name, own in worlds.items() if own}
+    return columns_table(LINES, columns, first="| goal ")
 
 
-def methods_table(tools: Mapping[str, Sequence[Marks]]) -> str:
-    """The lines of the table with a column a tool, on the cases that all of them have."""
+def methods_table(tools: Mapping[str, Rows]) -> str:
+    """The table with a column a tool, on the cases that all of them have."""
     names = set.intersection(*({row["case"] for row in rows} for rows in tools.values()))
-    lines = [f"{len(names)} cases that all tools have run.", ""]
-    lines += [f"| | {' | '.join(tools)} |", "|---|" + "---|" * len(tools)]
-    for words, _, cell in LINES:
-        own = [cell([row for row in rows if row["case"] in names]) for rows in tools.values()]
-        lines.append(f"| {words} | {' | '.join(own)} |")
-    return "\n".join(lines)
+    columns = {tool: [r for r in rows if r["case"] in names] for tool, rows in tools.items()}
+    said = f"{len(names)} cases that all tools have run."
+    return f"{said}\n\n{columns_table(LINES, columns, first='| goal ')}"
 
 
 def words_of(row: Marks) -> str:

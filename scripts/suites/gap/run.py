@@ -39,9 +39,10 @@ from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import Positive, write_text
 from scripts.suites.blind import commit, numbers_of, sealed_truth
 from scripts.suites.gap import ablation
-from scripts.suites.gap.cases import TOLERANCES, made
+from scripts.suites.gap.cases import made
 from scripts.suites.gap.effects import CATALOGUE, KINDS
 from scripts.suites.gap.grading import failed, grade, methods_table, table, words_of
+from scripts.suites.gap.worlds import TOLERANCES
 from scripts.suites.rows import BlindSettings, Row, asked_apart, blind_rows, code_hash, kept, named
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -163,7 +164,7 @@ class RunSettings(BlindSettings):
 def code_of(tool: str) -> str:
     """Hash of the code that the rows of a tool depend on."""
     here = Path(__file__).parent
-    suite = [here / f"{name}.py" for name in ("arms", "dynamics", "machine", "effects", "cases")]
+    suite = [here / f"{name}.py" for name in ("arms", "dynamics", "worlds", "effects", "cases")]
     if tool.partition("@")[0] == "loose_gap":
         own = [Path(loose_env.__file__).parent / part for part in ("gap", "recording")]
     else:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scripts.suites.blind import share
+from scripts.suites.blind import columns_table, share
 from scripts.suites.instrument.cases import CLASSES, GROWS_FROM, HEALTHY, SHEETS
 from scripts.suites.instrument.sensing import DAMAGES
 
@@ -183,14 +183,6 @@ def of_way(rows: Rows, way: str) -> list[dict[str, Any]]:
     return [{**row, **row[way]} for row in rows if way in row]
 
 
-def _columns(title: str, columns: Mapping[str, Rows]) -> str:
-    """A table with a column for each group of rows."""
-    lines = [f"## {title}", "", f"| | {' | '.join(columns)} |", "|---|" + "---|" * len(columns)]
-    for words, cell in LINES:
-        lines.append(f"| {words} | {' | '.join(cell(rows) for rows in columns.values())} |")
-    return "\n".join(lines)
-
-
 def table(rows: Rows) -> str:
     """Tables without and with reference: all classes but hobby machines, and each class."""
     parts = []
@@ -200,7 +192,7 @@ def table(rows: Rows) -> str:
         for name in CLASSES:
             each = [row for row in own if row["machine"] == name]
             columns |= {name + " (hobby, apart)" * SHEETS[name].hobby: each} if each else {}
-        parts.append(_columns(f"{TITLES[way]}, {len(columns['all'])} cases", columns))
+        parts += [f"## {TITLES[way]}, {len(columns['all'])} cases", columns_table(LINES, columns)]
     return "\n\n".join(parts)
 
 

@@ -58,8 +58,8 @@ LONGEST = 900.0
 """Time after which a tool counts as failed [s]."""
 _HERE = "scripts.suites.instrument"
 NAMED = {"loose": f"{_HERE}.loose:Loose", "three-poses": f"{_HERE}.loose:ThreePoses",
-         "nine-poses": f"{_HERE}.loose:NinePoses", "three-levels": f"{_HERE}.loose:ThreeLevels",
-         "null": f"{_HERE}.null:Null"}  # fmt: skip
+         "nine-poses": f"{_HERE}.loose:NinePoses",
+         "three-levels": f"{_HERE}.loose:ThreeLevels"}  # fmt: skip
 """Tools by their short names."""
 GENERATOR = ("machines", "physics", "standins", "sensing", "cases", "session")
 
@@ -281,7 +281,7 @@ class RunSettings(BlindSettings):
     series: Annotated[str, one_of(SERIES)] = "cases"
     """Sessions, sessions of which files are damaged, or twelve monthly sessions of a machine."""
     tool: str = "loose"
-    """Tool that is graded: loose, its plans three-poses, nine-poses or three-levels, null or
+    """Tool that is graded: loose, its plans three-poses, nine-poses or three-levels, or
     module:object."""
     plan_of: str = ""
     """Tool whose plan is played; the tool that is graded by default."""

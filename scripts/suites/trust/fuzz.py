@@ -380,9 +380,8 @@ def _described(home: Path) -> Any:
 
 
 def _imported(home: Path) -> Any:
-    from loose_env.importing import describe_sources, import_recording
+    from loose_env.importing import import_recording
 
-    describe_sources([str(home / "log.csv")])
     found = import_recording([home / "log.csv"], home / "map.toml", home.parent / "work" / "made")
     return [(run.name, run.samples) for run in found.runs]
 

@@ -15,46 +15,43 @@ pytest.importorskip("pyarrow")
 from loose_env.errors import InvalidSetting
 from loose_env.recording import read_recording
 from scripts.suites.blind import FIRST_JUDGED
-from scripts.suites.gap.arms import MACHINES, model_xml, planar3, spatial3
+from scripts.suites.gap.arms import MACHINES, model_xml
 from scripts.suites.gap.cases import (
-    TOLERANCES,
     VISIBLE,
     draw_case,
-    is_written,
+    made,
     role_of,
     runs_of,
     seed_of,
     truth_of,
     world_of,
-    write_case,
 )
-from scripts.suites.gap.dynamics import Factors, build, simulate
+from scripts.suites.gap.dynamics import exactly
 from scripts.suites.gap.effects import CATALOGUE, KINDS, OUTSIDE, Effect, Spot, drawn
-from scripts.suites.gap.machine import Motion, TrueArm
+from scripts.suites.gap.worlds import SAMPLE, TOLERANCES, Motion, Noise, Setup
 
 pytestmark = pytest.mark.slow
 
-NAMES = list(MACHINES)
 
-
-def swing(figures, seconds: float = 0.8) -> np.ndarray:
+def swing(machine, seconds: float = 0.8) -> np.ndarray:
     """Commands that move every joint."""
     time = np.arange(round(seconds * 1000)) * 1e-3
-    rates = np.linspace(0.9, 2.4, 7)[: figures.joints]
+    rates = np.linspace(0.9, 2.4, 7)[: machine.joints]
     wave = np.sin(2 * np.pi * rates * time[:, None]) * np.minimum(time / 0.3, 1.0)[:, None] ** 2
-    return figures.home + 0.3 * figures.reach * wave
+    return machine.home + 0.3 * machine.reach * wave
 
 
-def exact(figures, *effects: Effect) -> TrueArm:
-    return TrueArm(figures=figures, factors=Factors.ones(figures.joints), effects=effects)
+def exact(machine, *effects: Effect) -> Setup:
+    noise = Noise.draw(machine, np.random.default_rng(0), SAMPLE)
+    return Setup(machine=machine, factors=exactly(machine.joints), effects=effects, noise=noise)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", list(MACHINES))
 def test_the_nominal_arm_moves_as_mujoco_moves_its_model(name):
-    figures = MACHINES[name]()
-    commands = swing(figures)
-    trace = simulate(build(figures, Factors.ones(figures.joints)), commands)
-    model = mujoco.MjModel.from_xml_string(model_xml(figures))
+    machine = MACHINES[name]
+    commands = swing(machine)
+    trace = exact(machine).run(Motion(commands=commands))
+    model = mujoco.MjModel.from_xml_string(model_xml(machine))
     assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = trace.position[0], trace.velocity[0]
@@ -73,37 +70,34 @@ def test_the_nominal_arm_moves_as_mujoco_moves_its_model(name):
 @pytest.mark.parametrize("name", [*CATALOGUE, *OUTSIDE])
 def test_every_kind_changes_the_readings(name):
     kind = KINDS[name]
-    figures = next(arm for arm in (planar3(), spatial3()) if kind.places(arm))
-    motion = Motion(commands=swing(figures))
-    effect = drawn(name, Spot(figures, kind.places(figures)[-1], np.random.default_rng(3)), 0.9)
-    with_it, without = exact(figures, effect).run(motion), exact(figures).run(motion)
-    changes = [
-        np.abs(getattr(with_it, field.name) - getattr(without, field.name)).max()
-        for field in dataclasses.fields(without)
-    ]
+    machine = next(m for m in (MACHINES["planar3"], MACHINES["spatial3"]) if kind.places(m))
+    motion = Motion(commands=swing(machine))
+    effect = drawn(name, Spot(machine, kind.places(machine)[-1], np.random.default_rng(3)), 0.9)
+    with_it, without = exact(machine, effect).run(motion), exact(machine).run(motion)
+    changes = [np.abs(a - b).max() for a, b in zip(with_it, without, strict=True)]
     assert np.all(np.isfinite(changes))
     assert max(changes) > 1e-3
 
 
 def test_a_coupled_motor_shares_its_torque_and_a_sampled_servo_still_follows():
-    figures = MACHINES["elbow4"]()
-    motion = Motion(commands=swing(figures))
-    free = exact(figures).run(motion)
-    sampled = dataclasses.replace(exact(figures), servo=(2000.0, 1.0, 0.5)).run(motion)
+    machine = MACHINES["elbow4"]
+    motion = Motion(commands=swing(machine))
+    free = exact(machine).run(motion)
+    sampled = dataclasses.replace(exact(machine), servo=(2000.0, 1.0, 0.5)).run(motion)
     assert 0 < np.abs(sampled.position - free.position).max() < 5e-3
-    coupled = dataclasses.replace(exact(figures), coupling=(1.0, 0.0, 0.0)).run(motion)
+    coupled = dataclasses.replace(exact(machine), coupling=(1.0, 0.0, 0.0)).run(motion)
     np.testing.assert_allclose(
         coupled.torque[:, 2] + coupled.torque[:, 3], free.torque[:, 2], atol=1e-9
     )
 
 
 def test_friction_behind_slack_gives_nothing_inside_it_and_slides_at_its_bound():
-    figures = MACHINES["turntable1"]()
-    at = KINDS["friction_behind_slack"].places(figures)[0]
+    machine = MACHINES["turntable1"]
+    at = KINDS["friction_behind_slack"].places(machine)[0]
     law = {"torque": 4.0, "slack": 0.2, "elastic": 0.02}
     motion = Motion(commands=np.linspace(0.0, 1.0, 3000)[:, None])
     with_it, without = (
-        exact(figures, *effects).run(motion).torque[:, 0]
+        exact(machine, *effects).run(motion).torque[:, 0]
         for effects in ([Effect(kind="friction_behind_slack", place=at, parameters=law)], [])
     )
     more = with_it - without
@@ -125,15 +119,15 @@ def test_a_case_is_drawn_by_its_number_alone_and_a_judged_one_by_its_phrase():
 
 @pytest.mark.parametrize("number", range(6))
 def test_a_recording_of_each_world_reads_and_tells_nothing(number, tmp_path):
-    recordings, truth, case = tmp_path / "recordings", tmp_path / "truth", draw_case(number)
-    folder = write_case(case, recordings=recordings, truth=truth)
+    name = made(number, "", tmp_path)
+    folder, truth = tmp_path / "recordings" / name, tmp_path / "truth" / f"{name}.json"
+    sealed, written = json.loads(truth.read_text()), truth.stat().st_mtime_ns
     found = read_recording(folder)
-    assert len(found.runs) == 4 and found.model().nv == case.arm.figures.joints
-    sealed = json.loads((truth / f"{case.name}.json").read_text())
+    assert len(found.runs) == 4 and found.model().nv == sealed["joints"]
     (effect,) = sealed["effects"]
     said = "".join(path.read_text() for path in folder.glob("*.[jx]*"))
     assert not any(word in said for word in (effect["kind"], "friction", "gap", sealed["world"]))
-    assert is_written(case.name, recordings=recordings, truth=truth)
+    assert made(number, "", tmp_path) == name and truth.stat().st_mtime_ns == written
     assert effect["visible"] >= VISIBLE
     assert [effect["kind"], effect["where"]] == effect["accept"][0][0]
     if sealed["world"] in ("servo", "torque", "free"):

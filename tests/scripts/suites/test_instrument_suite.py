@@ -12,12 +12,13 @@ from loose_env.errors import InvalidData, InvalidSetting
 from scripts.suites.blind import numbers_of
 from scripts.suites.instrument import cases, grading, run, sensing, session, standins
 from scripts.suites.instrument.machines import DESIGNS, STEP
-from scripts.suites.instrument.null import Null
 from scripts.suites.instrument.physics import Chances, Fault, Simulated, World
+from tests.scripts.suites.null_tool import Null
 
 needs_standins = pytest.mark.skipif(bool(standins.absent()), reason=standins.absent() or "-")
 OWN = tuple(name for name in cases.CLASSES if name in DESIGNS)
 GANTRY = next(n for n in range(9) if cases.machine_of(n) == "gantry")
+NULL = "tests.scripts.suites.null_tool:Null"
 
 
 class Crashing(Null):
@@ -322,8 +323,8 @@ def test_a_growing_fault_begins_in_its_month():
 
 
 def test_tools_are_checked():
-    assert isinstance(run.tool_of("null"), Null)
-    with pytest.raises(InvalidSetting, match="null"):
+    assert isinstance(run.tool_of(NULL), Null)
+    with pytest.raises(InvalidSetting, match="three-poses"):
         run.tool_of("nothing")
     with pytest.raises(InvalidSetting, match="diagnose"):
         run.tool_of("pathlib:Path")
@@ -331,13 +332,13 @@ def test_tools_are_checked():
 
 def test_each_judged_case_needs_a_phrase(tmp_path, capsys):
     with pytest.raises(SystemExit, match="--phrase"):
-        run.main(["--numbers", "10003", "--tool", "null", "--out", str(tmp_path)])
+        run.main(["--numbers", "10003", "--tool", NULL, "--out", str(tmp_path)])
 
 
 @pytest.mark.slow
 def test_a_command_plays_judges_resumes_and_shows(tmp_path, capsys):
     words = ["--numbers", str(GANTRY), "--blind", str(tmp_path / "blind")]
-    null = [*words, "--tool", "null", "--out", str(tmp_path / "null")]
+    null = [*words, "--tool", NULL, "--out", str(tmp_path / "null")]
     run.main([*null, "--ablate"])
     printed = capsys.readouterr().out
     assert all(f"| {name} | none | 0/1 |" in printed for name in ("as shipped", "silent"))

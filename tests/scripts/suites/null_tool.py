@@ -1,4 +1,4 @@
-"""Tool that plans a session and never decides: a lower bound, and a test double."""
+"""Tool of the instrument suite that plans a session and never decides."""
 
 from __future__ import annotations
 
