@@ -21,7 +21,7 @@ from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.typing import Array
 
 _MOVING = 2.0
-"""Speed over its noise from which a joint moves, and foretold reading: three quarters of its power are motion."""
+"""Speed, or foretold reading, over its noise from which a joint moves: three quarters are motion."""
 _BINS = 50  # frequencies at which that noise is averaged
 LAW_WIDTH = 0.15
 """Prior standard deviation of a law's coefficient about one: a shape midway between two that are
