@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, Any
 
 import mujoco
@@ -323,9 +324,12 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         shown = foretold[:, at]
-        late = np.concatenate([rates(run, motion.step) for run in motion.split(shown)])
+        rate = partial(rates, step=motion.step)
+        late = np.concatenate([rate(run) for run in motion.split(shown)])
+        smeared = np.concatenate([rate(run, order=2) for run in motion.split(shown)])
         size = float(np.sqrt(np.mean(shown**2)))
-        changes = [("timing", -tolerances.sensor_samples * step * late)]
+        width = tolerances.sensor_samples * step
+        changes = [("timing", -width * late), ("smear", width**2 / 2 * smeared)]
         changes += [("gain", tolerances.sensor * shown)]
         axes = np.eye(len(at))
         changes += [("zero", tolerances.sensor_bias * size * axis + 0 * shown) for axis in axes]
