@@ -21,7 +21,7 @@ from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.typing import Array
 
 _MOVING = 2.0
-"""Speed, or foretold reading, over its noise from which a joint moves: three quarters are motion."""
+"""Speed over its noise from which a joint moves: three quarters of its power are motion."""
 _BINS = 50  # frequencies at which that noise is averaged
 LAW_WIDTH = 0.15
 """Prior standard deviation of a law's coefficient about one: a shape midway between two that are
@@ -52,7 +52,7 @@ class Column:
     low: float  # Smallest coefficient
     high: float  # Largest coefficient
     eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
-    late: Late = None  # Joint whose positions are read late, -1 of a reading, and by how much [s]
+    late: Late = None  # Joint whose positions are read late, and by how much [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +114,7 @@ def shows(balance: Balance, effect: Effect) -> bool:
     Sensors show where their readings are compared; stops are the business of the exact fit.
     """
     if effect.part == "sensor":
-        if effect.where in balance.encoders or not balance.readings.has(effect.where):
-            return effect.where in balance.encoders
-        return not effect.is_time_shift or balance.readings.over_noise(effect.where) > _MOVING
+        return effect.where in balance.encoders or balance.readings.has(effect.where)
     if isinstance(effect, CommandInterpolation):  # the commands may be known to be lines
         motion = balance.motion
         return not np.array_equal(motion.stacked("straight"), motion.stacked("commands"))
@@ -180,9 +178,6 @@ def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
         if effect.needs_data_starts:
             return proposed
         return (*effect.starts, *proposed)
-    if effect.is_time_shift and balance.readings.has(effect.where):
-        late = balance.readings.late(effect.where, effect.parameters[0].high)
-        return (*effect.starts, (late,)) if late > effect.parameters[0].low else effect.starts
     if isinstance(effect, DriveLimit):
         joint = balance.machine.joint_number(balance.machine.actuated_joint[effect.where])
         asked, needed = balance.given[:, joint], balance.needed[:, joint]
@@ -291,8 +286,8 @@ def _column(
     """Column with the prior and the bounds of its coefficient."""
     change = forces.with_contact(direction)
     if law:
-        width, joint = LAW_WIDTH, balance.encoders.get(effect.where, -1)
-        late = (joint, values[0]) if effect.is_time_shift and effect.part == "sensor" else None
+        width, joint = LAW_WIDTH, balance.encoders.get(effect.where)
+        late = (joint, values[0]) if effect.is_time_shift and joint is not None else None
         return Column(
             change=balance.change(change), operator=forces.operator, centre=1.0, spread=width,
             low=1 - 2.3 * width, high=1 + 2.3 * width, eased=forces.eased, late=late,

@@ -407,14 +407,17 @@ def _held(balance: Balance, joint: int, operators: Array, eased: Sequence[Array 
     return np.asarray(operators[:, 2, joint, joint] / stiffness - free)
 
 
-def _gains(balance: Balance, channel: int, wide: Sequence[Change]) -> Array:
-    """Share of the foretold reading that is in each column (K,); 0 of a joint."""
-    number = channel - len(balance.machine.joints)
-    if number < 0:
-        return np.zeros(len(wide))
-    foretold = balance.readings.foretold[:, number]
-    whole = float(foretold @ foretold) + 1e-300
-    return np.array([float(foretold @ column.at(channel)) for column in wide]) / whole
+def _gains(balance: Balance, channel: int, turn: Array, wide: Sequence[Change]) -> Array:
+    """Share of the foretold reading that is in each column, by frequency (C, K)."""
+    foretold = balance.readings.foretold[:, channel - len(balance.machine.joints)]
+    frequency = np.fft.rfftfreq(len(foretold), balance.motion.step)
+    centres, at = np.unique(turn / (2 * np.pi), return_inverse=True)
+    first = np.searchsorted(frequency, np.r_[0.0, np.sqrt(centres[:-1] * centres[1:])])
+    told = np.fft.rfft(foretold - foretold.mean())
+    power = np.add.reduceat(np.abs(told) ** 2, first) + 1e-300
+    waves = (np.fft.rfft(column.at(channel)) for column in wide)
+    shares = [np.add.reduceat((told.conj() * wave).real, first) / power for wave in waves]
+    return np.stack(shares, axis=1)[at] if shares else np.zeros((len(turn), 0))
 
 
 def _beside(
@@ -429,11 +432,9 @@ def _beside(
     if number >= 0:
         foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
         noisy = foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2
-        gains = _gains(balance, channel, wide)
-        gains[[k for k, own in enumerate(late) if own is not None]] = 0.0  # as large, but later
-        return np.outer(noisy, gains)
+        return np.asarray(noisy[:, None] * _gains(balance, channel, turn, wide))
     for k, own in enumerate(late):
-        if own is not None and own[0] >= 0:
+        if own is not None:
             of_joint = balance.noise_of(channel, turn / (2 * np.pi))[:, own[0]]
             share = of_joint / balance.noise(channel, turn / (2 * np.pi), floor=False) ** 2
             found[:, k] = share * (np.cos(turn * own[1]) - 1)

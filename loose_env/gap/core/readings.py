@@ -55,30 +55,6 @@ class Readings:
         """Whether a sensor is among them."""
         return any(name == sensor for name, _ in self.motion.sensors)
 
-    def over_noise(self, sensor: str) -> float:
-        """Largest foretold change of a sensor's reading over the noise of what foretells it."""
-        frequency = np.linspace(0.0, self.motion.band, _POSES)
-        share = 2 * self.motion.band * self.motion.step  # of the noise, in the band
-        return max(
-            float(np.std(self.foretold[:, k]))
-            / float(np.sqrt(share * np.mean(self.foretold_variance(k, frequency))) + 1e-300)
-            for k, (name, _) in enumerate(self.motion.sensors)
-            if name == sensor
-        )
-
-    def late(self, sensor: str, longest: float) -> float:
-        """Delay up to a longest one at which a sensor agrees best with the foretold reading [s]."""
-        at, step = [k for k, (name, _) in enumerate(self.motion.sensors) if name == sensor], 0.0
-        agreed: Array | float = 0.0
-        for run, told in zip(self.motion.runs, self.motion.split(self.foretold), strict=True):
-            step, count = run.step / FINER, int(longest / run.step) * FINER
-            size = len(told) + count // FINER + 1
-            seen, told = (x[:, at] - x[:, at].mean(axis=0) for x in (run.readings, told))
-            waves = [np.fft.rfft(x, size, axis=0) for x in (seen, told)]
-            cross = np.sum(waves[0] * waves[1].conj(), axis=1)
-            agreed = agreed + np.fft.irfft(cross, FINER * size)[: count + 1]
-        return step * int(np.argmax(agreed))
-
     def change(
         self,
         model: mujoco.MjModel | None,
