@@ -38,7 +38,7 @@ SHARE_VALUES = 0.02
 _ROUNDS = 8  # reweighted rounds of one fit
 _LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is taken
 _SCREENED = 14  # candidates that are fitted in one step
-_FITTED = 3  # sets that are fitted for each weighting: the best at fixed weights
+_FITTED = (3, 12)  # sets that are fitted for each weighting, the best at fixed weights first
 _MOST = 40  # steps of a search
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
@@ -512,9 +512,12 @@ class Selection:
                 if 1 < len(several) >= self._places[several[0].effect.kind] - 1:
                     sets[frozenset(map(id, several))] = several
         moves = [(*state.terms, *new) for new in sets.values()]
-        fitted = self.fitted(state, moves, weightings, _FITTED)
-        best = min(fitted, key=lambda f: f.total, default=None)
-        return best if best and best.total <= state.total - _LEAST_GAIN else None
+        for most in _FITTED:
+            fitted = self.fitted(state, moves, weightings, most)
+            best = min(fitted, key=lambda f: f.total, default=state)
+            if best.total <= state.total - _LEAST_GAIN:
+                return best
+        return None
 
     def fitted(
         self, state: SetFit, sets: Sequence[Set], weightings: Sequence[Sequence[Array]], most: int
