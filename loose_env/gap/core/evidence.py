@@ -98,6 +98,7 @@ class Evidence:
     channels: list[Channel]  # Channels that were measured and move
     terms: list[Term]  # Candidates
     places: dict[int, tuple[int, ...]]  # Columns of each term, by its identity
+    reached: dict[int, list[int]]  # Channels that they change
     centre: Array  # Prior means of the coefficients (K,)
     precision: Array  # Prior precisions (K,)
     low: Array  # Smallest coefficients (K,)
@@ -172,6 +173,7 @@ def whiten(
         channels=channels,
         terms=[],
         places={},
+        reached={},
         centre=np.zeros(kept),
         precision=np.ones(kept),
         low=np.full(kept, -np.inf),
@@ -212,6 +214,11 @@ def append(evidence: Evidence, *terms: Term) -> None:
     for term in terms:
         evidence.places[id(term)] = tuple(range(first, first + len(term.columns)))
         first += len(term.columns)
+        evidence.reached[id(term)] = [
+            k
+            for k, channel in enumerate(evidence.channels)
+            if any(column.change.reaches(channel.joint) for column in term.columns)
+        ]
     first = len(evidence.centre)
     evidence.terms += terms
     for channel in evidence.channels:

@@ -142,6 +142,15 @@ class Selection:
         values = self.values[channel]
         return np.asarray(values / (values + excess) * self.used[channel])
 
+    def earnable(self, powers: Sequence[Array], fit: SetFit | None) -> Array:
+        """What a set leaves of each channel over its noise, below which nothing is earned."""
+        left = powers if fit is None else fit.powers
+        over = (
+            self.weights(k, power) @ np.maximum(left[k] - channel.count, 0.0)
+            for k, (channel, power) in enumerate(zip(self.evidence.channels, powers, strict=True))
+        )
+        return np.array(list(over))
+
     def on(self, used: Sequence[NDArray[np.bool_]]) -> Selection:
         """The same selection on some of the cells."""
         found = copy(self)
@@ -308,6 +317,7 @@ class Selection:
                 gain -= float(precision[new] @ centre[new] ** 2 + np.linalg.slogdet(several)[1])
             else:
                 continue
+            gain = min(gain, float(form.earnable[evidence.reached[id(term)]].sum()))
             found.append((gain - log(self._shapes[term.name]), term))
         return sorted(found, key=lambda pair: -pair[0])
 
@@ -527,7 +537,16 @@ class Selection:
         for powers in weightings:
             form = Form(self, powers)
             form.cover(k for own in sets for k in self.columns(own))
-            likely = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
+            now, earnable = self.predicted(form, state.terms), self.earnable(powers, state)
+            totals = []
+            for own in sets:
+                new = [t for t in own if t not in state.terms]
+                total = self.predicted(form, own)
+                if len(own) == len(state.terms) + len(new):
+                    reached = sorted({k for t in new for k in self.evidence.reached[id(t)]})
+                    total = max(total, now - float(earnable[reached].sum()))
+                totals.append(total)
+            likely = sorted(zip(totals, range(len(sets)), strict=True))[:most]
             for total, k in likely:
                 if np.isfinite(total):
                     chosen.setdefault(k, powers)
@@ -685,11 +704,10 @@ class Form:
         self.slope = evidence.precision * evidence.centre
         self.diagonal = evidence.precision.copy()
         growths, noises = [], []
+        self.earnable = selection.earnable(powers, fit)
         for channel, weight, power in zip(evidence.channels, self._weights, powers, strict=True):
             at = channel.columns
-            # nothing is earned below the noise
-            earned = weight * (channel.power > channel.count)
-            self.slope[at] += earned @ channel.slope
+            self.slope[at] += weight @ channel.slope
             self.diagonal[at] += weight @ channel.square
             growth = np.zeros((len(weight), count))
             growth[:, at] = channel.growth
