@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,13 +24,6 @@ _KAISER = 9.0
 _SHARE = 0.91
 """Cutoff over half the lower rate, so that the kernel's slope ends near half that rate."""
 _AT_ONCE = 2_000_000
-
-
-class Resampled(NamedTuple):
-    """Values at the rows, and a description of the method."""
-
-    values: Array
-    how: str
 
 
 def median_step(time: Array) -> float:
@@ -81,8 +73,8 @@ def held(time: Array, values: Array, rows: Array, longest: float) -> Array:
     return found
 
 
-def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resampled:
-    """Bring a channel to the times of the rows, band-limited, and NaN across gaps.
+def resampled(time: Array, values: Array, rows: Array, longest: float) -> tuple[Array, str]:
+    """Bring a channel to the times of the rows, band-limited, and NaN across gaps; and say how.
 
     Where the channel has a sample at every row, samples are taken as they are. A slower channel is
     interpolated by a windowed sinc, which leaves its band alone and adds nothing above it; a
@@ -94,8 +86,8 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
     --------
     >>> slow = np.arange(400) / 100
     >>> rows = np.arange(1000, 3000) / 1000
-    >>> found = resampled(slow, np.sin(2 * np.pi * 20 * slow), rows, 0.015)
-    >>> found.how, bool(np.abs(found.values - np.sin(2 * np.pi * 20 * rows)).max() < 1e-3)
+    >>> values, how = resampled(slow, np.sin(2 * np.pi * 20 * slow), rows, 0.015)
+    >>> how, bool(np.abs(values - np.sin(2 * np.pi * 20 * rows)).max() < 1e-3)
     ('band-limited from 100 Hz', True)
     """
     step = median_step(time)
@@ -108,7 +100,7 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
         found[same] = values[near[same]]
         inside = (rows >= time[0]) & (rows <= time[-1]) & (np.diff(time)[after - 1] <= longest)
         if not np.any(inside & ~same):
-            return Resampled(found, "taken as it is")
+            return (found, "taken as it is")
     found[:] = np.nan
     even = True
     edges = np.flatnonzero(np.diff(time) > longest) + 1
@@ -122,8 +114,8 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
             even &= own
     rate = f"{1 / step:.6g} Hz"
     if step < 0.99 * out_step:
-        return Resampled(found, f"low-passed at {0.5 * _SHARE / out_step:.4g} Hz, from {rate}")
-    return Resampled(found, f"{'band-limited' if even else 'spline, uneven samples'} from {rate}")
+        return (found, f"low-passed at {0.5 * _SHARE / out_step:.4g} Hz, from {rate}")
+    return (found, f"{'band-limited' if even else 'spline, uneven samples'} from {rate}")
 
 
 def _segment(time: Array, values: Array, rows: Array, out_step: float) -> tuple[Array, bool]:
