@@ -160,8 +160,6 @@ class _Run:
     """After the first time that all columns have [s]."""
     stop: _Moment | None = None
     """The same [s]."""
-    rate_hz: _Rate | None = None
-    """Rate of the rows [Hz]; the samples of the fastest channel by default."""
     episodes: tuple[int, ...] | Literal["all"] = "all"
     """Numbers of the episodes of a dataset, each of which becomes a run; no meaning for sources
     without episodes."""

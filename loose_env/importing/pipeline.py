@@ -315,17 +315,9 @@ def _ends(run: RunPlan, columns: Sequence[_Column]) -> tuple[float, float]:
 
 def _rows(run: RunPlan, lead: _Column, start: float, stop: float, columns: int) -> Array:
     most = MOST_VALUES // (columns + 1)
-    rows: Array | None
-    if run.rate_hz is None:
-        rows = rows_of(lead.time, start, stop, lead.longest, most)
-    else:
-        count = (stop - start) * run.rate_hz
-        rows = start + np.arange(int(count + 1e-6) + 1) / run.rate_hz if count < most else None
+    rows = rows_of(lead.time, start, stop, lead.longest, most)
     if rows is None:
-        raise InvalidData(
-            f"{run.place}: more than {most} rows; take a shorter time by start and stop, or a "
-            "lower rate_hz"
-        )
+        raise InvalidData(f"{run.place}: more than {most} rows; take less by start and stop")
     if len(rows) < FEWEST_SAMPLES:
         raise InvalidData(
             f"{run.place}: {len(rows)} rows in {stop - start:.6g} s; a run has at least "
