@@ -1,7 +1,7 @@
 """Import of measured data: ROS bags, tables, files of arrays, LeRobot datasets.
 
 Data flow: samples -> mapping -> clocks -> readers (text_tables, array_files, messages) ->
-sources -> evidence -> targets, scalings -> roles -> proposal; pipeline.
+sources -> evidence -> targets -> roles -> proposal; pipeline.
 """
 
 from loose_env.importing.command_timing import command_delays, early_by
