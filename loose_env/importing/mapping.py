@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -144,16 +144,16 @@ class ColumnEntry(ColumnKeys):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Run:
-    """Name, pose, condition and piece of a run."""
+class RunPlan:
+    """One run of the recording: name, pose, condition and piece of the log."""
 
     __pydantic_config__ = _FORBID
 
     file: _Text = ""
     sources: Mapping[_Text, _Text] = field(default_factory=dict)
     """Source -> file, for this run alone."""
-    pose: Mapping[str, float] | Literal["measured"] | None = None
-    """Positions [rad or m], or "measured": the median of the joints' own sensors."""
+    pose: Mapping[str, float] | None = None
+    """Positions that the joints held [rad or m]."""
     excited: tuple[_Text, ...] = ()
     condition: Condition = "suspect"
     start: _Moment | None = None
@@ -169,15 +169,10 @@ class _Run:
         if self.start is not None and self.stop is not None and self.start >= self.stop:
             raise ValueError("start is not before stop")
 
-
-@dataclass(frozen=True, kw_only=True)
-class RunPlan(_Run):
-    """One run of the recording."""
-
-    place: str
-    """Location in the mapping, for errors."""
-    episode: str = ""
-    """Name of the episode of this run; set when runs are made of ``episodes``, no key."""
+    @property
+    def place(self) -> str:
+        """Run, as errors say it."""
+        return f"run {self.file!r}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +185,7 @@ class _MappingFile:
     model: str = ""
     sources: Annotated[Mapping[_Text, SourceEntry], MinLen(1)]
     columns: Annotated[Mapping[_Text, ColumnKeys], MinLen(1)]
-    runs: Annotated[tuple[_Run, ...], MinLen(1), MaxLen(10_000)]
+    runs: Annotated[tuple[RunPlan, ...], MinLen(1), MaxLen(10_000)]
     unused: tuple[str, ...] = ()
 
 
@@ -261,8 +256,7 @@ def read_mapping(file: str | Path) -> ImportMapping:
     for i, run in enumerate(found.runs):
         for source in run.sources:
             _known(f"{name}: runs[{i}].sources", source, sources)
-        own = {**vars(run), "file": run.file or f"run-{i + 1:02d}"}
-        runs.append(RunPlan(**own, place=f"{name}: runs[{i}]"))
+        runs.append(replace(run, file=run.file or f"run-{i + 1:02d}"))
     return ImportMapping(name=name, model=found.model, sources=found.sources, columns=(*columns,),
                          runs=(*runs,), unused=found.unused)  # fmt: skip
 

@@ -31,7 +31,6 @@ from loose_env.recording import (
     check_measured,
     check_target,
     existing_file,
-    joint_sensors,
     load_model,
     planned_recording,
     write_measured,
@@ -114,7 +113,7 @@ def import_recording(
     _check_names(plan, compiled)
     files = files_of_runs(plan, given)
     logs = {path: open_log(path) for path in dict.fromkeys(p for f in files for p in f.values())}
-    planned: list[tuple[RunPlan, dict[str, Log]]] = []
+    planned: list[tuple[RunPlan, str, dict[str, Log]]] = []
     for run, paths in zip(plan.runs, files, strict=True):
         own = {name: logs[path] for name, path in paths.items()}
         for column in plan.columns:
@@ -123,13 +122,13 @@ def import_recording(
                     f"{column.place}: unit is missing: {own[column.source].ambiguous}"
                 )
         episodes = run_episodes(run, own.values())
-        parts = [replace(run, file=f"{run.file}-{each}", episode=each) for each in episodes]
-        planned += [(each, own) for each in parts or [run]]
+        parts = [(replace(run, file=f"{run.file}-{each}"), each, own) for each in episodes]
+        planned += parts or [(run, "", own)]
     if session is not None:
-        names = [(run.file, run.condition) for run, _ in planned]
+        names = [(run.file, run.condition) for run, *_ in planned]
         check_measured(out, names, overwrite=settings.overwrite)
     tables: _Read = {}
-    runs = [_joined(plan, run, own, tables, compiled, say) for run, own in planned]
+    runs = [_joined(plan, *each, tables, compiled, say) for each in planned]
     if session is not None:
         return write_measured(out, runs, overwrite=settings.overwrite)
     free = {c.column[5:] for c in plan.columns if c.is_command and c.method is None}
@@ -166,7 +165,7 @@ def _check_names(plan: ImportMapping, model: mujoco.MjModel) -> None:
     for run in plan.runs:
         for joint in run.excited:
             allowed.check_joint(f"{run.place}.excited", joint)
-        for joint in run.pose if isinstance(run.pose, Mapping) else ():
+        for joint in run.pose or ():
             allowed.check_joint(f"{run.place}.pose", joint)
 
 
@@ -190,11 +189,11 @@ class _Column(NamedTuple):
 
 
 def _joined(
-    plan: ImportMapping, run: RunPlan, logs: Mapping[str, Log],
+    plan: ImportMapping, run: RunPlan, episode: str, logs: Mapping[str, Log],
     read: _Read, model: mujoco.MjModel, say: Say,
 ) -> Run:  # fmt: skip
     """Run with all columns on common times."""
-    columns = _columns(plan, run, logs, read, model, say)
+    columns = _columns(plan, episode, logs, read, model, say)
     start, stop = _ends(run, columns)
     lead = min(columns, key=lambda c: (c.entry.way == "hold", median_step(c.time)))
     rows = _rows(run, lead, start, stop, len(columns))
@@ -229,21 +228,21 @@ def _joined(
         sensors=groups["sensors"],
         torques=groups["torques"],
         excited=run.excited,
-        pose=_pose(run, model, groups["sensors"]),
+        pose=None if run.pose is None else dict(run.pose),
         condition=run.condition,
         commands=dict.fromkeys(linear, CommandTiming(mode="linear")),
     )
 
 
 def _columns(
-    plan: ImportMapping, run: RunPlan, logs: Mapping[str, Log],
+    plan: ImportMapping, episode: str, logs: Mapping[str, Log],
     read: _Read, model: mujoco.MjModel, say: Say,
 ) -> list[_Column]:  # fmt: skip
     """Columns in SI units, each source on its clock as the mapping corrects it."""
     found: dict[str, Samples] = {}
     for name, log in logs.items():
         source, entries = plan.sources[name], [c for c in plan.columns if c.source == name]
-        place = name, log, run.episode if log.episodes else ""
+        place = name, log, episode if log.episodes else ""
         if place not in read:
             read[place] = log.tables(place[2], [c.key for c in entries])
         tables = [found_in(read[place], c.key, log.name) for c in entries]
@@ -324,21 +323,3 @@ def _rows(run: RunPlan, lead: _Column, start: float, stop: float, columns: int) 
             f"{FEWEST_SAMPLES}"
         )
     return rows
-
-
-def _pose(
-    run: RunPlan, model: mujoco.MjModel, sensors: Mapping[str, Array]
-) -> dict[str, float] | None:
-    if run.pose != "measured":
-        return None if run.pose is None else dict(run.pose)
-    pose = {
-        joint: float(np.nanmedian(sensors[name]))
-        for joint, each in joint_sensors(model).items()
-        for name in each.position[:1]
-        if name in sensors
-    }
-    if not pose:
-        raise InvalidData(
-            f"{run.place}.pose is 'measured', and the run has no column of a joint's position"
-        )
-    return pose

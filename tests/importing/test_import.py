@@ -216,7 +216,8 @@ def test_many_runs_take_their_files_in_turn(home: Path, mapping: Mapped) -> None
         rows = np.stack([time, np.full(50, float(i)), time * i], 1)
         files.append(write_csv(home / f"pose-{i}.csv", rows, ["t", "q", "a"]))
     runs = "".join(
-        f'[[runs]]\nfile = "run-{i}"\npose = "measured"\nsources = {{ log = "pose-{i}.csv" }}\n'
+        f'[[runs]]\nfile = "run-{i}"\npose = {{ elbow = {i}.0 }}\n'
+        f'sources = {{ log = "pose-{i}.csv" }}\n'
         for i in range(3)
     )
     mapped = mapping(
