@@ -328,9 +328,8 @@ class ServoArm(Checked):
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         limits = 2.0 * np.abs(data.qfrc_bias) + 20.0 * np.diag(mass_matrix(model, data))
-        own = np.abs(model.actuator_gear[self.actuators, 0]) * force_limits(model)[self.actuators]
-        limits[self.driven] = np.where(np.isfinite(own), own, limits[self.driven])
-        return np.asarray(limits)
+        own = NominalModel(self._prepared).torque_limits
+        return np.where(np.isfinite(own), own, limits)
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
@@ -437,12 +436,6 @@ def read_servo_arm(
     except ValueError as error:
         raise InvalidData(f"MuJoCo does not compile {path}: {error}") from error
     return ServoArm(spec, tolerance, max_speed)
-
-
-def force_limits(model: mujoco.MjModel) -> Array:
-    """Force limit of each actuator, infinite where it has none (nu,)."""
-    limited = model.actuator_forcelimited.astype(bool)
-    return np.where(limited, np.abs(model.actuator_forcerange).min(axis=1), np.inf)
 
 
 def _hinges(model: mujoco.MjModel) -> NDArray[np.bool_]:

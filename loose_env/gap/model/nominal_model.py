@@ -119,6 +119,18 @@ class NominalModel:
         )
         return np.ascontiguousarray(dense[: len(self.actuators), : len(self.joints)].T)
 
+    @cached_property
+    def torque_limits(self) -> Array:
+        """Torque limit [N·m] or force limit [N] of each joint, infinite without one (joints,)."""
+        model, gears = self.model, np.abs(self.moments)
+        limited = model.actuator_forcelimited.astype(bool)
+        forces = np.where(limited, np.abs(model.actuator_forcerange).min(axis=1), np.inf)
+        found = (gears * np.where(gears > 0, forces, 0.0)).sum(axis=1)
+        found[found == 0] = np.inf
+        of_joint = np.abs(model.jnt_actfrcrange).min(axis=1)
+        of_joint = np.where(model.jnt_actfrclimited, of_joint, np.inf)
+        return np.asarray(np.minimum(found, of_joint))
+
     def gears(self, joint: str) -> Array:
         """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
         return np.asarray(self.moments[self.joint_number(joint)])
