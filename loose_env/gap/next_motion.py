@@ -421,8 +421,7 @@ def limits_of(
 ) -> MotionLimits:
     """Collect the limits: of the settings, else of the model, else what the recording showed."""
     model: mujoco.MjModel = machine.model
-    turning = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
-    unit, home = np.where(turning, 1.0, SLIDE), np.array(motion.runs[0].position[0])
+    unit, home = np.where(machine.hinges, 1.0, SLIDE), np.array(motion.runs[0].position[0])
     limited, reach = model.jnt_limited.astype(bool), settings.next_reach_rad * unit
     low = np.where(limited, model.jnt_range[:, 0], home - reach)
     high = np.where(limited, model.jnt_range[:, 1], home + reach)
@@ -438,7 +437,7 @@ def limits_of(
         # a joint that never moved may move as fast as others
         speed = np.where(seen > 0.05 * seen.max(), seen, max(float(seen.max()), 0.1))
     return MotionLimits(
-        joints=machine.joints, turning=turning, rate=1 / _interval(motion), home=home,
+        joints=machine.joints, turning=machine.hinges, rate=1 / _interval(motion), home=home,
         low=np.minimum(low, home), high=np.maximum(high, home), speed=speed,
         torque=settings.next_torque_share * machine.torque_limits,
         sources=(

@@ -214,9 +214,14 @@ class NominalModel:
         """Inertia on one joint [kg·m², kg]."""
         return float(self.inertias[self.joint_number(joint)])
 
+    @cached_property
+    def hinges(self) -> NDArray[np.bool_]:
+        """Mask of the joints that are hinges (joints,)."""
+        return np.asarray(self.model.jnt_type == MOVING[0])
+
     def turns(self, joint: str) -> bool:
         """Return whether a joint is a hinge."""
-        return bool(self.model.jnt_type[self.joint_number(joint)] == MOVING[0])
+        return bool(self.hinges[self.joint_number(joint)])
 
     def units(self, joint: str) -> tuple[str, str]:
         """Units of a joint's coordinate and of its driving force."""
