@@ -9,6 +9,7 @@ is no row that came late: the time that it runs through twice holds twice as man
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -92,8 +93,8 @@ def samples_of(table: Table, channel: str, time: TimeSource) -> Samples:
     )
 
 
-def chosen_time(table: Table) -> tuple[TimeSource, str]:
-    """Time of a table: that of its format, else the first of its candidates that orders the rows.
+def chosen_time(tables: Sequence[Table]) -> tuple[TimeSource, str]:
+    """Time of the tables of all files: that of their format, else one that orders all rows.
 
     Returns
     -------
@@ -105,21 +106,25 @@ def chosen_time(table: Table) -> tuple[TimeSource, str]:
     InvalidData
         If no column can be one; the message has the best candidate's row and values.
     """
-    own = [TimeSource()] if table.time else []
-    candidates = own + _named(table)
-    if table.rate_hz is not None and not candidates:
+    first = tables[0]
+    candidates = ([TimeSource()] if first.time else []) + _named(first)
+    if first.rate_hz is not None and not candidates:
         return TimeSource(), "by the format"
     refused: list[str] = []
-    for each in candidates or _nameless(table):
+    for each in candidates or _nameless(first):
+        done: dict[str, None] = {}
         try:
-            clock = _clock(table, each)
-            assert clock is not None
-            rows = np.flatnonzero(~np.isnan(np.asarray(clock.raw, dtype=np.float64)))
-            *_, done = _ordered(table, clock, rows if len(rows) < len(table) else None)
+            for table in tables:
+                clock = _clock(table, each)
+                raw = np.empty(0) if clock is None else clock.raw
+                rows = np.flatnonzero(~np.isnan(np.asarray(raw, dtype=np.float64)))
+                if clock is not None:
+                    *_, own = _ordered(table, clock, rows if len(rows) < len(table) else None)
+                    done |= dict.fromkeys(own)
         except InvalidData as error:
             refused.append(str(error))
             continue
-        stated = not each.column or each.fine or table.units.get(each.column)
+        stated = not each.column or each.fine or first.units.get(each.column)
         unit = "" if stated or unit_in(each.column) else (
             f"{each.unit} by the size of its steps: no unit is stated")  # fmt: skip
         passed = [f"not {_short(words)}" for words in refused]
@@ -128,7 +133,7 @@ def chosen_time(table: Table) -> tuple[TimeSource, str]:
         more = "" if len(refused) == 1 else f"; nor can the next, {_short(refused[1])}"
         raise InvalidData(f"{refused[0]}; no other column orders the rows{more}")
     raise InvalidData(
-        f"{table.place}: its times are not known: no column advances in even steps; give the "
+        f"{first.place}: its times are not known: no column advances in even steps; give the "
         "sampling rate by --rate-hz, or a mapping with time = { column = ... }"
     )
 
@@ -281,23 +286,26 @@ def _mended(
     raw = _continued(table, clock, raw, rows, done)
     steps = np.diff(raw)
     back = np.flatnonzero(steps <= 0)
-    if not back.size:
-        return raw, np.arange(len(raw))
     order = np.argsort(raw, kind="stable")
-    behind = raw < np.maximum.accumulate(raw)
+    if not back.size:
+        return raw, order
     step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
-    late = int(behind.sum())
+    late = int(np.sum(raw < np.maximum.accumulate(raw)))
     enough = step > 0 and len(raw) >= _FEWEST and late <= _LATE * len(raw)
     i = _set_back(raw, raw[order], back, step) if enough else int(back[0])
     still = np.flatnonzero(np.diff(raw[order]) == 0)
-    if i is None and still.size:
-        i = int(order[still[0]])
-        other = int(order[still[0] + 1])
-        raise _refused(table, clock, raw, rows, (i, other))
-    if i is not None:
-        raise _refused(table, clock, raw, rows, (i, i + 1))
-    done.append(f"{table.place}: {late} rows came late by {clock.label} and were put back in order")
-    return raw, order
+    if i is None and not still.size:
+        words = f"rows came late by {clock.label} and were put back in order"
+        done.append(f"{table.place}: {late} {words}")
+        return raw, order
+    one, other = (i, i + 1) if i is not None else order[still[0] : still[0] + 2].tolist()
+    same = raw[one] == raw[other]
+    alike = f" ({len(raw) - len(np.unique(raw))} of {len(raw)} rows have the time of another)"
+    raise InvalidData(
+        f"{table.row(int(rows[other]))}: time {'stands still' if same else 'runs backwards'}: "
+        f"{clock.label} is {raw[other]} after {raw[one]}{alike if same else ''}; choose another "
+        "time for this source (a finer stamp, or rate_hz where the samples are evenly spaced)"
+    )
 
 
 def _continued(
@@ -331,42 +339,15 @@ def _set_back(
     raw: NDArray[Any], order: NDArray[Any], back: NDArray[np.int64], step: float
 ) -> int | None:
     """Row before the deepest step back of the clock; None where rows only came late."""
-    top = np.maximum.accumulate(raw)
+    since, whole = order - raw[0], np.maximum.accumulate(raw)
     twice: list[tuple[float, int]] = []
-    for i in back:
-        low, high = float(raw[i + 1] - raw[0]), float(top[i] - raw[0])
-        if high <= low:
-            continue
-        first, last = (
-            int(np.count_nonzero(order - raw[0] < edge))
-            for edge in (low - 5 * step, high + 5.0001 * step)
-        )
-        span = min(high + 5 * step, float(order[-1] - raw[0])) - max(
-            low - 5 * step, float(order[0] - raw[0])
-        )
-        extra = float(last - first) - (span / step + 1)
-        if extra > max(1.5, _TWICE * (high - low) / step):
+    for i in back[whole[back] > raw[back + 1]]:
+        low, high = float(raw[i + 1] - raw[0]), float(whole[i] - raw[0])
+        there = np.count_nonzero((since >= low - 5 * step) & (since < high + 5.0001 * step))
+        span = min(high + 5 * step, float(since[-1])) - max(low - 5 * step, float(since[0]))
+        if there - (span / step + 1) > max(1.5, _TWICE * (high - low) / step):
             twice.append((high - low, -int(i)))
     return -max(twice)[1] if twice else None
-
-
-def _refused(
-    table: Table,
-    clock: _Clock,
-    raw: NDArray[Any],
-    rows: NDArray[np.int64],
-    pair: tuple[int, int],
-) -> InvalidData:
-    one, other = pair
-    before, after = raw[one], raw[other]
-    word = "stands still" if before == after else "runs backwards"
-    alike = len(raw) - len(np.unique(raw))
-    coarse = f" ({alike} of {len(raw)} rows have the time of another)" if before == after else ""
-    return InvalidData(
-        f"{table.row(int(rows[other]))}: time {word}: {clock.label} is {after} after {before}"
-        f"{coarse}; choose another time for this source (a finer stamp, or rate_hz where the "
-        "samples are evenly spaced)"
-    )
 
 
 def _is_number(cell: str) -> bool:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy import fft, ndimage
@@ -19,6 +19,7 @@ MOST_ROWS = 8192
 """Samples compared of a run, where it moves most; at 1 kHz, 8 s."""
 LONGEST_LAG = 0.5
 """Largest delay searched between a command and the motion that follows it [s]."""
+K = TypeVar("K")
 _WIDTHS = (1, 5, 21)
 """Samples over which a position is averaged before it is differentiated; the best counts."""
 _FALLS = 5.0
@@ -51,8 +52,12 @@ class Signal:
     sign_bit: int | None = None
     whole: bool = False
     """True if all values are whole numbers."""
-    sort: int = field(default=0)
+    sort: int = 0
     """Place among the channels of the log."""
+    defined: bool = False
+    """True if the format defines radians, and N·m."""
+    why: str = ""
+    """Reason for which it has no values."""
 
     @cached_property
     def values(self) -> Array:
@@ -156,24 +161,25 @@ def derivative(values: Array, step: float, width: int = 5) -> Array:
 
 def correlation(first: Sequence[Array], second: Sequence[Array]) -> float:
     """Correlation of two signals at no delay, the mean of each run apart; 0 where one is still."""
-    products = np.zeros(3)
-    for a, b in zip(first, second, strict=True):
-        if len(a) and len(a) == len(b):
-            one, two = a - a.mean(), b - b.mean()
-            products += (one @ two, one @ one, two @ two)
-    scale = float(np.sqrt(products[1] * products[2]))
-    return float(products[0]) / scale if scale > 0 else 0.0
+    product, one, two = _products(first, second)
+    return product / math.sqrt(one * two) if one * two > 0 else 0.0
 
 
 def slope(first: Sequence[Array], second: Sequence[Array]) -> float:
     """Signed ratio of the spread of a second signal to that of the first."""
-    spreads = [
-        sum(float(np.sum((v - v.mean()) ** 2)) for v, w in zip(one, other, strict=True)
-            if len(v) and len(v) == len(w))
-        for one, other in ((first, second), (second, first))
-    ]  # fmt: skip
-    sign = 1.0 if correlation(first, second) >= 0 else -1.0
-    return sign * float(np.sqrt(spreads[1] / spreads[0])) if spreads[0] > 0 else 0.0
+    product, one, two = _products(first, second)
+    return math.copysign(math.sqrt(two / one), product) if one > 0 else 0.0
+
+
+def _products(first: Sequence[Array], second: Sequence[Array]) -> tuple[float, float, float]:
+    """Product of two signals, and square of each, about the means of their runs."""
+    pairs = [
+        (a - a.mean(), b - b.mean())
+        for a, b in zip(first, second, strict=True)
+        if len(a) and len(a) == len(b)
+    ]
+    return tuple(float(sum(x @ y for x, y in each)) for each in (  # type: ignore[return-value]
+        pairs, [(a, a) for a, _ in pairs], [(b, b) for _, b in pairs]))  # fmt: skip
 
 
 def likeness(first: Sequence[Array], second: Sequence[Array], step: float) -> Likeness:
@@ -273,24 +279,23 @@ def coding_of(values: Array) -> tuple[float | None, int | None]:
     spread = float(np.ptp(values)) if values.size else 0.0
     if jump < 0.5 * spread or spread == 0:
         return None, None
-    best: tuple[float, float | None, int | None] = (jump / _FALLS, None, None)
-    for period in _PERIODS:
-        if 0.5 * period < spread <= 1.001 * period and jump > 0.5 * period:
-            left = _jump(decoded(values, period, None))
-            best = min(best, (left, period, None), key=lambda each: each[0])
+    tried: list[tuple[float | None, int | None]] = [
+        (period, None)
+        for period in _PERIODS
+        if 0.5 * period < spread <= 1.001 * period and jump > 0.5 * period
+    ]
     if np.min(values) >= 0 and np.all(values == np.round(values)):
-        for bit in _SIGN_BITS:
-            if 2**bit <= np.max(values) < 2 ** (bit + 1):
-                left = _jump(decoded(values, None, bit))
-                best = min(best, (left, None, bit), key=lambda each: each[0])
-    return best[1], best[2]
+        tried += [(None, bit) for bit in _SIGN_BITS if 2**bit <= np.max(values) < 2 ** (bit + 1)]
+    left = {each: _jump(decoded(values, *each)) for each in tried}
+    best = min(left, key=lambda each: left[each], default=(None, None))
+    return best if tried and left[best] < jump / _FALLS else (None, None)
 
 
 def _jump(values: Array) -> float:
     return float(np.max(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
 
 
-def on_one_base(samples: Mapping[int, Samples]) -> tuple[float, dict[int, Array]]:
+def on_one_base(samples: Mapping[K, Samples]) -> tuple[float, dict[K, Array]]:
     """Channels of one run at the times that all of them have, where they move most."""
     if not samples:
         return 1.0, {}

@@ -1,12 +1,11 @@
 """ROS bags, version 1 and 2, and MCAP files of ROS 2: numbers of the messages of each topic.
 
-A folder is read by the files in it, compressed or not, whatever its metadata say.
+A folder is read by the files in it, whatever its metadata say; of compressed ones they say how.
 """
 
 from __future__ import annotations
 
-import io
-import tempfile
+import re
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
@@ -24,14 +23,12 @@ STORAGES = (".mcap", ".db3", ".bag", ".mcap.zstd", ".db3.zstd")
 LOG_TIME = "log_time"
 """Column of the recorder's stamps."""
 _HEADER = "header.stamp"
-_PACKED = b"\x28\xb5\x2f\xfd"
-"""First bytes of what zstd compressed."""
-_LARGEST = 2**28  # bytes of one message, packed or not
 _IMAGE = 2**16
 """Bytes of a message from which it holds images or clouds and no signals of joints."""
 _MOST_ENTRIES = 256
 """Entries of an array that are read; longer ones are images and scans."""
 _DEEPEST = 12
+_COMPRESSED = re.compile(r"compression_mode:\s*['\"]?(file|message)", re.IGNORECASE)
 _LABELS = ("name", "names", "joint_names", "label", "labels")
 """Fields that may name the entries of the arrays beside them."""
 Decoder = Callable[[bytes], Any]
@@ -55,7 +52,9 @@ def storages(folder: Path) -> list[Path]:
 def _tables(path: Path, name: str, topics: set[str] | None) -> list[Table]:
     """Numbers of all topics, or of those asked for, which alone are refused when damaged."""
     found: dict[str, _Topic] = {}
-    for file in [path] if path.is_file() else storages(path):
+    metadata = path / "metadata.yaml"
+    packed = metadata.is_file() and _COMPRESSED.search(metadata.read_text("utf-8", "replace"))
+    for file in [path] if path.is_file() or packed else storages(path):
         place = name if file == path else f"{name}/{file.name}"
         for topic, decoder, stamp_ns, data in _messages(file, place):
             own = found.setdefault(topic, _Topic(f"{name}: topic {topic!r}", topic))
@@ -76,22 +75,14 @@ class _Topic:
         self.note = ""
 
     def take(self, decoder: Decoder, stamp_ns: int, data: bytes, *, strict: bool) -> None:
+        """Take a message; what cannot be read is refused, or noted where nobody asked for it."""
         if self.note:
             return
         self.count += 1
         try:
-            if len(data) > (_LARGEST if strict else _IMAGE):
+            if len(data) > _IMAGE and not strict:
                 raise InvalidData(f"{self.place}: its messages have {len(data)} bytes")
-            self._take(decoder, stamp_ns, data)
-        except InvalidData as error:
-            if strict:
-                raise
-            self.note = f"not read: {error}"
-
-    def _take(self, decoder: Decoder, stamp_ns: int, data: bytes) -> None:
-        try:
-            decoded = decoder(_unpacked(data) if data[:4] == _PACKED else data)
-            for words, labels, value in _numbers(decoded, "", 0):
+            for words, labels, value in _numbers(decoder(data), "", 0):
                 if labels is _STAMP:
                     self.stamps.setdefault(words, []).append(value)
                     continue
@@ -99,15 +90,15 @@ class _Topic:
                 rows.append(self.count - 1)
                 values.append(value)
                 self.values += 1 if labels is None else len(labels)
-        except LooseEnvError:
-            raise
+            self.stamps.setdefault(LOG_TIME, []).append(stamp_ns)
+            if self.values > MOST_VALUES:
+                raise InvalidData(f"{self.place}: more than {MOST_VALUES} samples; cut the file")
         except Exception as error:  # whatever a library raises on damaged bytes
-            raise InvalidData(
-                f"{self.place}: message {self.count}: it is damaged: {type(error).__name__}"
-            ) from error
-        self.stamps.setdefault(LOG_TIME, []).append(stamp_ns)
-        if self.values > MOST_VALUES:
-            raise InvalidData(f"{self.place}: more than {MOST_VALUES} samples; cut the file")
+            damage = f"{self.place}: message {self.count}: it is damaged: {type(error).__name__}"
+            told = error if isinstance(error, InvalidData) else InvalidData(damage)
+            if strict:
+                raise told from None
+            self.note = f"not read: {told}"
 
     def table(self) -> Table:
         """Columns of all fields, and the stamps of each message [ns]."""
@@ -195,13 +186,6 @@ def _messages(path: Path, place: str) -> Iterator[tuple[str, Decoder, int, bytes
             "ROS bags and MCAP files need rosbags: pip install 'loose-env[import]'"
         ) from None
     try:
-        if path.suffix == ".zstd":
-            with tempfile.TemporaryDirectory() as folder:
-                whole = Path(folder, path.stem)
-                with path.open("rb") as packed, whole.open("wb") as out:
-                    _zstandard().ZstdDecompressor().copy_stream(packed, out)
-                yield from _messages(whole, place)
-            return
         first = path.suffix == ".bag"
         with Reader1(path) if first else Reader2(path) as reader:
             decoders: dict[int, Decoder] = {}
@@ -231,37 +215,12 @@ def _decoder(connection: Any, place: str, *, first: bool) -> Decoder:
         store.register({**standard.fielddefs, **told})
     except Exception as error:  # whatever a parser raises
         raise damaged(place, f"definition of {kind[:80]!r}", error) from None
-    if full not in store.fielddefs:
-        return _undefined(place, kind)
+    if full not in store.fielddefs:  # matters only where the topic is asked for
+        words = f"{place}: the bag has no definition of {kind!r}; record with a version of ROS 2 "
+
+        def refuse(_: bytes) -> Any:
+            raise InvalidData(f"{words}that stores 'ros2msg' schemas")
+
+        return refuse
     read = store.deserialize_ros1 if first else store.deserialize_cdr
     return lambda data: read(data, full)
-
-
-def _undefined(place: str, kind: str) -> Decoder:
-    """Decoder that refuses: a topic without a definition matters only where it is asked for."""
-
-    def refuse(_: bytes) -> Any:
-        raise InvalidData(
-            f"{place}: the bag has no definition of {kind!r}; record with a version of ROS 2 that "
-            "stores 'ros2msg' schemas"
-        )
-
-    return refuse
-
-
-def _unpacked(data: bytes) -> bytes:
-    reader = _zstandard().ZstdDecompressor(max_window_size=2**27).stream_reader(io.BytesIO(data))
-    whole = bytes(reader.read(_LARGEST + 1))
-    if len(whole) > _LARGEST:
-        raise ValueError(f"more than {_LARGEST} bytes once expanded")
-    return whole
-
-
-def _zstandard() -> Any:
-    try:
-        import zstandard
-    except ImportError:
-        raise MissingExtra(
-            "compressed bags need zstandard: pip install 'loose-env[import]'"
-        ) from None
-    return zstandard

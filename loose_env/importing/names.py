@@ -93,12 +93,8 @@ def meaning_of(key: ChannelKey, joints: Sequence[str] = (), beside: str = "") ->
     commanded = set(words_of(key.topic)) & _WORDS["command"]
     if commanded and "command" not in roles and "other" not in roles:
         roles = ["command", *roles]
-    role, of = "", ""
-    if roles:
-        role = roles[0]
-        of = next((each for each in roles if each != "command"), "")
-        if role == "command" and of == "":
-            of = "command"
+    role = roles[0] if roles else ""
+    of = next((each for each in roles if each != "command"), role)
     vector = (key.topic, beside, *rest)
     array = f"{key.topic} {entry[1]}" if entry else ""
     return Meaning(role, of, joint, vector, index, array, words)  # type: ignore[arg-type]
@@ -130,14 +126,17 @@ def _joint_of(words: tuple[str, ...], joints: Sequence[str]) -> tuple[str, set[s
     most = max(sizes.values(), default=0)
     if most:
         fitting = [joint for joint, size in sizes.items() if size == most]
-        own = set(words_of(fitting[0])) - {"joint"} or set(words_of(fitting[0]))
-        return (fitting[0], own | {"joint"}) if len(fitting) == 1 else ("", set())
-    telling = _telling(joints)
+        own = set(words_of(fitting[0])) | {"joint"}
+        return (fitting[0], own) if len(fitting) == 1 else ("", set())
+    known = set().union(*_WORDS.values()) | {"joint", "motor", "axis"}
+    everywhere = [word for joint in joints for word in set(words_of(joint))]
+    telling = {
+        word: joint for joint in joints for word in words_of(joint)
+        if everywhere.count(word) == 1 and len(word) >= _TELLING and word not in known
+    }  # fmt: skip
     named = {telling[word] for word in words if word in telling}
-    if len(named) == 1:
-        joint = next(iter(named))
-        return joint, {word for word in words if telling.get(word) == joint}
-    return "", set()
+    joint = named.pop() if len(named) == 1 else ""
+    return joint, {word for word in words if joint and telling.get(word) == joint}
 
 
 def _named(words: tuple[str, ...], joint: str) -> int:
@@ -148,16 +147,3 @@ def _named(words: tuple[str, ...], joint: str) -> int:
     span = len(own)
     there = any(list(words[i : i + span]) == own for i in range(len(words) - span + 1))
     return span if there and span else 0
-
-
-def _telling(joints: Sequence[str]) -> dict[str, str]:
-    """Words that the name of one joint alone has, and that name no quantity -> that joint."""
-    found: dict[str, str] = {}
-    everywhere = [set(words_of(joint)) for joint in joints]
-    known = set().union(*_WORDS.values()) | {"joint", "motor", "axis"}
-    for joint in joints:
-        for word in words_of(joint):
-            alone = sum(word in words for words in everywhere) == 1
-            if alone and len(word) >= _TELLING and word not in known:
-                found[word] = joint
-    return found

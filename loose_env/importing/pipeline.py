@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -52,12 +52,6 @@ class ImportSettings:
     """Format of the runs' tables; in a planned recording the plan's."""
     overwrite: bool = False
     """Replace an existing recording at the output; of a planned one, the runs imported again."""
-
-    def __post_init__(self) -> None:
-        if self.file_format not in get_args(FileFormat):
-            raise InvalidSetting(
-                f"file_format is one of {list(get_args(FileFormat))}, not {self.file_format!r}"
-            )
 
 
 def import_recording(

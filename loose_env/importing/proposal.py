@@ -61,50 +61,21 @@ class LogSource:
 
     def take_times(self, rate_hz: float | None) -> None:
         """Choose the time of each topic by all files; a file of one table needs one."""
-        chosen: dict[str, tuple[TimeSource, str]] = {}
-        for call, _, tables in self.files:
-            for table in tables:
-                try:
-                    by_rate = TimeSource(rate_hz=rate_hz), ""
-                    told = chosen_time(table) if rate_hz is None else by_rate
-                except InvalidData:
-                    if len(tables) == 1:
-                        raise
-                    continue
-                time, words = chosen.setdefault(table.topic, told)
-                if time != told[0]:
-                    chosen[table.topic] = self._of_all(table.topic, (time, told[0]), call), words
-        for topic, (time, words) in chosen.items():
+        for topic in dict.fromkeys(t.topic for each in self.files for t in each.tables):
+            tables = [t for each in self.files for t in each.tables if t.topic == topic]
+            time, words = TimeSource(rate_hz=rate_hz), ""
+            try:
+                time, words = (time, "") if rate_hz else chosen_time(tables)
+            except InvalidData:
+                if len(self.files[0].tables) == 1:
+                    raise
+                continue
             self.times[topic] = time
             line = time_line(time, words)
             if topic and rate_hz is None:
                 line = f"topics.{quoted(topic)} = {line.removeprefix('time = ')}"
             if time != TimeSource() and line not in self.lines:
                 self.lines.append(line)
-
-    def _of_all(self, topic: str, times: Sequence[TimeSource], call: str) -> TimeSource:
-        """Time that orders the rows of all files."""
-        tables = [t for each in self.files for t in each.tables if t.topic == topic]
-        for time in times:
-            try:
-                for table in tables:
-                    samples_of(table, next(iter(table.columns)), time)
-            except InvalidData:
-                continue
-            return time
-        raise InvalidData(
-            f"{call}: its rows are ordered by another time than those of {self.files[0].call}; "
-            "import the files apart"
-        )
-
-
-class Left(NamedTuple):
-    """A channel without a column, and the reason."""
-
-    source: str
-    key: ChannelKey
-    unit: str
-    reason: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +85,8 @@ class Proposal:
     logs: Mapping[str, LogSource]
     columns: tuple[Line, ...]
     notes: tuple[str, ...]
-    unassigned: tuple[Left, ...] = ()
+    unassigned: tuple[Line, ...] = ()
+    """Channels without a column, and the reasons."""
     runs: tuple[Mapping[str, str], ...] = ()
     """Files of each run, by source."""
     unused: tuple[str, ...] = ()
@@ -156,17 +128,9 @@ def propose(
     """
     logs, notes, unused = _sources(sources, rate_hz)
     runs = _runs(logs)
-    signals, step, left = _signals(logs, runs, [t.name for t in joint_targets(model)])
-    defined = {
-        name: log.files[0].log.angle or "rad"
-        for name, log in logs.items()
-        if log.files[0].log.angle or any(
-            key.startswith(("actual_q", "target_q")) for key in log.files[0].tables[0].columns
-        )
-    }  # fmt: skip
-    roles = Roles(model, signals, step, defined).found()
-    columns = (*roles.lines.values(), *roles.open)
-    left = [*(Left(s.source, s.key, s.unit, why) for s, why in roles.left()), *left]
+    signals = _signals(logs, runs, [t.name for t in joint_targets(model)])
+    roles = Roles(model, signals).found()
+    columns, left = (*roles.lines.values(), *roles.open), roles.left()
     refused = "" if any(not c.startswith("ctrl.") for c in roles.lines) else _nothing(
         logs, roles, left, [*ModelColumns.of(model).known])  # fmt: skip
     taken = {line.candidate.source for line in roles.lines.values()}
@@ -175,19 +139,19 @@ def propose(
         unused += [each.call for each in logs.pop(name).files]
     runs = [{k: v for k, v in run.items() if k in logs} for run in runs]
     return Proposal(
-        logs=logs, columns=columns, notes=(*notes, *roles.notes), unassigned=tuple(left),
+        logs=logs, columns=columns, notes=(*notes, *roles.notes), unassigned=left,
         runs=tuple(runs), unused=tuple(unused), refused=refused,
     )  # fmt: skip
 
 
 def _nothing(
-    logs: Mapping[str, LogSource], roles: Roles, left: Sequence[Left], known: Sequence[str]
+    logs: Mapping[str, LogSource], roles: Roles, left: Sequence[Line], known: Sequence[str]
 ) -> str:
     """Reason why no channel is a measured one."""
     names = ", ".join(dict.fromkeys(log.files[0].call for log in logs.values()))
     if roles.notes:  # the log has them, and the model no place for them
         return f"{names}: {'; '.join(roles.notes)[:600]}"
-    heard = "; ".join(f"{each.key}: {each.reason}" for each in left[:3])
+    heard = "; ".join(f"{each.candidate.key}: {each.reason}" for each in left[:3])
     found = ", ".join(f"{line.candidate.key} as {c}" for c, line in [*roles.lines.items()][:2])
     return (
         f"{names}: no channel is a measured position, velocity or torque of the model "
@@ -266,82 +230,67 @@ def _runs(logs: Mapping[str, LogSource]) -> list[dict[str, str]]:
 
 def _signals(
     logs: Mapping[str, LogSource], runs: Sequence[Mapping[str, str]], joints: Sequence[str]
-) -> tuple[list[Signal], float, list[Left]]:
-    """Channels of some runs on common times, and those that have no samples."""
+) -> list[Signal]:
+    """All channels, on common times of some runs where they have samples."""
     read: list[dict[tuple[str, ChannelKey], Samples]] = []
-    left: dict[tuple[str, ChannelKey], Left] = {}
     units: dict[tuple[str, ChannelKey], str] = {}
+    why: dict[tuple[str, ChannelKey], str] = {}
     for i in _chosen(len(runs)):
-        episodes = {name: log.files[i].log.episodes for name, log in logs.items()}
-        parts = next((e for e in episodes.values() if e), ("",))
+        parts = next((e for log in logs.values() if (e := log.files[i].log.episodes)), ("",))
         for n in _chosen(len(parts), most=max(1, _MOST_RUNS // max(len(runs), 1))):
-            own: dict[tuple[str, ChannelKey], Samples] = {}
-            for name, log in logs.items():
-                _, file, first = log.files[i]
-                tables = file.tables(parts[n], None) if n and file.episodes else first
-                for table in tables:
-                    time = log.times.get(table.topic)
-                    for channel in table.columns:
+            read.append({})
+            for name, source in logs.items():
+                _, log, first = source.files[i]
+                for table in log.tables(parts[n], None) if n and log.episodes else first:
+                    time = source.times.get(table.topic)
+                    for channel, values in table.columns.items():
                         if time and channel in (time.column or table.time, time.fine):
                             continue
                         key = (name, ChannelKey(channel, table.topic))
                         units[key] = table.units.get(channel, "")
                         if time is None or quantity_of(units[key]) == "time":
-                            words = "a time" if time else "its topic has no time in order"
-                            left[key] = Left(*key, units[key], words)
+                            why[key] = "a time" if time else "its topic has no time in order"
                             continue
                         try:
-                            own[key] = samples_of(table, channel, time)
+                            read[-1][key] = samples_of(table, channel, time)
                         except InvalidData as error:
-                            nan = np.isnan(np.asarray(table.columns[channel], dtype=float)).all()
-                            why = _ALL_NAN if nan else str(error)
-                            left[key] = Left(*key, units[key], why)
-            read.append(own)
-    keys = list(dict.fromkeys(key for own in read for key in own))
-    coded = {key: _coding([own[key].values for own in read if key in own]) for key in keys}
-    step, bases = 0.0, []
-    for own in read:
-        plain = {
-            i: replace(own[key], values=decoded(own[key].values, *coded[key]))
-            for i, key in enumerate(keys)
-            if key in own
-        }
-        own_step, base = on_one_base(plain)
-        step = step or own_step
-        bases.append(base)
+                            nan = np.isnan(np.asarray(values, dtype=float)).all()
+                            why[key] = _ALL_NAN if nan else str(error)
+    coded = {key: _coding([own[key].values for own in read if key in own]) for key in units}
+    bases = [
+        on_one_base({k: replace(v, values=decoded(v.values, *coded[k])) for k, v in own.items()})
+        for own in read
+    ]
     signals = []
-    for i, key in enumerate(keys):
-        values = [base.get(i, np.empty(0)) for base in bases]
-        if not any(len(v) for v in values):
-            left[key] = Left(*key, units[key], "has no time in common with the other channels")
-            continue
-        source, channel_key = key
-        beside = Path(logs[source].files[0].call).stem if len(logs) > 1 else ""
-        told = quantities(beside)
+    for i, key in enumerate(units):
+        name, own_key = key
+        file, beside = logs[name].files[0], Path(logs[name].files[0].call).stem
+        stated = any(c.startswith(("actual_q", "target_q")) for c in file.tables[0].columns)
+        told = len(logs) > 1 and quantities(beside)
         signals.append(
             Signal(
-                source=source,
-                key=channel_key,
+                source=name,
+                key=own_key,
                 unit=units[key],
-                meaning=meaning_of(channel_key, joints, beside if told else ""),
-                runs=values,
-                step=step,
+                meaning=meaning_of(own_key, joints, beside if told else ""),
+                runs=[base.get(key, np.empty(0)) for _, base in bases],
+                step=bases[0][0],
                 period=coded[key][0],
                 sign_bit=coded[key][1],
-                whole=all(_is_whole(own[key].values) for own in read if key in own),
+                whole=all(bool(np.all(own[key].values == np.round(own[key].values)))
+                          for own in read if key in own),
                 sort=i,
+                defined=bool(file.log.angle) or stated,
+                why=why.get(key, "has no time in common with the other channels"),
             )
-        )
-    if not signals:
+        )  # fmt: skip
+    if not any(s.values.size for s in signals):
         names = ", ".join(log.files[0].call for log in logs.values())
-        why = next((each.reason for each in left.values()), "give the runs of one motion")
-        raise InvalidData(f"{names}: no channels of numbers that have 10 samples in common; {why}")
-    used = {(s.source, s.key) for s in signals}
-    return signals, step, [each for key, each in left.items() if key not in used]
-
-
-def _is_whole(values: np.ndarray) -> bool:
-    return bool(np.all(values == np.round(values)))
+        reason = next(iter(why.values()), "give the runs of one motion")
+        raise InvalidData(
+            f"{names}: no channels of numbers that have 10 samples in common; {reason}"
+        )
+    return signals
 
 
 def _chosen(count: int, most: int = _MOST_RUNS) -> list[int]:
@@ -393,11 +342,9 @@ def proposal_text(proposal: Proposal, model: str) -> str:
     lines += [f"# {printable(note)}" for note in proposal.notes]
     lines += ["# Not used:"] if proposal.unassigned else []
     for left in proposal.unassigned[:_MOST_LEFT]:
-        line = _column_line("", left.source if several else "", left.key, left.unit)
-        lines.append(f"# {line}  # {printable(left.reason)}")
+        lines.append(f"# {_line(left, several)}  # {printable(left.reason)}")
     if len(proposal.unassigned) > _MOST_LEFT:
-        more = len(proposal.unassigned) - _MOST_LEFT
-        lines.append(f"# and {more} more")
+        lines.append(f"# and {len(proposal.unassigned) - _MOST_LEFT} more")
     for i, (name, files) in enumerate(zip(_run_names(proposal), proposal.runs, strict=True)):
         lines += ["", "[[runs]]", f"file = {quoted(name)}"]
         if len(proposal.runs) > 1:
@@ -420,15 +367,6 @@ def source_name(given: str, taken: Container[str]) -> str:
     while name in taken:  # run-01.mcap and run-01.csv
         name, count = f"{first}-{count}", count + 1
     return name
-
-
-def _column_line(column: str, source: str, key: ChannelKey, unit: str, *more: str) -> str:
-    """Line of a mapping for the channel of a column; without a source where it is ""."""
-    parts = [f"source = {quoted(source)}"] if source else []
-    parts += [f"topic = {quoted(key.topic)}"] if key.topic else []
-    parts += [f"channel = {quoted(key.channel)}"]
-    parts += [f"unit = {quoted(unit)}"] if unit else []
-    return f"{quoted(column or 'sensor.?')} = {{ {', '.join([*parts, *more])} }}"
 
 
 def _run_names(proposal: Proposal) -> list[str]:
@@ -458,10 +396,15 @@ def _shared(runs: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _line(each: Line, several: bool) -> str:
+    """Line of a mapping for the channel of a column."""
     s, scaling = each.candidate, each.scaling
-    more = [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
-    more += [f"sign = {each.sign}"] if each.sign != 1 else []
-    more += [f"offset = {scaling.offset:.9g}"] if scaling.offset else []
-    more += [f"period = {s.period:.9g}"] if s.period is not None else []
-    more += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None else []
-    return _column_line(each.column, s.source if several else "", s.key, scaling.unit, *more)
+    parts = [f"source = {quoted(s.source)}"] if several else []
+    parts += [f"topic = {quoted(s.key.topic)}"] if s.key.topic else []
+    parts += [f"channel = {quoted(s.key.channel)}"]
+    parts += [f"unit = {quoted(scaling.unit)}"] if scaling.unit else []
+    parts += [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
+    parts += [f"sign = {each.sign}"] if each.sign != 1 else []
+    parts += [f"offset = {scaling.offset:.9g}"] if scaling.offset else []
+    parts += [f"period = {s.period:.9g}"] if s.period is not None and each.column else []
+    parts += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None and each.column else []
+    return f"{quoted(each.column or 'sensor.?')} = {{ {', '.join(parts)} }}"

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from loose_env.typing import Array
@@ -28,33 +26,23 @@ _SHARE = 0.91
 _AT_ONCE = 2_000_000
 
 
-class Resampled(NamedTuple):
-    """Values at the rows, and a description of the method."""
-
-    values: Array
-    how: str
-
-
 def median_step(time: Array) -> float:
     """Median time between samples [s]."""
     return float(np.median(np.diff(time)))
 
 
-def is_even(time: Array) -> bool:
-    """True if samples are evenly spaced, missing ones aside."""
-    steps = np.diff(time) / median_step(time)
-    return bool(np.all(np.abs(steps - np.round(steps)) <= 2 * EVEN) and np.all(steps > 0.5))
-
-
 def bridged(time: Array, gap_s: float | None) -> float:
     """Longest pause between two samples that is no gap [s].
 
-    One and a half steps where samples are evenly spaced, so that one missing sample is seen, and
-    three where they are not; or what the mapping says.
+    One and a half steps where samples are evenly spaced, missing ones aside, so that one missing
+    sample is seen, and three where they are not; or what the mapping says.
     """
     if gap_s is not None:
         return gap_s
-    return (_GAP_EVEN if is_even(time) else _GAP_UNEVEN) * median_step(time)
+    step = median_step(time)
+    steps = np.diff(time) / step
+    even = np.all(np.abs(steps - np.round(steps)) <= 2 * EVEN) and np.all(steps > 0.5)
+    return (_GAP_EVEN if even else _GAP_UNEVEN) * step
 
 
 def rows_of(time: Array, start: float, stop: float, gap: float, most: int) -> Array | None:
@@ -85,8 +73,8 @@ def held(time: Array, values: Array, rows: Array, longest: float) -> Array:
     return found
 
 
-def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resampled:
-    """Bring a channel to the times of the rows, band-limited, and NaN across gaps.
+def resampled(time: Array, values: Array, rows: Array, longest: float) -> tuple[Array, str]:
+    """Bring a channel to the times of the rows, band-limited, and NaN across gaps; and say how.
 
     Where the channel has a sample at every row, samples are taken as they are. A slower channel is
     interpolated by a windowed sinc, which leaves its band alone and adds nothing above it; a
@@ -98,21 +86,21 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
     --------
     >>> slow = np.arange(400) / 100
     >>> rows = np.arange(1000, 3000) / 1000
-    >>> found = resampled(slow, np.sin(2 * np.pi * 20 * slow), rows, 0.015)
-    >>> found.how, bool(np.abs(found.values - np.sin(2 * np.pi * 20 * rows)).max() < 1e-3)
+    >>> values, how = resampled(slow, np.sin(2 * np.pi * 20 * slow), rows, 0.015)
+    >>> how, bool(np.abs(values - np.sin(2 * np.pi * 20 * rows)).max() < 1e-3)
     ('band-limited from 100 Hz', True)
     """
     step = median_step(time)
     out_step = median_step(rows) if len(rows) > 1 else step
-    near = np.clip(np.searchsorted(time, rows), 1, len(time) - 1)
-    near -= (rows - time[near - 1]) < (time[near] - rows)
+    after = np.clip(np.searchsorted(time, rows), 1, len(time) - 1)
+    near = after - ((rows - time[after - 1]) < (time[after] - rows))
     same = np.abs(time[near] - rows) <= _SAME * step
     found = np.full(len(rows), np.nan)
     if step >= 0.99 * out_step:
         found[same] = values[near[same]]
-        inside = _inside(time, rows, longest)
+        inside = (rows >= time[0]) & (rows <= time[-1]) & (np.diff(time)[after - 1] <= longest)
         if not np.any(inside & ~same):
-            return Resampled(found, "taken as it is")
+            return (found, "taken as it is")
     found[:] = np.nan
     even = True
     edges = np.flatnonzero(np.diff(time) > longest) + 1
@@ -126,15 +114,8 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
             even &= own
     rate = f"{1 / step:.6g} Hz"
     if step < 0.99 * out_step:
-        return Resampled(found, f"low-passed at {0.5 * _SHARE / out_step:.4g} Hz, from {rate}")
-    return Resampled(found, f"{'band-limited' if even else 'spline, uneven samples'} from {rate}")
-
-
-def _inside(time: Array, rows: Array, longest: float) -> NDArray[np.bool_]:
-    """Mask of the rows between two samples that are no gap apart."""
-    after = np.clip(np.searchsorted(time, rows, side="left"), 1, len(time) - 1)
-    near = time[after] - time[after - 1] <= longest
-    return np.asarray((rows >= time[0]) & (rows <= time[-1]) & near)
+        return (found, f"low-passed at {0.5 * _SHARE / out_step:.4g} Hz, from {rate}")
+    return (found, f"{'band-limited' if even else 'spline, uneven samples'} from {rate}")
 
 
 def _segment(time: Array, values: Array, rows: Array, out_step: float) -> tuple[Array, bool]:

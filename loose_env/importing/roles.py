@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import mujoco
@@ -41,7 +41,6 @@ from loose_env.importing.scalings import (
 from loose_env.importing.targets import (
     JointTarget,
     joint_targets,
-    named_sensors,
     needed_torques,
     tool_sensors,
 )
@@ -131,11 +130,9 @@ class Roles:
 
     model: mujoco.MjModel
     signals: Sequence[Signal]
-    step: float
-    defined: Mapping[str, str] = field(default_factory=dict)
-    """Source -> unit of an angle that its format defines."""
 
     def __post_init__(self) -> None:
+        self.step = self.signals[0].step
         self.joints = {each.name: each for each in joint_targets(self.model)}
         for s in self.signals:
             s.meaning = self._as_named(s)
@@ -152,8 +149,6 @@ class Roles:
 
     def found(self) -> Roles:
         """All roles, in the order in which one rests on the other."""
-        for column, s, words in named_sensors(self.model, self.joints, self._free()):
-            self._add(column, s, Scaling(s.unit), 1, words)
         self.vectors = self._vectors()
         self.places = {s.sort: j for v in self.vectors if v.given for j, s in v.members.items()}
         self._take_positions()
@@ -170,18 +165,12 @@ class Roles:
     # --------------------------------------------------------------------- names
 
     def _as_named(self, s: Signal) -> Meaning:
-        """Meaning of a channel; of one that is named as a sensor or actuator, its own."""
-        text = s.key.channel
+        """Meaning of a channel; of one that is named as a column of the model, that one's."""
+        roles: tuple[Role, ...] = ("position", "velocity", "torque", "command")
         for t in self.joints.values():
-            columns: dict[Role, str] = {
-                "position": t.position, "velocity": t.velocity, "command": t.command,
-                "torque": t.torque,
-            }  # fmt: skip
-            for role, column in columns.items():
-                bare = column.split(".", 1)[-1]
-                alone = bare if role != "torque" and bare != t.name else column
-                state = {"position": f"{t.name}_qpos", "velocity": f"{t.name}_qvel"}.get(role, "")
-                if text and text in (column, alone, f"{bare}_ctrl" * (role == "command"), state):
+            for role, column in zip(roles, t.columns, strict=True):
+                bare = column.partition(".")[2]  # the joint's own name tells no role
+                if s.key.channel and s.key.channel in (column, bare if bare != t.name else column):
                     return replace(s.meaning, role=role, of=role, joint=t.name, vector=(role,))
         return s.meaning
 
@@ -197,37 +186,35 @@ class Roles:
         rest: list[Signal] = []
         names = [*self.joints]
         driven = [t.name for t in self.joints.values() if t.command]
-        for s in (s for s in self.signals if s.sort not in self.used):
-            if s.meaning.joint:
-                groups.setdefault(("label", s.source, s.meaning.vector), []).append(s)
-            elif len(names) == 1:
-                groups.setdefault(("only", s.source, s.sort), []).append(s)
+        for s in self.signals:
+            if s.meaning.joint or len(names) == 1:
+                of = s.meaning.vector if s.meaning.joint else s.sort
+                groups.setdefault(("label", s.source, of), []).append(s)
             elif s.meaning.index is not None and (s.meaning.array or s.meaning.role):
                 groups.setdefault(("index", s.source, s.meaning.vector), []).append(s)
             else:
                 rest.append(s)
         for (kind, source, _), own in groups.items():
-            if kind != "index":
-                while own:  # a joint may have two channels of one name
-                    members = {self._label(s): s for s in reversed(own)}
-                    own = [s for s in own if s not in members.values()]
-                    array = {s.meaning.array for s in members.values()}
-                    others = [s for s in rest if s.source == source and {s.meaning.array} == array]
-                    lacking = [j for j in names if j not in members]
-                    if "" not in array and len(others) == len(lacking):
-                        members |= dict(zip(lacking, others, strict=True))
-                    words = "of the only joint" if kind == "only" else "by its name"
-                    found.append(Vector(members, words, kind != "only"))
-                continue
+            while kind == "label" and own:  # a joint may have two channels of one name
+                members = {self._label(s): s for s in reversed(own)}
+                own = [s for s in own if s not in members.values()]
+                array = {s.meaning.array for s in members.values()}
+                others = [s for s in rest if s.source == source and {s.meaning.array} == array]
+                lacking = [j for j in names if j not in members]
+                if "" not in array and len(others) == len(lacking):
+                    members |= dict(zip(lacking, others, strict=True))
+                named = any(s.meaning.joint for s in members.values())
+                words = "by its name" if named else "of the only joint"
+                found.append(Vector(members, words, named))
             own = sorted(own, key=lambda s: s.meaning.index or 0)
             order = next((o for o in (names, driven) if len(o) == len(own)), None)
             if order is None and len(own) > len(names) and own[0].meaning.role:
                 order = names
-            if order is None:
+            if order is not None and own:
+                place = dict(zip(order, own, strict=False))
+                found.append(Vector(place, "by its place in the vector", True))
+            else:
                 rest += own
-                continue
-            place = dict(zip(order, own, strict=False))
-            found.append(Vector(place, "by its place in the vector", True))
         return [*found, *self._blocks(sorted(rest, key=lambda s: s.sort))]
 
     def _blocks(self, rest: Sequence[Signal]) -> Iterator[Vector]:
@@ -297,14 +284,11 @@ class Roles:
         for i, vector in enumerate(self.vectors):
             own = []
             for joint, s in vector.members.items():
-                if not s.moves or not admits(s.unit, "position", slide=self.joints[joint].slide):
-                    continue
-                score = _PRIOR[s.meaning.role]
-                if score > _PRIOR["velocity"]:
-                    if s.sort not in relations:
+                if s.moves and admits(s.unit, "position", slide=self.joints[joint].slide):
+                    near = _PRIOR[s.meaning.role] > _PRIOR["velocity"]
+                    if near and s.sort not in relations:
                         relations[s.sort] = self._relation(s, moving)
-                    score += relations[s.sort][0]
-                own.append(score)
+                    own.append(_PRIOR[s.meaning.role] + (relations[s.sort][0] if near else 0.0))
             if own:
                 scored.append((float(np.mean(own) if vector.given else np.min(own)), -i, vector))
         if not any(score > 0.5 for score, *_ in scored):
@@ -314,10 +298,8 @@ class Roles:
             if score <= 0.5 or any(s.sort in taken for s in vector.members.values()):
                 continue
             for joint, s in vector.members.items():
-                fitting = admits(s.unit, "position", slide=self.joints[joint].slide)
-                if joint in self.positions or not s.moves or not fitting:
-                    continue
-                if _PRIOR[s.meaning.role] >= _PRIOR["command"]:
+                fitting = s.moves and admits(s.unit, "position", slide=self.joints[joint].slide)
+                if fitting and joint not in self.positions and _PRIOR[s.meaning.role] >= -3.0:
                     name = "position" if s.meaning.role == "position" else "taken as position"
                     told = relations.get(s.sort, (0.0, ""))[1]
                     reason = "; ".join(filter(None, [f"{name} {vector.words}", told]))
@@ -384,7 +366,7 @@ class Roles:
             if value >= ALIKE:
                 factor = unit_named(s.unit, "").factor
                 speeds[joint] = 1 / (abs(slope(p.rates[1], s.smooth[1])) * factor)
-        defined = all(self.defined.get(s.source) for _, s in pairs.values())
+        defined = all(s.defined for _, s in pairs.values())
         for joint, scaling in position_scalings(pairs, speeds, defined).items():
             s, _, reason = self.positions[joint]
             target = self.joints[joint]
@@ -481,17 +463,18 @@ class Roles:
     def _match(self, joint: str, role: Role, s: Signal) -> Match:
         """Evidence of a channel in a role at a joint; none where name or unit contradict."""
         target, own = self.joints[joint], s.meaning.role
-        none = Match(joint, role)
-        if not admits(s.unit, role, slide=target.slide):
-            return none
         named = own == role or (own == "current" and role == "torque")
-        if role == "velocity" and (named or own in ("", "position")):
-            return self._as_velocity(joint, s)
-        if role == "torque" and (named or own == ""):
-            return self._as_torque(joint, s, named)
-        if role == "command" and (named or own in ("", "position")) and _takes(s, own, target):
-            return self._as_command(joint, s)
-        return none
+        drive = target.drive if role == "command" else role
+        of = s.meaning.of if own == "command" else ""
+        takes = of in ("", "command", drive) or (of == "current" and drive == "torque")
+        if admits(s.unit, role, slide=target.slide, drive=target.drive):
+            if role == "velocity" and (named or own in ("", "position")):
+                return self._as_velocity(joint, s)
+            if role == "torque" and (named or own == ""):
+                return self._as_torque(joint, s, named)
+            if role == "command" and (named or own in ("", "position")) and takes:
+                return self._as_command(joint, s)
+        return Match(joint, role)
 
     def _as_velocity(self, joint: str, s: Signal) -> Match:
         if joint not in self.positions:
@@ -513,7 +496,7 @@ class Roles:
         # A torque is of the joint that its name or its place in a vector tells, or of none.
         if (self._label(s) or self.places.get(s.sort, "")) not in ("", joint):
             return Match(joint, "torque")
-        stated = quantity_of(s.unit) in ("torque", "force") or bool(self.defined.get(s.source))
+        stated = quantity_of(s.unit) in ("torque", "force") or s.defined
         if not self.needed and named and stated and self._label(s):
             words = f"torque of {joint!r} by its name; the model's cannot be computed"
             return Match(joint, "torque", _TRUSTED, words, per=1.0)
@@ -577,7 +560,7 @@ class Roles:
         target = self.joints[match.joint]
         unit = "N" if target.slide else "N*m"
         quantity = quantity_of(s.unit)
-        defined = bool(self.defined.get(s.source)) and s.meaning.role == "torque" and not quantity
+        defined = s.defined and s.meaning.role == "torque" and not quantity
         near = 1 / _SAME_UNIT < per < _SAME_UNIT and not quantity
         scaling = Scaling(unit, per or 1.0)
         if quantity == "current" or s.meaning.role == "current":
@@ -720,27 +703,16 @@ class Roles:
             Line(column=column, candidate=s, scaling=scaling, sign=sign, reason=reason, open=True)
         )
 
-    def left(self) -> Iterable[tuple[Signal, str]]:
+    def left(self) -> tuple[Line, ...]:
         """Channels that are not used, each with the reason and what it is most like."""
         taken = {line.candidate.sort for line in (*self.lines.values(), *self.open)}
-        for s in self.signals:
-            if s.sort not in taken:
-                yield s, self.why.get(s.sort, "no role")
+        return tuple(
+            Line(column="", candidate=s, scaling=Scaling(s.unit), open=True,
+                 reason=self.why.get(s.sort, "no role") if s.values.size else s.why)
+            for s in self.signals if s.sort not in taken
+        )  # fmt: skip
 
 
 def _off_size(told: Torque) -> float:
     """What the size of a torque speaks against it where no name and no unit does [1]."""
     return min(_UNIT, 0.5 * _UNIT * abs(math.log(max(told.per, 1e-9))))
-
-
-def _takes(s: Signal, role: Role, target: JointTarget) -> bool:
-    """Whether a channel may be what the actuator of a joint takes, by its name and unit."""
-    quantity, drive = quantity_of(s.unit), target.drive
-    of = s.meaning.of if role == "command" else ""
-    allowed = {
-        "position": ("", "number", "voltage", "angle", "length"),
-        "velocity": ("", "number", "voltage", "angle", "length", "angular speed", "speed"),
-        "torque": ("", "number", "voltage", "torque", "force", "current"),
-    }
-    told = of in ("", "command", drive) or (of == "current" and drive == "torque")
-    return told and quantity in allowed[drive]

@@ -13,7 +13,7 @@ too, but never by more than a joint at rest is worth.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,16 +44,16 @@ _DEFINED = 2.0
 """What the definition of a format speaks for radians: less than values far outside the limits."""
 _RATES = {"rad/s": 1.0, "deg/s": 180 / math.pi, "rpm": 30 / math.pi, "rev/s": 0.5 / math.pi}
 _SPEEDS = {"m/s": 1.0, "mm/s": 1e3, "cm/s": 1e2, "mm/min": 6e4}
-_ALLOWED: dict[Role, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "position": (("angle", "number"), ("length", "number")),
-    "velocity": (("angular speed",), ("speed",)),
-    "torque": (("torque", "number", "current"), ("force", "number", "current")),
-    "command": (
-        ("angle", "angular speed", "torque", "number", "voltage", "current"),
-        ("length", "speed", "force", "number", "voltage", "current"),
-    ),
+_ALLOWED: dict[str, tuple[str, ...]] = {
+    "position": ("angle", "length", "number"),
+    "velocity": ("angular speed", "speed"),
+    "torque": ("torque", "force", "number", "current"),
+    "position drive": ("number", "voltage", "angle", "length"),
+    "velocity drive": ("number", "voltage", "angle", "length", "angular speed", "speed"),
+    "torque drive": ("number", "voltage", "torque", "force", "current"),
 }
-"""Role -> quantities of a channel of a hinge and of a slide."""
+"""Role, or kind of drive that is commanded -> quantities of a channel."""
+_OF_SLIDES, _OF_HINGES = ("length", "speed", "force"), ("angle", "angular speed", "torque")
 _RATE_OF = {"angle": "angular speed", "length": "speed"}
 
 
@@ -77,7 +77,7 @@ class Scaling:
         return [v * self.factor + self.offset for v in runs]
 
 
-def admits(unit: str, role: Role, *, slide: bool) -> bool:
+def admits(unit: str, role: Role, *, slide: bool, drive: str = "") -> bool:
     """Return whether a channel with a stated unit may have a role at a joint.
 
     Examples
@@ -86,7 +86,9 @@ def admits(unit: str, role: Role, *, slide: bool) -> bool:
     (True, False)
     """
     quantity = quantity_of(unit)
-    return not quantity or role not in _ALLOWED or quantity in _ALLOWED[role][slide]
+    allowed = _ALLOWED[f"{drive} drive" if role == "command" else role]
+    other = _OF_HINGES if slide else _OF_SLIDES
+    return not quantity or (quantity in allowed and quantity not in other)
 
 
 def is_rate(unit: str, of: str) -> bool:
@@ -110,34 +112,35 @@ def position_scalings(
         Whether the format defines radians and metres.
     """
     signed = any(not s.unit and s.low < -1 for _, s in pairs.values())
-    ways = {joint: dict(_ways(*pair, signed=signed)) for joint, pair in pairs.items()}
+    ways = {joint: _ways(*pair, signed=signed) for joint, pair in pairs.items()}
+    unstated = {j: t for j, (t, s) in pairs.items() if not s.unit}
     against: dict[str, float] = {}
     for way, prior in _AGAINST.items():
-        alike = [j for j, (t, s) in pairs.items() if not s.unit and t.slide == (way in _LENGTHS)]
-        open_ones = [j for j, (_, s) in pairs.items() if not s.unit] if way in _ANY else alike
-        against[way] = prior + sum(
+        alike = [j for j, t in unstated.items() if way in _ANY or t.slide == (way in _LENGTHS)]
+        against[way] = prior - _DEFINED * (defined and way in ("rad", "m")) + sum(
             _against(way, *pairs[j], ways[j][way], speeds.get(j)) if way in ways[j] else _UNFIT
-            for j in open_ones
-        )
-    if defined:
-        against["rad"] -= _DEFINED
-        against["m"] -= _DEFINED
+            for j in alike
+        )  # fmt: skip
     return {
         joint: _chosen(*pair, ways[joint], against, speeds.get(joint), defined)
         for joint, pair in pairs.items()
     }
 
 
-def _ways(joint: JointTarget, s: Signal, *, signed: bool) -> Iterator[tuple[str, Scaling]]:
+def _ways(joint: JointTarget, s: Signal, *, signed: bool) -> dict[str, Scaling]:
     """Ways to read the values of a position."""
-    for unit in ("m", "mm") if joint.slide else ("rad", "deg"):
-        yield unit, Scaling(unit)
-    normalised = normalised_scaling(joint, s, signed=signed and not s.unit)
-    if normalised is not None:
-        yield "normalised", normalised
+    found = {unit: Scaling(unit) for unit in (("m", "mm") if joint.slide else ("rad", "deg"))}
+    if joint.limits is not None and max(abs(s.low), abs(s.high)) <= _NORMALISED:
+        (bottom, top), unit = joint.limits, next(iter(found))
+        words = "normalised to -100..100 of the limits"
+        found["normalised"] = Scaling(unit, (top - bottom) / 200, (top + bottom) / 2, words)
+        if s.low >= -1 and not (signed and not s.unit):
+            words = "normalised to 0..100 of the limits"
+            found["normalised"] = Scaling(unit, (top - bottom) / 100, bottom, words)
     if s.whole and not joint.slide and s.low >= 0 and s.high < _TICKS:
         words = f"ticks of {_TICKS} a turn, {_TICKS // 2} at zero"
-        yield "ticks", Scaling("rad", 2 * math.pi / _TICKS, -math.pi, words)
+        found["ticks"] = Scaling("rad", 2 * math.pi / _TICKS, -math.pi, words)
+    return found
 
 
 def _against(
@@ -148,7 +151,7 @@ def _against(
     share = max(float(np.abs(ends).max()), 1e-9) / max(_end(joint), 1e-9)
     if way == "normalised":
         share = max(abs(s.low), abs(s.high), 1e-9) / 100
-    if not _within(joint, ends[0], ends[1]):
+    if not _within(joint, ends):
         found = 2.0 + 2.0 * math.log(max(share, 1.0))
     else:
         found = 0.0 if joint.limits is None else min(2.0, math.log(share / 0.5) ** 2 / 3)
@@ -160,12 +163,13 @@ def _end(joint: JointTarget) -> float:
     return (1.0 if joint.slide else _TURNS) if joint.limits is None else max(map(abs, joint.limits))
 
 
-def _within(joint: JointTarget, low: float, high: float, margin: float = _MARGIN) -> bool:
+def _within(joint: JointTarget, ends: Sequence[float] | Array, margin: float = _MARGIN) -> bool:
     """Return whether positions lie within a joint's limits, and a share of them beyond."""
+    low, high = ends
     if joint.limits is None:
-        return max(abs(low), abs(high)) <= _end(joint)
+        return bool(max(abs(low), abs(high)) <= _end(joint))
     margin = margin * (joint.limits[1] - joint.limits[0])
-    return joint.limits[0] - margin <= low and high <= joint.limits[1] + margin
+    return bool(joint.limits[0] - margin <= low and high <= joint.limits[1] + margin)
 
 
 def _chosen(
@@ -185,15 +189,14 @@ def _chosen(
         if stated != quantity_of(unit):
             return None
         factor = unit_named(s.unit, "").factor
-        within = _within(joint, s.low * factor, s.high * factor)
+        within = _within(joint, (s.low * factor, s.high * factor))
         return Scaling(s.unit, reason=f"{s.unit} as stated; {seen}{_exceeds(within)}")
 
     def fits(way: str, margin: float = _MARGIN) -> bool:
-        ends = ways[way].si([np.array([s.low, s.high])])[0]
         told = speed is not None or (defined and way == unit)
-        return told or _within(joint, ends[0], ends[1], margin)
+        return told or _within(joint, ways[way].si([np.array([s.low, s.high])])[0], margin)
 
-    common = min((way for way in ways), key=lambda way: against[way], default="")
+    common = min(ways, key=lambda way: against[way], default="")
     if common and not fits(common, 0.5):
         own = {w: _AGAINST[w] + _against(w, joint, s, ways[w], speed) for w in ways if fits(w)}
         common = min(own, key=lambda way: own[way], default="")
@@ -203,28 +206,14 @@ def _chosen(
     why = "by the velocity beside" if speed is not None else scaling.reason or scaling.unit
     if defined and common == unit:
         why = f"{unit} as the format defines"
-    ends = scaling.si([np.array([s.low, s.high])])[0]
     also = "normalised" in ways and common == "deg"
     more = "; values normalised to -100..100 would look alike" if also else ""
-    return replace(
-        scaling, reason=f"{seen}: {why}{_exceeds(_within(joint, ends[0], ends[1]))}{more}"
-    )
+    within = _within(joint, scaling.si([np.array([s.low, s.high])])[0])
+    return replace(scaling, reason=f"{seen}: {why}{_exceeds(within)}{more}")
 
 
 def _exceeds(within: bool) -> str:
     return "" if within else ", which they exceed"
-
-
-def normalised_scaling(joint: JointTarget, s: Signal, *, signed: bool = False) -> Scaling | None:
-    """Scaling of values normalised to a joint's limits; None where they cannot be."""
-    if joint.limits is None or max(abs(s.low), abs(s.high)) > _NORMALISED:
-        return None
-    unit = "m" if joint.slide else "rad"
-    bottom, top = joint.limits
-    if s.low >= -1 and not signed:
-        return Scaling(unit, (top - bottom) / 100, bottom, "normalised to 0..100 of the limits")
-    words = "normalised to -100..100 of the limits"
-    return Scaling(unit, (top - bottom) / 200, (top + bottom) / 2, words)
 
 
 def rate_unit(ratio: float, slide: bool) -> str:

@@ -20,7 +20,7 @@ Given = Mapping[str, Path]
 Opener = Callable[[Path, str], Log]
 _OPENERS: dict[str, Opener] = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log", ".asc"), open_text_table),
-    **dict.fromkeys((".mcap", ".db3", ".bag", ".zstd"), open_messages),
+    **dict.fromkeys((".mcap", ".db3", ".bag"), open_messages),
     **dict.fromkeys(READERS, open_arrays),
 }
 _NOT_LOGS = ("readme", "license", "requirements", "metadata", "info", "package", "config")

@@ -48,21 +48,21 @@ def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
     found = []
     for name, sensors in joint_sensors(model).items():
         joint = model.joint(name).id
-        limited = bool(model.jnt_limited[joint])
-        low, high = model.jnt_range[joint]
-        actuator = _actuator(model, joint)
-        command = "" if actuator is None else f"ctrl.{model.actuator(actuator).name}"
-        torque = f"torque.{name}"
+        low, high = map(float, model.jnt_range[joint])
+        drive, kind = _drive(model, joint)
+        columns = {
+            "position": f"sensor.{sensors.position[0]}" if sensors.position else "",
+            "velocity": f"sensor.{sensors.velocity[0]}" if sensors.velocity else "",
+            "torque": f"torque.{name}",
+            "command": f"ctrl.{drive}",
+        }
         found.append(
             JointTarget(
                 name=name,
                 slide=model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE,
-                limits=(float(low), float(high)) if limited else None,
-                position=f"sensor.{sensors.position[0]}" if sensors.position else "",
-                velocity=f"sensor.{sensors.velocity[0]}" if sensors.velocity else "",
-                torque=torque if torque in known else "",
-                command=command if command in known else "",
-                drive="torque" if actuator is None else _drive(model, actuator),
+                limits=(low, high) if model.jnt_limited[joint] else None,
+                drive=kind,
+                **{role: column * (column in known) for role, column in columns.items()},
             )
         )
     return found
@@ -72,21 +72,6 @@ _TURNING = {"gyro", "gyroscope", "angular"}
 _GRAVITY = 0.2
 """Share by which the mean over a second of an accelerometer that no name tells may be
 off 1 g [1]."""
-
-
-def named_sensors(
-    model: mujoco.MjModel, joints: Mapping[str, JointTarget], free: Sequence[Signal]
-) -> Iterator[tuple[str, Signal, str]]:
-    """Channels that are named as sensors of the model other than those of joints."""
-    own = {c for t in joints.values() for c in t.columns}
-    known = set(ModelColumns.of(model).known) - own
-    for s in free:
-        text = s.key.channel
-        axis = {"[0]": ".x", "[1]": ".y", "[2]": ".z"}.get(text[-3:], "")
-        names = [text, f"sensor.{text}", f"sensor.{text[:-3]}{axis}" if axis else ""]
-        column = next((n for n in names if n in known), "")
-        if column:
-            yield column, s, f"named as the model's {text!r}"
 
 
 def tool_sensors(
@@ -132,6 +117,29 @@ def tool_sensors(
             yield f"sensor.{name}.{axis}", own[axis], own[axis].unit or unit, reason
 
 
+def inverse_dynamics(
+    model: mujoco.MjModel, qpos: Array, qvel: Array, qacc: Array, readings: Array | None = None
+) -> Array:
+    """Generalised force that a motion needs, shape (T, nv); sensor data go to ``readings``.
+
+    Contacts, stops and friction are left out: they change neither kinematics nor what gravity and
+    inertia need.
+    """
+    data, flags = mujoco.MjData(model), model.opt.disableflags
+    torques = np.zeros((len(qpos), model.nv))
+    try:
+        model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        for row in range(len(qpos)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = qpos[row], qvel[row], qacc[row]
+            mujoco.mj_inverse(model, data)
+            torques[row] = data.qfrc_inverse
+            if readings is not None:
+                readings[row] = data.sensordata
+    finally:
+        model.opt.disableflags = flags
+    return torques
+
+
 def needed_torques(
     model: mujoco.MjModel, joints: Mapping[str, Sequence[Array]], step: float, every: int = 1
 ) -> dict[str, list[Array]]:
@@ -157,7 +165,6 @@ def needed_torques(
         return {}
     runs = len(next(iter(joints.values())))
     found: dict[str, list[Array]] = {name: [] for name in names}
-    data = mujoco.MjData(model)
     for run in range(runs):
         length = max((len(own[run]) for own in joints.values()), default=0)
         position = np.zeros((length, model.nq))
@@ -173,28 +180,23 @@ def needed_torques(
             position = np.asarray(ndimage.uniform_filter1d(position, SMOOTHED, axis=0))
             velocity = np.gradient(position, step, axis=0)
             motion = (position, velocity, np.gradient(velocity, step, axis=0))
-            for i, row in enumerate(zip(*(each[::every] for each in motion), strict=True)):
-                data.qpos[:], data.qvel[:], data.qacc[:] = row
-                mujoco.mj_inverse(model, data)
-                torque[i] = data.qfrc_inverse
+            torque = inverse_dynamics(model, *(each[::every] for each in motion))
         for j, name in enumerate(names):
             found[name].append(torque[:, j])
     return found
 
 
-def _actuator(model: mujoco.MjModel, joint: int) -> int | None:
-    """The only actuator of a joint; None where it has none or several."""
+def _drive(model: mujoco.MjModel, joint: int) -> tuple[str, Drive]:
+    """Name of the only actuator of a joint, "" where it has none or several, and its kind."""
     kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     own = [
         i
         for i in range(model.nu)
         if int(model.actuator_trntype[i]) in kinds and model.actuator_trnid[i, 0] == joint
     ]
-    return own[0] if len(own) == 1 else None
-
-
-def _drive(model: mujoco.MjModel, actuator: int) -> Drive:
-    bias = model.actuator_biasprm[actuator]
-    if model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_AFFINE:
-        return "torque"
-    return "position" if bias[1] else "velocity" if bias[2] else "torque"
+    if len(own) != 1:
+        return "", "torque"
+    bias, affine = model.actuator_biasprm[own[0]], mujoco.mjtBias.mjBIAS_AFFINE
+    kind: Drive = "position" if bias[1] else "velocity" if bias[2] else "torque"
+    return model.actuator(own[0]).name, (
+        kind if model.actuator_biastype[own[0]] == affine else "torque")  # fmt: skip

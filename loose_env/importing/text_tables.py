@@ -60,21 +60,17 @@ def open_text_table(path: Path, name: str) -> Log:
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raw = raw.decode("utf-16", "replace").encode()
     raw = raw.removeprefix(b"\xef\xbb\xbf")
-    if b"\n" not in raw:
-        raw = raw.replace(b"\r", b"\n")
-    head = _recognised(_decoded(raw[:_HEAD]).split("\n"), name)
+    try:
+        raw.decode()
+    except UnicodeDecodeError:
+        raw = raw.decode("latin-1").encode()
+    raw = raw if b"\n" in raw else raw.replace(b"\r", b"\n")
+    head = _recognised(raw[:_HEAD].decode("utf-8", "replace").split("\n"), name)
 
     def tables(_: str, __: Sequence[ChannelKey] | None) -> list[Table]:
         return [_table(raw, name, head)]
 
     return Log(name=name, tables=tables)
-
-
-def _decoded(raw: bytes) -> str:
-    try:
-        return raw.decode()
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
 
 
 # ------------------------------------------------------------------------- values
@@ -136,7 +132,7 @@ def _cells(
     def read(kinds: dict[str, Any]) -> Any:
         return pacsv.read_csv(
             pa.BufferReader(body),
-            pacsv.ReadOptions(column_names=names, use_threads=False, encoding=encoding,
+            pacsv.ReadOptions(column_names=names, use_threads=False,
                               block_size=max(len(body), 1)),
             pacsv.ParseOptions(delimiter=head.separator, invalid_row_handler=noted),
             pacsv.ConvertOptions(column_types=kinds, null_values=_MISSING,
@@ -144,7 +140,6 @@ def _cells(
         )  # fmt: skip
 
     names = [str(i) for i in range(len(head.names))]
-    encoding = "utf-8" if body.isascii() or _is_utf8(body) else "latin-1"
     kinds = {n: _kind_of([r[i] for r in head.rows if i < len(r)], head.decimal)
              for i, n in enumerate(names)}  # fmt: skip
     try:
@@ -171,14 +166,6 @@ def _cells(
         else:
             cells.append(np.asarray(column.to_numpy(), dtype=np.float64))
     return cells, lines
-
-
-def _is_utf8(body: bytes) -> bool:
-    try:
-        body.decode()
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 def _kind_of(cells: Sequence[str], decimal: str) -> Any:

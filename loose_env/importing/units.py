@@ -62,21 +62,17 @@ _SAME = {
     for given in all_given.split()
 }  # fmt: skip
 _QUANTITIES = {
-    f"mjSENS_{kind}": quantity
-    for quantity, kinds in {
-        "acceleration": "ACCELEROMETER FRAMELINACC", "angular acceleration": "FRAMEANGACC",
-        "speed": "VELOCIMETER FRAMELINVEL SUBTREELINVEL", "angular speed": "GYRO FRAMEANGVEL",
-        "force": "FORCE TOUCH", "torque": "TORQUE", "length": "FRAMEPOS RANGEFINDER",
-        "number": "FRAMEXAXIS FRAMEYAXIS FRAMEZAXIS",
+    f"mjSENS_{kind}": quantities.split(", ")
+    for kinds, quantities in {
+        "ACCELEROMETER FRAMELINACC": "acceleration", "FRAMEANGACC": "angular acceleration",
+        "VELOCIMETER FRAMELINVEL SUBTREELINVEL": "speed", "GYRO FRAMEANGVEL": "angular speed",
+        "FORCE TOUCH": "force", "TORQUE": "torque", "FRAMEPOS RANGEFINDER": "length",
+        "FRAMEXAXIS FRAMEYAXIS FRAMEZAXIS": "number", "JOINTPOS": "angle, length",
+        "JOINTVEL": "angular speed, speed", "JOINTACTFRC JOINTLIMITFRC": "torque, force",
     }.items()
     for kind in kinds.split()
 }  # fmt: skip
-_BY_JOINT = {
-    "mjSENS_JOINTPOS": ("angle", "length"),
-    "mjSENS_JOINTVEL": ("angular speed", "speed"),
-    "mjSENS_JOINTACTFRC": ("torque", "force"),
-    "mjSENS_JOINTLIMITFRC": ("torque", "force"),
-}
+"""Kind of sensor -> its quantity; of a joint that turns, and of one that slides."""
 
 
 def unit_named(name: str, place: str) -> Unit:
@@ -121,21 +117,18 @@ def column_quantity(model: mujoco.MjModel, column: str) -> str | None:
     """Quantity of a column of a recording; None where the model does not determine it."""
     group, _, name = column.partition(".")
     if group == "torque":
-        return _of_joint(model, int(model.joint(name).id), ("torque", "force"))
-    if group != "sensor":
+        quantities, joint = ["torque", "force"], int(model.joint(name).id)
+    elif group == "sensor":
+        names = {model.sensor(i).name: i for i in range(model.nsensor)}
+        index = names.get(name, names.get(name[:-2]))
+        kind = "" if index is None else mujoco.mjtSensor(int(model.sensor_type[index])).name
+        quantities = _QUANTITIES.get(kind, [])
+        joint = -1 if index is None else int(model.sensor_objid[index])
+    else:
         return None  # an actuator's input is in the unit that its gain takes
-    names = {model.sensor(i).name: i for i in range(model.nsensor)}
-    index = names.get(name, names.get(name[:-2]))
-    if index is None:
-        return None
-    kind = mujoco.mjtSensor(int(model.sensor_type[index])).name
-    if kind in _BY_JOINT:
-        return _of_joint(model, int(model.sensor_objid[index]), _BY_JOINT[kind])
-    return _QUANTITIES.get(kind)
-
-
-def _of_joint(model: mujoco.MjModel, joint: int, kinds: tuple[str, str]) -> str:
-    return kinds[int(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)]
+    if len(quantities) < 2:
+        return next(iter(quantities), None)
+    return quantities[int(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)]
 
 
 def _plain(name: str) -> str:

@@ -260,7 +260,7 @@ def test_channels_have_the_quantity_of_their_stated_units(home: Path, motion: Mo
     for i, joint in enumerate(JOINTS):
         assert found[f"sensor.{joint}_pos"].candidate.key.channel == f"Achse {'ABC'[i]} [deg]"
     assert not any("[g]" in e.candidate.key.channel for e in proposal.columns if e.open)
-    assert [left.key.channel for left in proposal.unassigned] == ["Druck [V]"]
+    assert [left.candidate.key.channel for left in proposal.unassigned] == ["Druck [V]"]
     text = proposal_text(proposal, "arm.xml")
     assert '# "sensor.?" = { channel = "Druck [V]", unit = "V" }  # no role; most like' in text
 
@@ -288,7 +288,7 @@ def test_a_position_with_the_unit_of_another_quantity_is_left(home: Path, motion
     columns = {f"{JOINTS[i]}_pos [{units[i]}]": motion.position[:, i] for i in range(3)}
     proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL)
     assert "sensor.shoulder_lift_pos" not in {e.column for e in proposal.columns if not e.open}
-    assert [left.key.channel for left in proposal.unassigned] == ["shoulder_lift_pos [g]"]
+    assert [left.candidate.key.channel for left in proposal.unassigned] == ["shoulder_lift_pos [g]"]
 
 
 def test_a_word_that_one_joint_alone_has_names_it(home: Path, motion: Motion) -> None:
