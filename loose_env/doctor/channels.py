@@ -8,10 +8,9 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from loose_env.doctor.findings import Defect, Finding
-from loose_env.doctor.machine import PAUSE_STEPS, Channel, Machine, channels_of, filled
+from loose_env.doctor.machine import PAUSE_STEPS, Channel, Machine, channels_of
 from loose_env.importing import median_step
 from loose_env.recording import Run, without_corrupt
 from loose_env.typing import Array
@@ -33,11 +32,6 @@ SLOWEST_RATE_HZ = 4.5
 Hz, and the 1 to 4 kHz of usual drives read so where their times are in milliseconds."""
 HIGHEST_RATE_HZ = 1e6
 """Sampling rate above which times are not in seconds [Hz]: recorders of arms reach 100 kHz."""
-BAND_SHARE = 0.4
-"""Highest frequency of an excitation over the sampling rate: anti-aliasing filters need the
-rest."""
-BAND_POWER = 0.95
-"""Share of the command's power that its band holds: filters of noise roll off beyond their band."""
 
 # Channels
 LARGE_NAN = 0.05
@@ -57,9 +51,6 @@ it is coarse or slow, and repeats by itself."""
 FEWEST_PIECES = 10
 """Changes of a channel, from which its own rate, or a limit that it keeps reaching, is told: fewer
 are a channel that rests."""
-HELD_SHARE = 0.8
-"""Share of a channel's changes that come after the same number of rows, from which it counts as
-sampled more slowly than the rows: two clocks slip by a row now and then."""
 CLIPPED_SHARE = 0.002
 """Share of samples at the channel's extreme value, from which it counts as clipped: two of a
 thousand, a normal signal beyond three standard deviations."""
@@ -107,12 +98,6 @@ _UNEVEN = Defect(
     "record with a hardware clock; where it is the stamps that jitter and not the samples, import "
     "with rate_hz",
 )  # fmt: skip
-_BAND = Defect(
-    "rate", "warning",
-    f"above {BAND_SHARE:g} of the rate anti-aliasing filters attenuate, and without one readings "
-    "are aliased",
-    "record faster, or narrow the noise",
-)  # fmt: skip
 _CORRUPT = Defect(
     "range", "warning", "they are set aside as missing",
     "check unit and scale at the import, and look for lost samples",
@@ -139,12 +124,6 @@ _DEAD_AXIS = replace(
 _AT_REST = Defect(
     "stuck", "note", "a joint at rest, or a sensor whose silence is taken for a measurement",
     "look whether the joint moved; leave the column out where its sensor is dead",
-)  # fmt: skip
-_HELD = Defect(
-    "held", "note",
-    "it carries nothing above half its own rate, and holding its values delays them by half its "
-    "step on average",
-    "import the slower file as a source of its own: it is interpolated band-limited",
 )  # fmt: skip
 _DROPOUT = Defect(
     "dropout", "warning", "a repeated or lost reading is taken for a measured one",
@@ -188,23 +167,6 @@ def check_sampling(machine: Machine, run: Run) -> Iterator[Finding]:
         found = f"time steps scatter by {1e3 * jitter * step:.3g} ms rms about their median of "
         found += f"{1e3 * step:.3g} ms"
         yield _UNEVEN.at("time", found, jitter * step, unit="s", run=run.name, severity=severity)
-    for channel in channels_of(machine, run) if run.excited else ():
-        drive = machine.drives.get(channel.of) if channel.kind == "command" else None
-        joint = channel.of if channel.kind == "torque" else drive.joint if drive else ""
-        top = _band_top(run.time, channel) if joint in run.excited else 0.0
-        if top > BAND_SHARE * rate:
-            found = f"its noise reaches {top:.3g} Hz, and the sampling rate is {rate:.4g} Hz"
-            yield _BAND.at(channel.name, found, top, unit="Hz", run=run.name)
-
-
-def _band_top(time: Array, channel: Channel) -> float:
-    """Frequency below which the power of a command lies [Hz]; 0 for a command at rest."""
-    column = signal.detrend(filled(time, channel.values))
-    if column.std() <= 1e-12 * (1 + channel.reach):
-        return 0.0
-    frequency, power = signal.welch(column, 1 / median_step(time), nperseg=min(len(column), 1024))
-    share = np.cumsum(power) / power.sum()
-    return float(frequency[int(np.searchsorted(share, BAND_POWER))])
 
 
 def without_absurd(machine: Machine, run: Run) -> tuple[Run, list[Finding]]:
@@ -242,7 +204,8 @@ def check_channels(machine: Machine, run: Run) -> Iterator[Finding]:
         if channel.there.size and channel.name not in moves:
             yield from _stuck(machine, run, channel, channels, moves)
         elif channel.there.size:
-            yield from _pieces(run, channel)
+            if channel.kind in _NOISY:
+                yield from _pieces(run, channel)
             yield from _clipped(machine, run, channel)
             if channel.kind == "position" and channel.of in run.excited:
                 yield from _coarse(machine, run, channel)
@@ -311,17 +274,10 @@ def _repeats(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _pieces(run: Run, channel: Channel) -> Iterator[Finding]:
-    """Judge pieces of equal values: a slower rate, frozen readings, lost ones."""
+    """Judge pieces of equal values: frozen readings, lost ones."""
     values, time = channel.there, run.time[np.isfinite(channel.values)]
     starts, lengths = _repeats(values)
-    step, usual = median_step(run.time), int(np.median(lengths))
-    held = len(lengths) >= FEWEST_PIECES and np.mean(lengths == usual) >= HELD_SHARE
-    if held and usual > 1 and channel.kind != "command":
-        rate = 1 / (usual * step)
-        found = f"changes every {usual} rows: its own rate is {rate:.4g} Hz"
-        yield _HELD.at(channel.name, found, rate, unit="Hz", run=run.name)
-    if channel.kind not in _NOISY:
-        return
+    step = median_step(run.time)
     least = max(FROZEN_SAMPLES, FROZEN_S / step, FROZEN_RATIO * np.percentile(lengths, 90))
     long = np.flatnonzero(lengths >= least)
     if long.size and np.mean(lengths > 1) <= REPEATING_SHARE:

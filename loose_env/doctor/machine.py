@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from loose_env.importing import median_step
+from loose_env.importing import inverse_dynamics, median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -189,7 +189,7 @@ def motion_of(machine: Machine, run: Run, window_s: float = 0.0) -> Motion | Non
         qvel[:, dof] = (mean[chosen + 1] - mean[chosen - 1]) / (2 * window)
         qacc[:, dof] = (mean[chosen + 1] - 2 * mean[chosen] + mean[chosen - 1]) / window**2
     readings = np.zeros((len(chosen), model.nsensordata))
-    torques = needed_torques(model, qpos, qvel, qacc, readings)
+    torques = inverse_dynamics(model, qpos, qvel, qacc, readings)
     known = frozenset(measured) | frozenset(run.pose or {})
     return Motion(
         run=run,
@@ -200,29 +200,6 @@ def motion_of(machine: Machine, run: Run, window_s: float = 0.0) -> Motion | Non
         torques=torques,
         known=known,
     )
-
-
-def needed_torques(
-    model: mujoco.MjModel, qpos: Array, qvel: Array, qacc: Array, readings: Array | None = None
-) -> Array:
-    """Generalised force that a motion needs, shape (T, nv); sensor data go to ``readings``.
-
-    Contacts, stops and friction are left out: they change neither kinematics nor what gravity and
-    inertia need.
-    """
-    data, flags = mujoco.MjData(model), model.opt.disableflags
-    torques = np.zeros((len(qpos), model.nv))
-    try:
-        model.opt.disableflags = flags | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        for row in range(len(qpos)):
-            data.qpos[:], data.qvel[:], data.qacc[:] = qpos[row], qvel[row], qacc[row]
-            mujoco.mj_inverse(model, data)
-            torques[row] = data.qfrc_inverse
-            if readings is not None:
-                readings[row] = data.sensordata
-    finally:
-        model.opt.disableflags = flags
-    return torques
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:

@@ -51,12 +51,6 @@ recorders that lose rows make larger ones of any size."""
 LEAST_TICKS = 50.0
 """Range of a position of whole numbers, from which they are encoder ticks: as radians they would
 be eight turns."""
-TICKS_MATCH = 0.03
-"""Relative distance of the ticks per turn that commands imply from a power of two, up to which they
-are that: servos follow slow commands to 3 %."""
-FOLLOWS_COMMAND = 0.95
-"""Correlation of a position with its command, from which the command tells its unit: lag and
-friction leave a tenth of the power at most."""
 
 _UNIT, _SIGN, _NOTED, _TICKS, _LIMITS = "unit", "sign", "noted", "ticks", "limits"
 _WRONG_UNIT = Defect(
@@ -65,8 +59,7 @@ _WRONG_UNIT = Defect(
 )  # fmt: skip
 _COUNTS = replace(
     _WRONG_UNIT,
-    remedy="import the column with scale = 2π over the ticks per turn, and with its zero; --fix "
-    "DIR scales it where the commands tell the ticks",
+    remedy="import the column with scale = 2π over the ticks per turn, and with its zero",
 )
 _WRONG_SIGN = Defect(
     "sign", "error", "the model is compared in another pose, and its motion runs backwards",
@@ -256,32 +249,10 @@ def _judged(
             f"pose of {joint}", f"{pair}: noted in {words.partition(' ')[0]}", noted[joint]
         )
     if word == _TICKS:
-        per_turn, told = _per_turn(machine, joint, parts), "ticks per turn unknown"
-        if per_turn is not None:
-            fix = replace(fix, factor=2 * np.pi / per_turn)
-            told = f"{abs(per_turn):.0f} ticks per turn by the commands"
         low, high = channel.there.min(), channel.there.max()
-        found = f"holds whole numbers from {low:.0f} to {high:.0f}: encoder ticks ({told})"
-        return _COUNTS.at(channel.name, found, float(high), fix=fix if per_turn else None)
+        found = f"holds whole numbers from {low:.0f} to {high:.0f}: encoder ticks"
+        return _COUNTS.at(channel.name, found, float(high))
     return None
-
-
-def _per_turn(machine: Machine, joint: str, parts: Sequence[tuple[Run, Channel]]) -> float | None:
-    """Ticks per turn, a power of two with the sign of the encoder, by the commands of a servo."""
-    found = []
-    for run, channel in parts:
-        for drive, command in servos_of(machine, run):
-            read = filled(run.time, channel.values)
-            if drive.joint == joint and np.std(command) > 0 and np.std(read) > 0:
-                correlation = float(np.corrcoef(command, read)[0, 1])
-                if abs(correlation) > FOLLOWS_COMMAND:
-                    found.append(float(np.copysign(np.std(read) / np.std(command), correlation)))
-    if not found:
-        return None
-    ticks = 2 * np.pi * float(np.median(found))
-    power = 2.0 ** round(np.log2(abs(ticks)))
-    matches = abs(abs(ticks) / power - 1) <= TICKS_MATCH
-    return float(np.copysign(power, ticks)) if matches else None
 
 
 def check_entries(

@@ -25,7 +25,7 @@ from loose_env.doctor.signals import (
     check_gravity,
     check_kinematics,
 )
-from loose_env.doctor.torques import check_servos, check_torques, confirmed
+from loose_env.doctor.torques import check_torques, confirmed
 from loose_env.importing import median_step
 from loose_env.recording import Recording, Run
 
@@ -110,7 +110,6 @@ def _together(
     right = _corrected(whole, places)
     yield from check_entries(machine, right, settings)
     yield from check_commands(machine, right, settings)
-    yield from check_servos(machine, right)
     say("checking gravity and torques")
     blocks = _motions(machine, right, BLOCK_S)
     yield from check_gravity(machine, blocks, settings)

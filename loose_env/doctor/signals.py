@@ -25,7 +25,6 @@ from loose_env.doctor.machine import (
     filled,
     forces_of,
     motion_of,
-    needed_torques,
     positions_of,
     servos_of,
 )
@@ -44,6 +43,7 @@ from loose_env.doctor.units import (
     grouped,
     named_unit,
 )
+from loose_env.importing import inverse_dynamics
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -269,7 +269,7 @@ def _weightless(machine: Machine, blocks: Sequence[Motion]) -> Iterator[Finding]
         if motion.run.excited or not set(machine.joints) <= motion.known:
             continue
         still = np.zeros((2, len(motion.positions), machine.model.nv))
-        weight = needed_torques(machine.model, motion.positions, *still)
+        weight = inverse_dynamics(machine.model, motion.positions, *still)
         for joint, (_, given) in forces_of(machine, motion.run, commands_only=True).items():
             dof = int(machine.model.jnt_dofadr[machine.model.joint(joint).id])
             lacks = motion.torques[:, dof] - motion.mean(given)

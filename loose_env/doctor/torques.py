@@ -34,11 +34,9 @@ from loose_env.doctor.machine import (
     Machine,
     filled,
     forces_of,
-    needed_torques,
     positions_of,
-    servos_of,
 )
-from loose_env.importing import median_step
+from loose_env.importing import inverse_dynamics, median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -84,14 +82,6 @@ TORQUE_POINTS = 300
 """Points of a run at which torques are compared: four coefficients of a joint are fitted."""
 TORQUE_RUNS = 4
 """Runs of that: all are of one recorder."""
-FOLLOWS_OTHER = 0.9
-"""Correlation of two positions with each other's commands, from which their servos are exchanged:
-a servo that lags by half a radian of phase follows its own so."""
-FOLLOWS_OWN = 0.6
-"""Largest correlation of the same with their own commands for that: commands that are alike tell
-nothing."""
-SERVO_RUNS = 8
-"""Runs whose positions are compared with each other's commands: all are of one cabling."""
 
 _SMALL = 1e-4
 """Change of a position for its derivative [rad or m]."""
@@ -105,30 +95,6 @@ _CHANGED = Defect(
 def _changed(channel: str, found: str, value: float, fix: Correction) -> Finding:
     check = "sign" if fix.kind == "scale" and fix.factor == -1.0 else _CHECKS[fix.kind]
     return _CHANGED.at(channel, found, value, unit="1", check=check, fix=fix)
-
-
-def check_servos(machine: Machine, runs: Sequence[Run]) -> Iterator[Finding]:
-    """Name two servos each of which follows the other's command."""
-    followed: dict[tuple[str, str], list[float]] = {}
-    columns: dict[str, str] = {}
-    for run in runs[:SERVO_RUNS]:
-        measured = positions_of(machine, run)
-        columns |= {joint: c.name for joint, c in measured.items()}
-        for drive, command in servos_of(machine, run):
-            for joint, channel in measured.items():
-                own = filled(run.time, channel.values)
-                if np.std(command) > 0 and np.std(own) > 0:
-                    correlation = float(np.corrcoef(command, own)[0, 1])
-                    followed.setdefault((drive.joint, joint), []).append(correlation)
-    mean = {pair: float(np.mean(values)) for pair, values in followed.items()}
-    for a, b in combinations([j for j in machine.joints if (j, j) in mean], 2):
-        across = min(mean.get((a, b), 0.0), mean.get((b, a), 0.0))
-        straight = max(abs(mean[a, a]), abs(mean[b, b]))
-        if across >= FOLLOWS_OTHER and straight <= FOLLOWS_OWN:
-            found = f"each follows the other's command (correlation {across:.2f}, with its own "
-            found += f"{straight:.2f}): exchanged"
-            fix = Correction(kind="exchange", columns=(columns[a], columns[b]))
-            yield _changed(f"{columns[a]}, {columns[b]}", found, across, fix)
 
 
 def check_torques(machine: Machine, runs: Sequence[Run]) -> Iterator[Finding]:
@@ -236,7 +202,7 @@ class TorqueFit:
         whole = np.tile(model.qpos0, (len(q), 1))
         speed, change = np.zeros((2, len(q), model.nv))
         whole[:, self.places], speed[:, self.dofs], change[:, self.dofs] = q, rows.v, rows.a
-        return needed_torques(model, whole, speed, change)[:, self.dofs[self.measured]]
+        return inverse_dynamics(model, whole, speed, change)[:, self.dofs[self.measured]]
 
     def left(self, *fixes: Correction) -> float:
         """Share of the torque's variance left in the corrected recording [1]."""

@@ -70,7 +70,7 @@ VISIBLE = (12.0, 160.0)
 """Visibility that a candidate must reach, and the largest that is considered [noise sd]."""
 _INDISTINGUISHABLE_Z = 2.0
 """Length of a signature beside that of another candidate below which both are one [noise sd]."""
-_FORMAT = "gap evidence 5"  # version of what is stored; a change of the computation changes it
+_FORMAT = "gap evidence 6"  # version of what is stored; a change of the computation changes it
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
 
@@ -405,9 +405,9 @@ class Along:
         def forces(effect: Effect, values: tuple[float, ...]) -> list[tuple[Array, Array]]:
             whole = [own.forces(effect, np.array(values)) for own in self.balances]
             found = [(each.smooth, each.dry) for each in whole]
-            if effect.drives:
+            if effect.drives:  # measured torques are those of the drives, whatever these lack
                 read = self._read.forces(effect, np.array(values))
-                found[1] = found[1][0] + whole[0].smooth - read.smooth, found[1][1]
+                found[1] = whole[0].smooth - read.smooth, np.zeros_like(read.dry)
             return found
 
         for term in terms:

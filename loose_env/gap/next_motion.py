@@ -33,7 +33,7 @@ from loose_env.gap.model.nominal_model import NominalModel, addresses
 from loose_env.gap.motions import Motion, loaded_poses, long_motions, scaled_until
 from loose_env.gap.output.corrected_model import step_for
 from loose_env.gap.runs import steady_activations
-from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed, force_limits
+from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed
 from loose_env.gap.simulator import sensed
 from loose_env.inference import log_determinant
 from loose_env.io import (
@@ -421,8 +421,7 @@ def limits_of(
 ) -> MotionLimits:
     """Collect the limits: of the settings, else of the model, else what the recording showed."""
     model: mujoco.MjModel = machine.model
-    turning = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
-    unit, home = np.where(turning, 1.0, SLIDE), np.array(motion.runs[0].position[0])
+    unit, home = np.where(machine.hinges, 1.0, SLIDE), np.array(motion.runs[0].position[0])
     limited, reach = model.jnt_limited.astype(bool), settings.next_reach_rad * unit
     low = np.where(limited, model.jnt_range[:, 0], home - reach)
     high = np.where(limited, model.jnt_range[:, 1], home + reach)
@@ -437,15 +436,10 @@ def limits_of(
         seen, of_speed = np.abs(motion.stacked("speed")).max(axis=0), "the fastest of the runs"
         # a joint that never moved may move as fast as others
         speed = np.where(seen > 0.05 * seen.max(), seen, max(float(seen.max()), 0.1))
-    gears = np.abs(machine.moments)
-    torque = (gears * np.where(gears > 0, force_limits(model), 0.0)).sum(axis=1)
-    torque[torque == 0] = np.inf
-    of_joint = np.abs(model.jnt_actfrcrange).min(axis=1)
-    torque = np.minimum(torque, np.where(model.jnt_actfrclimited, of_joint, np.inf))
     return MotionLimits(
-        joints=machine.joints, turning=turning, rate=1 / _interval(motion), home=home,
+        joints=machine.joints, turning=machine.hinges, rate=1 / _interval(motion), home=home,
         low=np.minimum(low, home), high=np.maximum(high, home), speed=speed,
-        torque=settings.next_torque_share * torque,
+        torque=settings.next_torque_share * machine.torque_limits,
         sources=(
             known[0] if limited.all() else of_range, of_speed,
             f"{settings.next_torque_share:g} of the drives' limits",

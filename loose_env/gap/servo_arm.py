@@ -237,7 +237,7 @@ class ServoArm(Checked):
         spec = self._prepared.copy()
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         # typical loads and speeds scale the effects' starts
-        speeds = 0.5 * self.max_speed * np.where(_hinges(self.model), 1.0, SLIDE)
+        speeds = 0.5 * self.max_speed * np.where(NominalModel(spec).hinges, 1.0, SLIDE)
         return NominalModel(spec, loads=0.3 * self._all_torque_limits, speeds=speeds)
 
     @cached_property
@@ -305,9 +305,9 @@ class ServoArm(Checked):
     @cached_property
     def limits(self) -> MotionLimits:
         """Limits of motions: ranges, a turn about home without; speeds; most of the torques."""
-        model, home = self.model, self.home
-        limited, turning = model.jnt_limited[self.driven].astype(bool), _hinges(model)[self.driven]
-        low, high = model.jnt_range[self.driven].T
+        home, turning = self.home, self.machine.hinges[self.driven]
+        limited = self.model.jnt_limited[self.driven].astype(bool)
+        low, high = self.model.jnt_range[self.driven].T
         return MotionLimits(
             joints=self.joints, turning=turning, rate=RATE, home=home,
             low=np.where(limited, low, home - np.pi), high=np.where(limited, high, home + np.pi),
@@ -328,9 +328,8 @@ class ServoArm(Checked):
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         limits = 2.0 * np.abs(data.qfrc_bias) + 20.0 * np.diag(mass_matrix(model, data))
-        own = np.abs(model.actuator_gear[self.actuators, 0]) * force_limits(model)[self.actuators]
-        limits[self.driven] = np.where(np.isfinite(own), own, limits[self.driven])
-        return np.asarray(limits)
+        own = NominalModel(self._prepared).torque_limits
+        return np.where(np.isfinite(own), own, limits)
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
@@ -437,17 +436,6 @@ def read_servo_arm(
     except ValueError as error:
         raise InvalidData(f"MuJoCo does not compile {path}: {error}") from error
     return ServoArm(spec, tolerance, max_speed)
-
-
-def force_limits(model: mujoco.MjModel) -> Array:
-    """Force limit of each actuator, infinite where it has none (nu,)."""
-    limited = model.actuator_forcelimited.astype(bool)
-    return np.where(limited, np.abs(model.actuator_forcerange).min(axis=1), np.inf)
-
-
-def _hinges(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Mask of the joints that are hinges."""
-    return np.asarray(model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE))
 
 
 def _servos(model: mujoco.MjModel) -> tuple[IndexArray, IndexArray]:

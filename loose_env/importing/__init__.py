@@ -1,7 +1,7 @@
 """Import of measured data: ROS bags, tables, files of arrays, LeRobot datasets.
 
 Data flow: samples -> mapping -> clocks -> readers (text_tables, array_files, messages) ->
-sources -> evidence -> targets, scalings -> roles -> proposal; pipeline.
+sources -> evidence -> targets -> roles -> proposal; pipeline.
 """
 
 from loose_env.importing.command_timing import command_delays, early_by
@@ -9,6 +9,7 @@ from loose_env.importing.mapping import ImportMapping, read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
 from loose_env.importing.proposal import Proposal, proposal_text, propose
 from loose_env.importing.resampling import median_step
+from loose_env.importing.targets import inverse_dynamics
 
 __all__ = [
     "ImportMapping",
@@ -17,6 +18,7 @@ __all__ = [
     "command_delays",
     "early_by",
     "import_recording",
+    "inverse_dynamics",
     "median_step",
     "proposal_text",
     "propose",

@@ -221,11 +221,10 @@ def _of_torch(path: Path) -> Tree:
     def plain(each: Any) -> Any:
         if isinstance(each, dict):
             return {str(k): plain(v) for k, v in each.items()}
-        if isinstance(each, (list, tuple)):
-            return [plain(v) for v in each]
         return each.numpy() if isinstance(each, torch.Tensor) else each
 
-    return plain(whole) if isinstance(whole, dict) else {"data": plain(whole)}
+    found = plain(whole)
+    return found if isinstance(found, dict) else {"data": found}
 
 
 def parquet_columns(path: Path) -> dict[str, NDArray[Any]]:

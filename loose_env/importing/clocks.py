@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from loose_env.errors import InvalidData
 from loose_env.importing.mapping import TimeSource
 from loose_env.importing.samples import Samples, Table, printable, quoted
-from loose_env.importing.units import quantity_of, unit_in, unit_named
+from loose_env.importing.units import NUMBER, quantity_of, unit_in, unit_named
 from loose_env.recording import nearest
 from loose_env.typing import Array
 
@@ -60,16 +60,10 @@ class _Clock:
 
 def samples_of(table: Table, channel: str, time: TimeSource) -> Samples:
     """Samples of a channel on its table's times; refused where there is no order to them."""
-    place = f"{table.place}: {table.column_word} {channel!r}"
-    if channel in table.texts:
-        cells = enumerate(table.texts[channel])
-        i, cell = next((i, c) for i, c in cells if not _is_number(c))
-        raise InvalidData(
-            f"{table.row(i)}, {table.column_word} {channel!r}: {cell[:40]!r} is no number"
-        )
-    values = np.asarray(table.columns[channel], dtype=np.float64)
+    values = np.asarray(_numbers(table, channel, "number"), dtype=np.float64)
     there = ~np.isnan(values)
     infinite = np.flatnonzero(np.isinf(values))
+    place = f"{table.place}: {table.column_word} {channel!r}"
     clock = _clock(table, time)
     done: tuple[str, ...] = ()
     keep = np.flatnonzero(there) if not there.all() else None
@@ -235,19 +229,9 @@ def _clock(table: Table, time: TimeSource) -> _Clock | None:
             "give the recorder's sampling rate where the samples are evenly spaced, "
             "time = { rate_hz = ... } [Hz]; no rate is assumed"
         )
-    for name in filter(None, (own, time.fine)):
-        if name in table.texts:
-            i, cell = next((i, c) for i, c in enumerate(table.texts[name]) if not _is_number(c))
-            raise InvalidData(f"{table.row(i)}, column {name!r}: {cell[:40]!r} is no time")
-        if name not in table.columns:
-            there = [*table.columns, *table.texts]
-            raise InvalidData(
-                f"{place}: there is no column {name!r} for the time; there are "
-                f"{', '.join(map(repr, there[:30]))[:600]}{nearest(name, there)}"
-            )
-    raw = table.columns[own]
+    raw = _numbers(table, own, "time")
     if time.fine:
-        whole = [np.asarray(part) for part in (raw, table.columns[time.fine])]
+        whole = [np.asarray(part) for part in (raw, _numbers(table, time.fine, "time"))]
         if not all(np.all(np.isfinite(part)) for part in whole):
             raise InvalidData(f"{place}: columns {own!r} and {time.fine!r} of the time miss values")
         raw = whole[0].astype(np.int64) * 10**9 + whole[1].astype(np.int64)
@@ -350,9 +334,18 @@ def _set_back(
     return -max(twice)[1] if twice else None
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.strip() or "nan")
-    except ValueError:
-        return False
-    return True
+def _numbers(table: Table, name: str, word: str) -> NDArray[Any]:
+    """Values of a column; refused where a cell is none, or there is no such column."""
+    if name in table.columns:
+        return table.columns[name]
+    if name in table.texts:
+        cells = enumerate(table.texts[name])
+        i, cell = next((i, c) for i, c in cells if not NUMBER.fullmatch(c.strip() or "nan"))
+        raise InvalidData(
+            f"{table.row(i)}, {table.column_word} {name!r}: {cell[:40]!r} is no {word}"
+        )
+    there = [*table.columns, *table.texts]
+    raise InvalidData(
+        f"{table.place}: there is no column {name!r} for the {word}; there are "
+        f"{', '.join(map(repr, there[:30]))[:600]}{nearest(name, there)}"
+    )

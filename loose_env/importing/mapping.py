@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Le, MaxLen, MinLen
+from annotated_types import Ge, Le, MaxLen, MinLen, Predicate
 from pydantic import AfterValidator, ConfigDict
 
 from loose_env.errors import InvalidData
@@ -32,43 +32,13 @@ _MOST_BYTES = 2**22
 _FORBID = ConfigDict(extra="forbid")
 
 
-def _printable(words: str) -> str:
-    if not words or not words.isprintable():
-        raise ValueError("a printable text is needed")
-    return words
-
-
-def _each_once(names: tuple[str, ...]) -> tuple[str, ...]:
-    if len(set(names)) < len(names):
-        raise ValueError("a name stands twice")
-    return names
-
-
-def _unit(name: str) -> str:
-    unit_named(name, "unit")
-    return name
-
-
 def _time_unit(name: str) -> str:
     if name and unit_named(name, "unit").quantity != "time":
         raise ValueError(f"{name!r} is no unit of time; s, ms, us, ns are")
     return name
 
 
-def _not_zero(scale: float) -> float:
-    if scale == 0:
-        raise ValueError("0 leaves nothing of the channel")
-    return scale
-
-
-def _source_name(name: str) -> str:
-    if not name.replace("_", "").replace("-", "").isalnum():
-        raise ValueError("a source's name is of letters, digits, _ and -")
-    return name
-
-
-_Text = Annotated[str, AfterValidator(_printable)]
-_Names = Annotated[tuple[_Text, ...], AfterValidator(_each_once)]
+_Text = Annotated[str, MinLen(1)]
 _Number = Annotated[float, Ge(-1e18), Le(1e18)]
 _Rate = Annotated[float, Ge(1e-6), Le(1e9)]
 _Seconds = Annotated[float, Ge(1e-9), Le(1e9)]
@@ -122,9 +92,9 @@ class ColumnKeys:
     """Source of the channel; the only one where there is one."""
     channel: _Text
     topic: str = ""
-    unit: Annotated[str, AfterValidator(_unit)] | None = None
+    unit: str | None = None
     """Unit of the channel's values times ``scale``; SI, or what the file says, by default."""
-    scale: Annotated[_Number, AfterValidator(_not_zero)] = 1.0
+    scale: Annotated[_Number, Predicate(bool)] = 1.0
     """Factor from the channel's values to the unit; not 0."""
     sign: Sign = 1
     offset: _Number = 0.0
@@ -174,24 +144,22 @@ class ColumnEntry(ColumnKeys):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Run:
-    """Name, pose, condition and piece of a run."""
+class RunPlan:
+    """One run of the recording: name, pose, condition and piece of the log."""
 
     __pydantic_config__ = _FORBID
 
     file: _Text = ""
     sources: Mapping[_Text, _Text] = field(default_factory=dict)
     """Source -> file, for this run alone."""
-    pose: Mapping[str, float] | Literal["measured"] | None = None
-    """Positions [rad or m], or "measured": the median of the joints' own sensors."""
-    excited: _Names = ()
+    pose: Mapping[str, float] | None = None
+    """Positions that the joints held [rad or m]."""
+    excited: tuple[_Text, ...] = ()
     condition: Condition = "suspect"
     start: _Moment | None = None
     """After the first time that all columns have [s]."""
     stop: _Moment | None = None
     """The same [s]."""
-    rate_hz: _Rate | None = None
-    """Rate of the rows [Hz]; the samples of the fastest channel by default."""
     episodes: tuple[int, ...] | Literal["all"] = "all"
     """Numbers of the episodes of a dataset, each of which becomes a run; no meaning for sources
     without episodes."""
@@ -201,15 +169,10 @@ class _Run:
         if self.start is not None and self.stop is not None and self.start >= self.stop:
             raise ValueError("start is not before stop")
 
-
-@dataclass(frozen=True, kw_only=True)
-class RunPlan(_Run):
-    """One run of the recording."""
-
-    place: str
-    """Location in the mapping, for errors."""
-    episode: str = ""
-    """Name of the episode of this run; set when runs are made of ``episodes``, no key."""
+    @property
+    def place(self) -> str:
+        """Run, as errors say it."""
+        return f"run {self.file!r}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,11 +183,9 @@ class _MappingFile:
 
     format: Literal["loose-mapping/1"]
     model: str = ""
-    sources: Annotated[
-        Mapping[Annotated[str, AfterValidator(_source_name)], SourceEntry], MinLen(1)
-    ]
+    sources: Annotated[Mapping[_Text, SourceEntry], MinLen(1)]
     columns: Annotated[Mapping[_Text, ColumnKeys], MinLen(1)]
-    runs: Annotated[tuple[_Run, ...], MinLen(1), MaxLen(10_000)]
+    runs: Annotated[tuple[RunPlan, ...], MinLen(1), MaxLen(10_000)]
     unused: tuple[str, ...] = ()
 
 
@@ -295,8 +256,7 @@ def read_mapping(file: str | Path) -> ImportMapping:
     for i, run in enumerate(found.runs):
         for source in run.sources:
             _known(f"{name}: runs[{i}].sources", source, sources)
-        own = {**vars(run), "file": run.file or f"run-{i + 1:02d}"}
-        runs.append(RunPlan(**own, place=f"{name}: runs[{i}]"))
+        runs.append(replace(run, file=run.file or f"run-{i + 1:02d}"))
     return ImportMapping(name=name, model=found.model, sources=found.sources, columns=(*columns,),
                          runs=(*runs,), unused=found.unused)  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -31,7 +31,6 @@ from loose_env.recording import (
     check_measured,
     check_target,
     existing_file,
-    joint_sensors,
     load_model,
     planned_recording,
     write_measured,
@@ -52,12 +51,6 @@ class ImportSettings:
     """Format of the runs' tables; in a planned recording the plan's."""
     overwrite: bool = False
     """Replace an existing recording at the output; of a planned one, the runs imported again."""
-
-    def __post_init__(self) -> None:
-        if self.file_format not in get_args(FileFormat):
-            raise InvalidSetting(
-                f"file_format is one of {list(get_args(FileFormat))}, not {self.file_format!r}"
-            )
 
 
 def import_recording(
@@ -120,7 +113,7 @@ def import_recording(
     _check_names(plan, compiled)
     files = files_of_runs(plan, given)
     logs = {path: open_log(path) for path in dict.fromkeys(p for f in files for p in f.values())}
-    planned: list[tuple[RunPlan, dict[str, Log]]] = []
+    planned: list[tuple[RunPlan, str, dict[str, Log]]] = []
     for run, paths in zip(plan.runs, files, strict=True):
         own = {name: logs[path] for name, path in paths.items()}
         for column in plan.columns:
@@ -129,13 +122,13 @@ def import_recording(
                     f"{column.place}: unit is missing: {own[column.source].ambiguous}"
                 )
         episodes = run_episodes(run, own.values())
-        parts = [replace(run, file=f"{run.file}-{each}", episode=each) for each in episodes]
-        planned += [(each, own) for each in parts or [run]]
+        parts = [(replace(run, file=f"{run.file}-{each}"), each, own) for each in episodes]
+        planned += parts or [(run, "", own)]
     if session is not None:
-        names = [(run.file, run.condition) for run, _ in planned]
+        names = [(run.file, run.condition) for run, *_ in planned]
         check_measured(out, names, overwrite=settings.overwrite)
     tables: _Read = {}
-    runs = [_joined(plan, run, own, tables, compiled, say) for run, own in planned]
+    runs = [_joined(plan, *each, tables, compiled, say) for each in planned]
     if session is not None:
         return write_measured(out, runs, overwrite=settings.overwrite)
     free = {c.column[5:] for c in plan.columns if c.is_command and c.method is None}
@@ -172,7 +165,7 @@ def _check_names(plan: ImportMapping, model: mujoco.MjModel) -> None:
     for run in plan.runs:
         for joint in run.excited:
             allowed.check_joint(f"{run.place}.excited", joint)
-        for joint in run.pose if isinstance(run.pose, Mapping) else ():
+        for joint in run.pose or ():
             allowed.check_joint(f"{run.place}.pose", joint)
 
 
@@ -196,11 +189,11 @@ class _Column(NamedTuple):
 
 
 def _joined(
-    plan: ImportMapping, run: RunPlan, logs: Mapping[str, Log],
+    plan: ImportMapping, run: RunPlan, episode: str, logs: Mapping[str, Log],
     read: _Read, model: mujoco.MjModel, say: Say,
 ) -> Run:  # fmt: skip
     """Run with all columns on common times."""
-    columns = _columns(plan, run, logs, read, model, say)
+    columns = _columns(plan, episode, logs, read, model, say)
     start, stop = _ends(run, columns)
     lead = min(columns, key=lambda c: (c.entry.way == "hold", median_step(c.time)))
     rows = _rows(run, lead, start, stop, len(columns))
@@ -235,21 +228,21 @@ def _joined(
         sensors=groups["sensors"],
         torques=groups["torques"],
         excited=run.excited,
-        pose=_pose(run, model, groups["sensors"]),
+        pose=None if run.pose is None else dict(run.pose),
         condition=run.condition,
         commands=dict.fromkeys(linear, CommandTiming(mode="linear")),
     )
 
 
 def _columns(
-    plan: ImportMapping, run: RunPlan, logs: Mapping[str, Log],
+    plan: ImportMapping, episode: str, logs: Mapping[str, Log],
     read: _Read, model: mujoco.MjModel, say: Say,
 ) -> list[_Column]:  # fmt: skip
     """Columns in SI units, each source on its clock as the mapping corrects it."""
     found: dict[str, Samples] = {}
     for name, log in logs.items():
         source, entries = plan.sources[name], [c for c in plan.columns if c.source == name]
-        place = name, log, run.episode if log.episodes else ""
+        place = name, log, episode if log.episodes else ""
         if place not in read:
             read[place] = log.tables(place[2], [c.key for c in entries])
         tables = [found_in(read[place], c.key, log.name) for c in entries]
@@ -321,38 +314,12 @@ def _ends(run: RunPlan, columns: Sequence[_Column]) -> tuple[float, float]:
 
 def _rows(run: RunPlan, lead: _Column, start: float, stop: float, columns: int) -> Array:
     most = MOST_VALUES // (columns + 1)
-    rows: Array | None
-    if run.rate_hz is None:
-        rows = rows_of(lead.time, start, stop, lead.longest, most)
-    else:
-        count = (stop - start) * run.rate_hz
-        rows = start + np.arange(int(count + 1e-6) + 1) / run.rate_hz if count < most else None
+    rows = rows_of(lead.time, start, stop, lead.longest, most)
     if rows is None:
-        raise InvalidData(
-            f"{run.place}: more than {most} rows; take a shorter time by start and stop, or a "
-            "lower rate_hz"
-        )
+        raise InvalidData(f"{run.place}: more than {most} rows; take less by start and stop")
     if len(rows) < FEWEST_SAMPLES:
         raise InvalidData(
             f"{run.place}: {len(rows)} rows in {stop - start:.6g} s; a run has at least "
             f"{FEWEST_SAMPLES}"
         )
     return rows
-
-
-def _pose(
-    run: RunPlan, model: mujoco.MjModel, sensors: Mapping[str, Array]
-) -> dict[str, float] | None:
-    if run.pose != "measured":
-        return None if run.pose is None else dict(run.pose)
-    pose = {
-        joint: float(np.nanmedian(sensors[name]))
-        for joint, each in joint_sensors(model).items()
-        for name in each.position[:1]
-        if name in sensors
-    }
-    if not pose:
-        raise InvalidData(
-            f"{run.place}.pose is 'measured', and the run has no column of a joint's position"
-        )
-    return pose

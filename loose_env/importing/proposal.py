@@ -256,7 +256,10 @@ def _signals(
                         except InvalidData as error:
                             nan = np.isnan(np.asarray(values, dtype=float)).all()
                             why[key] = _ALL_NAN if nan else str(error)
-    coded = {key: _coding([own[key].values for own in read if key in own]) for key in units}
+    coded = dict.fromkeys(units, (None, None)) | {
+        key: found for own in reversed(read) for key, each in own.items()
+        if (found := coding_of(each.values)) != (None, None)
+    }  # fmt: skip
     bases = [
         on_one_base({k: replace(v, values=decoded(v.values, *coded[k])) for k, v in own.items()})
         for own in read
@@ -295,12 +298,6 @@ def _signals(
 
 def _chosen(count: int, most: int = _MOST_RUNS) -> list[int]:
     return sorted({round(i) for i in np.linspace(0, count - 1, min(count, most))})
-
-
-def _coding(runs: Sequence[np.ndarray]) -> tuple[float | None, int | None]:
-    """Coding that most of the runs with jumps have."""
-    found = [coding_of(values) for values in runs]
-    return next((each for each in found if each != (None, None)), (None, None))
 
 
 # ------------------------------------------------------------------------- text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -22,16 +21,7 @@ _FINE = 2048
 """Points of the tabulated kernel between two zero crossings."""
 _KAISER = 9.0
 """Shape of the kernel's window: what it does not let through is 90 dB down."""
-_SHARE = 0.91
-"""Cutoff over half the lower rate, so that the kernel's slope ends near half that rate."""
 _AT_ONCE = 2_000_000
-
-
-class Resampled(NamedTuple):
-    """Values at the rows, and a description of the method."""
-
-    values: Array
-    how: str
 
 
 def median_step(time: Array) -> float:
@@ -81,34 +71,30 @@ def held(time: Array, values: Array, rows: Array, longest: float) -> Array:
     return found
 
 
-def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resampled:
-    """Bring a channel to the times of the rows, band-limited, and NaN across gaps.
+def resampled(time: Array, values: Array, rows: Array, longest: float) -> tuple[Array, str]:
+    """Bring a channel to the times of the rows, band-limited, and NaN across gaps; and say how.
 
     Where the channel has a sample at every row, samples are taken as they are. A slower channel is
-    interpolated by a windowed sinc, which leaves its band alone and adds nothing above it; a
-    faster one passes a low-pass of half the rows' rate first. Samples that are not evenly spaced
-    are brought to even places, as many, by a cubic spline through them: so these channels too show
-    nothing above half their own rate.
+    interpolated by a windowed sinc, which leaves its band alone and adds nothing above it. Samples
+    that are not evenly spaced are brought to even places, as many, by a cubic spline through them.
 
     Examples
     --------
     >>> slow = np.arange(400) / 100
     >>> rows = np.arange(1000, 3000) / 1000
-    >>> found = resampled(slow, np.sin(2 * np.pi * 20 * slow), rows, 0.015)
-    >>> found.how, bool(np.abs(found.values - np.sin(2 * np.pi * 20 * rows)).max() < 1e-3)
+    >>> values, how = resampled(slow, np.sin(2 * np.pi * 20 * slow), rows, 0.015)
+    >>> how, bool(np.abs(values - np.sin(2 * np.pi * 20 * rows)).max() < 1e-3)
     ('band-limited from 100 Hz', True)
     """
     step = median_step(time)
-    out_step = median_step(rows) if len(rows) > 1 else step
     after = np.clip(np.searchsorted(time, rows), 1, len(time) - 1)
     near = after - ((rows - time[after - 1]) < (time[after] - rows))
     same = np.abs(time[near] - rows) <= _SAME * step
     found = np.full(len(rows), np.nan)
-    if step >= 0.99 * out_step:
-        found[same] = values[near[same]]
-        inside = (rows >= time[0]) & (rows <= time[-1]) & (np.diff(time)[after - 1] <= longest)
-        if not np.any(inside & ~same):
-            return Resampled(found, "taken as it is")
+    found[same] = values[near[same]]
+    inside = (rows >= time[0]) & (rows <= time[-1]) & (np.diff(time)[after - 1] <= longest)
+    if not np.any(inside & ~same):
+        return found, "taken as it is"
     found[:] = np.nan
     even = True
     edges = np.flatnonzero(np.diff(time) > longest) + 1
@@ -118,31 +104,28 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> Resamp
         if last - first < 2:
             found[lo:hi] = values[first]  # a lone sample speaks for its own moment
         elif lo < hi:
-            found[lo:hi], own = _segment(time[part], values[part], rows[lo:hi], out_step)
+            found[lo:hi], own = _segment(time[part], values[part], rows[lo:hi])
             even &= own
-    rate = f"{1 / step:.6g} Hz"
-    if step < 0.99 * out_step:
-        return Resampled(found, f"low-passed at {0.5 * _SHARE / out_step:.4g} Hz, from {rate}")
-    return Resampled(found, f"{'band-limited' if even else 'spline, uneven samples'} from {rate}")
+    how = "band-limited" if even else "spline, uneven samples"
+    return found, f"{how} from {1 / step:.6g} Hz"
 
 
-def _segment(time: Array, values: Array, rows: Array, out_step: float) -> tuple[Array, bool]:
+def _segment(time: Array, values: Array, rows: Array) -> tuple[Array, bool]:
     count = len(time)
     step = (time[-1] - time[0]) / (count - 1)
     line = time[0] + step * np.arange(count)
     even = bool(np.max(np.abs(time - line)) <= EVEN * step)
     if not even:
         values = np.asarray(CubicSpline(time, values)(line) if count > 2 else values)
-    return _sinc(values, (rows - time[0]) / step, min(1.0, step / out_step)), even
+    return _sinc(values, (rows - time[0]) / step), even
 
 
-def _sinc(values: Array, at: Array, ratio: float) -> Array:
-    """Values at places counted in samples, nothing above ``ratio`` of half the rate left.
+def _sinc(values: Array, at: Array) -> Array:
+    """Values at places counted in samples, nothing above half the rate added.
 
     Before the first and after the last sample the signal is continued by its point reflection.
     """
-    cutoff = ratio * (_SHARE if ratio < 0.99 else 1.0)
-    half = int(np.ceil(_CROSSINGS / cutoff))
+    half = _CROSSINGS
     padded = np.pad(values, half + 1, mode="reflect", reflect_type="odd")
     table = _kernel()
     offsets = np.arange(-half, half + 2)
@@ -152,7 +135,7 @@ def _sinc(values: Array, at: Array, ratio: float) -> Array:
         here = np.clip(at[first : first + block], 0, len(values) - 1)
         whole = np.floor(here).astype(np.int64)
         places = whole[:, None] + offsets
-        x = np.abs(places - here[:, None]) * (cutoff * _FINE)
+        x = np.abs(places - here[:, None]) * _FINE
         np.minimum(x, _CROSSINGS * _FINE, out=x)
         lower = x.astype(np.int64)
         weights = table[lower] + (x - lower) * (table[lower + 1] - table[lower])

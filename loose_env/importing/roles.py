@@ -31,17 +31,15 @@ from loose_env.importing.evidence import (
     torque_in,
 )
 from loose_env.importing.names import Meaning, Role
-from loose_env.importing.scalings import (
+from loose_env.importing.targets import (
+    JointTarget,
     Scaling,
     admits,
     is_rate,
-    position_scalings,
-    rate_unit,
-)
-from loose_env.importing.targets import (
-    JointTarget,
     joint_targets,
     needed_torques,
+    position_scalings,
+    rate_unit,
     tool_sensors,
 )
 from loose_env.importing.units import quantity_of, unit_named
@@ -248,34 +246,29 @@ class Roles:
 
     def _relation(self, s: Signal, others: Sequence[Signal]) -> tuple[float, str]:
         """What a channel does among the others, for a position, and the words for it."""
-        score, words = 0.0, ""
         rate, other = max(
             ((self._rate(s, d), d) for d in others), key=lambda pair: pair[0], default=(0.0, s)
         )
         is_of = max((self._rate(d, s) for d in others), default=0.0)
+        score, words = (-3.0 if is_of else 0.0), ""
         if rate > is_of:
-            score += 1.0 + rate
-            words = f"{other.key} is its derivative ({rate:.2f})"
-        elif is_of:
-            score -= 3.0
-        follows, leads = 0.0, 0.0
+            score, words = 1.0 + rate, f"{other.key} is its derivative ({rate:.2f})"
+        follows, leads = 0.0, False
         for d in others:
             same = {quantity_of(d.unit), quantity_of(s.unit)} - {""}
             if d is s or len(same) > 1 or d.meaning.role not in ("", "position", "command"):
                 continue
-            like = self._alike(d, s)
-            told = d.meaning.role == "command"
-            if like.correlation < (_TRUSTED if told else ALIKE):
-                continue
+            like, told = self._alike(d, s), d.meaning.role == "command"
             several = len(self.joints) > 1 and not told and not d.unit
-            if several and closeness(d.runs, s.runs) < _NEAR:
-                continue  # joints that move together lead each other, too
+            if like.correlation < (_TRUSTED if told else ALIKE) or (
+                several and closeness(d.runs, s.runs) < _NEAR
+            ):  # joints that move together lead each other, too
+                continue
+            leads |= like.lag < -_TOGETHER * self.step
             if like.lag > _TOGETHER * self.step and like.correlation > follows:
                 follows = like.correlation
                 words = words or f"follows {d.key} by {like.lag:.3g} s ({like.correlation:.2f})"
-            elif like.lag < -_TOGETHER * self.step:
-                leads = max(leads, like.correlation)
-        return score + (2.0 if follows else 0.0) - (2.0 if leads and not follows else 0.0), words
+        return score + (2.0 if follows else -2.0 if leads else 0.0), words
 
     def _take_positions(self) -> None:
         moving = [s for s in self._free() if s.meaning.role != "other"][:_MOST]
@@ -557,41 +550,35 @@ class Roles:
 
     def _add_torque(self, match: Match, s: Signal, per: float) -> None:
         """Line of a torque in the unit of its vector, of which one joint may tell it."""
-        target = self.joints[match.joint]
+        target, quantity = self.joints[match.joint], quantity_of(s.unit)
         unit = "N" if target.slide else "N*m"
-        quantity = quantity_of(s.unit)
-        defined = s.defined and s.meaning.role == "torque" and not quantity
-        near = 1 / _SAME_UNIT < per < _SAME_UNIT and not quantity
+        current = "current" in (quantity, s.meaning.role)
+        told = (s.defined and s.meaning.role == "torque") or 1 / _SAME_UNIT < per < _SAME_UNIT
+        if not current and (quantity in ("torque", "force") or (told and not quantity)):
+            self._add(target.torque, s, Scaling(s.unit or unit), match.sign, match.words)
+            return
         scaling = Scaling(unit, per or 1.0)
-        if quantity == "current" or s.meaning.role == "current":
+        why = f"{per:.4g} times it would be that torque [{unit}]: a current?" if per else (
+            "mostly friction, which does not tell its unit: give it")  # fmt: skip
+        if current:
             scaling = Scaling(s.unit, per * match.evidence)
             why = "a current [A]: give the torque constant and gear as scale [N·m/A]; "
             why += f"{scaling.scale:.4g} fits the torque that the model needs"
-        elif quantity in ("torque", "force") or defined or near:
-            self._add(target.torque, s, Scaling(s.unit or unit), match.sign, match.words)
-            return
-        elif per == 0.0:
-            why = "mostly friction, which does not tell its unit: give it"
-        else:
-            why = f"{per:.4g} times it would be that torque [{unit}]: a current?"
         self._open(target.torque, s, scaling, f"{match.words}; {why}", match.sign)
 
     def _add_command(self, match: Match, s: Signal) -> None:
         joint, target = match.joint, self.joints[match.joint]
         if target.command in self.lines:
             return
-        there = self.places.get(s.sort, "")
-        exchanged = f"{joint!r} follows it, not {there!r} as by its name or place"
-        scaling = Scaling(s.unit)
+        there, scaling = self.places.get(s.sort, ""), Scaling(s.unit)
         if target.drive == "position":
             scaling = self._scaled_as(s, *self.positions[joint][:2], target)
         elif target.drive == "velocity" and not s.unit:
             scaling = Scaling(rate_unit(slope(self.rates[joint], s.runs), target.slide))
-        words = "" if there in ("", joint) else exchanged
-        self._add(
-            target.command, s, scaling, 1, f"command of {joint!r}", words, match.words,
-            scaling.reason,
-        )  # fmt: skip
+        words = f"{joint!r} follows it, not {there!r} as by its name or place"
+        words *= there not in ("", joint)
+        reasons = (f"command of {joint!r}", words, match.words, scaling.reason)
+        self._add(target.command, s, scaling, 1, *reasons)
 
     def _scaled_as(self, s: Signal, p: Signal, own: Scaling, target: JointTarget) -> Scaling:
         """Scaling of a command by its size beside the position's, which turns to where it is."""
@@ -625,30 +612,27 @@ class Roles:
         for a, b in itertools.combinations(label, 2):
             if (label[a], label[b]) != (b, a):
                 continue
-            other, why = {a: b, b: a}, "the torques do not tell"
+            other, why, turn = {a: b, b: a}, "the torques do not tell", False
             torques = {
                 j: self.lines[t.torque].candidate
                 for j, t in self.joints.items() if t.torque in self.lines
             }  # fmt: skip
             if torques and self.needed:
                 motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
-                turned = {other.get(j, j): own for j, own in torques.items()}
                 as_named = self._told_by(torques)
                 self._move({other.get(j, j): own for j, own in motion.items()}, _ROWS)
-                exchanged = self._told_by(turned)
+                exchanged = self._told_by({other.get(j, j): own for j, own in torques.items()})
                 self._move(motion)
                 why = f"torques are explained by {as_named:.2f}, exchanged by {exchanged:.2f}"
-                if exchanged > as_named + _CLEARER:
-                    self._exchange(a, b)
-                    self.notes.append(
-                        f"the states of {a!r} and {b!r} are exchanged: each follows the other's "
-                        f"command, and {why}"
-                    )
-                    continue
+                turn = exchanged > as_named + _CLEARER
+            if turn:
+                self._exchange(a, b)
             self.notes.append(
+                f"the states of {a!r} and {b!r} are exchanged: each follows the other's command, "
+                f"and {why}" if turn else
                 f"{a!r} and {b!r} follow each other's commands: the names of the commands are "
                 f"exchanged, as assumed here, or those of the states; {why}"
-            )
+            )  # fmt: skip
 
     def _told_by(self, torques: Mapping[str, Signal]) -> float:
         """How well the model explains torques: correlation, less what their size is off."""
@@ -688,20 +672,19 @@ class Roles:
                     self._add(column, s, scaling, 1, f"{joint!r} is at rest")
 
     def _add(self, column: str, s: Signal, scaling: Scaling, sign: int, *reasons: str) -> None:
-        reason = "; ".join(filter(None, reasons))
-        line = Line(column=column, candidate=s, scaling=scaling, sign=sign, reason=reason)
+        if not column or column in self.lines:
+            self._open(column, s, scaling, "; ".join(filter(None, reasons)), sign)
+            return
         self.used.add(s.sort)
-        if column and column not in self.lines:
-            self.lines[column] = line
-        else:
-            self.open.append(replace(line, open=True))
+        reason = "; ".join(filter(None, reasons))
+        self.lines[column] = Line(column=column, candidate=s, scaling=scaling, sign=sign,
+                                  reason=reason)  # fmt: skip
 
     def _open(self, column: str, s: Signal, scaling: Scaling, reason: str, sign: int = 1) -> None:
         """Add a line that lacks something, as a comment."""
         self.used.add(s.sort)
-        self.open.append(
-            Line(column=column, candidate=s, scaling=scaling, sign=sign, reason=reason, open=True)
-        )
+        self.open.append(Line(column=column, candidate=s, scaling=scaling, sign=sign,
+                              reason=reason, open=True))  # fmt: skip
 
     def left(self) -> tuple[Line, ...]:
         """Channels that are not used, each with the reason and what it is most like."""

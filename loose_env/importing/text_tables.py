@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.importing.samples import ChannelKey, Log, Table, unreadable
-from loose_env.importing.units import dates_ns, unit_in
+from loose_env.importing.units import NUMBER, dates_ns, unit_in
 from loose_env.recording import MOST_VALUES
 from loose_env.typing import Array
 
@@ -28,7 +28,6 @@ _PREAMBLE = 40  # lines above a table, at most
 _HEAD = 2**22  # bytes that are looked at
 _LONGEST_LINE = 2**20
 _MOST_COLUMNS = 10_000
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE | re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d{16,19}", re.ASCII)
 """Whole numbers for whose digits a float has no room."""
 _MISSING = ("", "nan", "NaN", "NAN", "null", "None", "N/A")
@@ -60,21 +59,17 @@ def open_text_table(path: Path, name: str) -> Log:
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raw = raw.decode("utf-16", "replace").encode()
     raw = raw.removeprefix(b"\xef\xbb\xbf")
-    if b"\n" not in raw:
-        raw = raw.replace(b"\r", b"\n")
-    head = _recognised(_decoded(raw[:_HEAD]).split("\n"), name)
+    try:
+        raw.decode()
+    except UnicodeDecodeError:
+        raw = raw.decode("latin-1").encode()
+    raw = raw if b"\n" in raw else raw.replace(b"\r", b"\n")
+    head = _recognised(raw[:_HEAD].decode("utf-8", "replace").split("\n"), name)
 
     def tables(_: str, __: Sequence[ChannelKey] | None) -> list[Table]:
         return [_table(raw, name, head)]
 
     return Log(name=name, tables=tables)
-
-
-def _decoded(raw: bytes) -> str:
-    try:
-        return raw.decode()
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")
 
 
 # ------------------------------------------------------------------------- values
@@ -136,7 +131,7 @@ def _cells(
     def read(kinds: dict[str, Any]) -> Any:
         return pacsv.read_csv(
             pa.BufferReader(body),
-            pacsv.ReadOptions(column_names=names, use_threads=False, encoding=encoding,
+            pacsv.ReadOptions(column_names=names, use_threads=False,
                               block_size=max(len(body), 1)),
             pacsv.ParseOptions(delimiter=head.separator, invalid_row_handler=noted),
             pacsv.ConvertOptions(column_types=kinds, null_values=_MISSING,
@@ -144,9 +139,11 @@ def _cells(
         )  # fmt: skip
 
     names = [str(i) for i in range(len(head.names))]
-    encoding = "utf-8" if body.isascii() or _is_utf8(body) else "latin-1"
-    kinds = {n: _kind_of([r[i] for r in head.rows if i < len(r)], head.decimal)
-             for i, n in enumerate(names)}  # fmt: skip
+    kinds = {}
+    for i, each in enumerate(names):
+        first = [r[i] for r in head.rows if i < len(r) and r[i].strip() not in _MISSING]
+        own = _numbers_of(first or ["0"], head.decimal)
+        kinds[each] = pa.string() if own is None else pa.from_numpy_dtype(own.dtype)
     try:
         try:
             found = read(kinds)
@@ -173,30 +170,12 @@ def _cells(
     return cells, lines
 
 
-def _is_utf8(body: bytes) -> bool:
-    try:
-        body.decode()
-    except UnicodeDecodeError:
-        return False
-    return True
-
-
-def _kind_of(cells: Sequence[str], decimal: str) -> Any:
-    """Type of a column by its first cells."""
-    import pyarrow as pa
-
-    first = [cell.strip() for cell in cells if cell.strip() not in _MISSING]
-    if not all(_NUMBER.fullmatch(cell.replace(decimal, ".")) for cell in first):
-        return pa.string()
-    return pa.int64() if first and all(map(_WHOLE.fullmatch, first)) else pa.float64()
-
-
 def _numbers_of(cells: Sequence[str], decimal: str) -> NDArray[Any] | None:
     """Cells as numbers; None where one is none."""
     plain = ["nan" if cell.strip() in _MISSING else cell.strip() for cell in cells]
     if decimal == ",":
         plain = [cell.replace(".", "?").replace(",", ".") for cell in plain]
-    if not all(map(_NUMBER.fullmatch, plain)):
+    if not all(map(NUMBER.fullmatch, plain)):
         return None
     whole = plain and all(map(_WHOLE.fullmatch, plain))
     return np.array([*map(int, plain)]) if whole else np.array([*map(float, plain)])

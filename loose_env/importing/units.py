@@ -161,6 +161,7 @@ def unit_in(name: str) -> str:
     return ""
 
 
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE | re.ASCII)
 _DATE = re.compile(
     r"(?:(\d{1,4})([./-])(\d{1,2})\2(\d{1,4})[T ,]\s*)?(\d{1,2}):(\d{2})(?::(\d{2})"
     r"(?:[.,](\d{1,9})\d*)?)?\s*([AaPp])?[Mm]?\s*(?:Z|([+-])(\d{2}):?(\d{2}))?",

@@ -310,13 +310,6 @@ def times(change: Columns) -> Change:
     return runs(lambda run: replace(run, time=change(run.time)))
 
 
-def thinned(run: Run) -> Run:
-    """Noise of 60 Hz, sampled at 125 Hz."""
-    read = {name: v[::8] for name, v in run.sensors.items()}
-    given = {name: v[::8] for name, v in run.controls.items()}
-    return replace(run, time=run.time[::8], controls=given, sensors=read)
-
-
 def jittered(time: Array) -> Array:
     return time + 4e-4 * np.random.default_rng(0).uniform(-1, 1, len(time))
 
@@ -335,14 +328,12 @@ DEFECTS: dict[str, tuple[Change, str, str]] = {
     "clipped": (sensors("acc", clipped), "saturation", "warning"),
     "holed": (sensors("acc", holed), "missing", "warning"),
     "stuck": (sensors("acc", np.zeros_like), "stuck", "error"),
-    "held": (sensors("acc", lambda v: np.repeat(v[::4], 4, axis=0)), "held", "note"),
     "out of range": (sensors("acc", lambda v: v * 1e9), "range", "error"),
     "coarse": (sensors("q_", lambda v: np.round(v / 0.03) * 0.03), "quantisation", "warning"),
     "pause": (times(lambda t: t + 0.3 * (t > 1.0)), "pauses", "warning"),
     "milliseconds": (times(lambda t: t * 1000), "rate", "error"),
     "milliseconds at 4 Hz": (times(lambda t: t * 4000), "rate", "error"),
     "nanoseconds": (times(lambda t: t * 1e-9), "rate", "error"),
-    "slow": (runs(thinned), "rate", "warning"),
     "jitter": (times(jittered), "uneven", "note"),
     "no commands in a run": (first_run(controls={}), "commands", "warning"),
     "another joint is excited": (first_run(excited=("fore",)), "commands", "warning"),

@@ -303,7 +303,7 @@ def force_errors(answer: Answer, before: Array, after: Array) -> dict[str, tuple
     balance, joints = evidence.balance, evidence.balance.machine.joints
     inner = np.concatenate([np.arange(s.start, s.stop) for s in _inner(balance)])
     own = [c.joint for c in evidence.channels if c.joint < len(joints)]
-    turning = np.array([balance.machine.turns(joints[k]) for k in own])
+    turning = balance.machine.hinges[own]
     found = {}
     for quantity, of in (("joint torque [N·m]", turning), ("joint force [N]", ~turning)):
         if of.any():

@@ -213,10 +213,9 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
             if float(getattr(model, f"dof_{part}")[int(model.joint(name).dofadr[0])]) > 0:
                 yield _edited(f"{part} of {name}", _scaled(part, name, width), balance)
         one = np.eye(len(machine.joints))[joint]
-        size = max(
-            tolerances.offset * float(machine.load_scales[joint]),
-            tolerances.offset_of_limit * _limit(machine, name),
-        )
+        largest = float(machine.torque_limits[joint])
+        size = tolerances.offset * float(machine.load_scales[joint])
+        size = max(size, tolerances.offset_of_limit * (largest if np.isfinite(largest) else 0.0))
         change = np.tile(size * one, (len(balance.drive), 1))
         yield _shift(f"constant torque at {name}", change, balance, edit=_constant(name, -size))
         inverse = (balance.forms == "inverse") & balance.seen[:, joint]
@@ -236,18 +235,6 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 width = (tolerances.shift_samples * log_step) ** order / order
                 change = np.where(inverse, np.nan_to_num(rate), 0.0)[:, None] * one
                 yield _shift(f"{what} of the torque of {name}", width * change, balance)
-
-
-def _limit(machine: NominalModel, joint: str) -> float:
-    """Largest torque of a joint by the limits of the model; 0 without any."""
-    model = machine.model
-    number = int(model.joint(joint).id)
-    limits = [model.jnt_actfrcrange[number, 1]] if model.jnt_actfrclimited[number] else []
-    for actuator, own in machine.actuated_joint.items():
-        k = int(model.actuator(actuator).id)
-        if own == joint and model.actuator_forcelimited[k]:
-            limits.append(model.actuator_forcerange[k, 1] * abs(model.actuator_gear[k, 0]))
-    return float(min(limits, default=0.0))
 
 
 def _scaled(name: str, of: str, width: float) -> Edit:

@@ -119,6 +119,18 @@ class NominalModel:
         )
         return np.ascontiguousarray(dense[: len(self.actuators), : len(self.joints)].T)
 
+    @cached_property
+    def torque_limits(self) -> Array:
+        """Torque limit [N·m] or force limit [N] of each joint, infinite without one (joints,)."""
+        model, gears = self.model, np.abs(self.moments)
+        limited = model.actuator_forcelimited.astype(bool)
+        forces = np.where(limited, np.abs(model.actuator_forcerange).min(axis=1), np.inf)
+        found = (gears * np.where(gears > 0, forces, 0.0)).sum(axis=1)
+        found[found == 0] = np.inf
+        of_joint = np.abs(model.jnt_actfrcrange).min(axis=1)
+        of_joint = np.where(model.jnt_actfrclimited, of_joint, np.inf)
+        return np.asarray(np.minimum(found, of_joint))
+
     def gears(self, joint: str) -> Array:
         """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
         return np.asarray(self.moments[self.joint_number(joint)])
@@ -202,9 +214,14 @@ class NominalModel:
         """Inertia on one joint [kg·m², kg]."""
         return float(self.inertias[self.joint_number(joint)])
 
+    @cached_property
+    def hinges(self) -> NDArray[np.bool_]:
+        """Mask of the joints that are hinges (joints,)."""
+        return np.asarray(self.model.jnt_type == MOVING[0])
+
     def turns(self, joint: str) -> bool:
         """Return whether a joint is a hinge."""
-        return bool(self.model.jnt_type[self.joint_number(joint)] == MOVING[0])
+        return bool(self.hinges[self.joint_number(joint)])
 
     def units(self, joint: str) -> tuple[str, str]:
         """Units of a joint's coordinate and of its driving force."""
