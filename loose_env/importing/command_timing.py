@@ -39,8 +39,8 @@ _DRY = 0.1
 _STEPS = 4
 """Steps of Gauss and Newton: a delay is linear for a part of the motion's period only."""
 
-_Part = tuple[Array, Array, Array, Run]
-"""Needed torque and position of a joint at the times of a grid, and the run."""
+_Part = tuple[Array, Array, Array, Array, Array]
+"""Needed torque and position of a joint at the times of a grid; times and held command of a run."""
 
 
 class CommandDelay(NamedTuple):
@@ -85,9 +85,9 @@ def command_delays(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, Comm
         drive = each.command[5:]
         if each.name in needed and drive and _affine(model, drive):
             parts = [
-                (needed[each.name][k], positions[each.name][k], grid, run)
+                (needed[each.name][k], positions[each.name][k], grid, run.time, held)
                 for k, (run, grid) in enumerate(zip(runs, grids, strict=True))
-                if drive in run.controls and np.ptp(_held(run, drive)) > 0
+                if drive in run.controls and np.ptp(held := _held(run, drive)) > 0
             ]
             if parts:
                 found[drive] = _delay(model, drive, step, parts)
@@ -110,10 +110,11 @@ def _held(run: Run, drive: str) -> Array:
 
 
 def _delay(model: mujoco.MjModel, drive: str, step: float, parts: Sequence[_Part]) -> CommandDelay:
-    interval = float(np.median([interval_of(run.time, _held(run, drive)) for *_, run in parts]))
+    interval = float(np.median([interval_of(time, held) for *_, time, held in parts]))
+    lines = [(*part[:4], lines_of(*part[3:], interval)) for part in parts]
     late = 0.0
     for _ in range(_STEPS):
-        y, terms = _terms(model, drive, step, parts, interval, late)
+        y, terms = _terms(model, drive, step, lines, late)
         late += _fitted(y, terms)
     piece = np.arange(len(y)) * _PIECES // max(len(y), 1)
     without = [_fitted(y[piece != k], terms[piece != k]) for k in range(_PIECES)]
@@ -126,16 +127,14 @@ def _fitted(y: Array, terms: Array) -> float:
 
 
 def _terms(
-    model: mujoco.MjModel, drive: str, step: float, parts: Sequence[_Part], interval: float,
-    late: float,
+    model: mujoco.MjModel, drive: str, step: float, parts: Sequence[_Part], late: float,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Torque (T,) that a drive does not give, and its change by delay and friction (T, 4)."""
     own = model.actuator(drive)
     gear, gain, (bias, stiff, damped) = float(own.gear[0]), float(own.gainprm[0]), own.biasprm[:3]
     left, columns = [], []
-    for needed, position, grid, run in parts:
-        lines = lines_of(run.time, _held(run, drive), interval)
-        asked = np.interp(grid - late, run.time, lines)
+    for needed, position, grid, time, lines in parts:
+        asked = np.interp(grid - late, time, lines)
         command, q = (np.asarray(ndimage.uniform_filter1d(x, SMOOTHED)) for x in (asked, position))
         speed, inner = np.gradient(q, step), slice(SMOOTHED, -SMOOTHED)
         given = gear * (gain * command + bias + gear * (stiff * q + damped * speed))
@@ -163,7 +162,8 @@ def lines_of(time: Array, values: Array, interval: float) -> Array:
     changes = np.flatnonzero(np.diff(values)) + 1
     since = np.diff(time[changes], prepend=-np.inf)
     rests = np.searchsorted(time, time[changes[since > 1.5 * interval]] - 1.001 * interval)
-    knots = np.unique(np.concatenate([[0], rests, changes, [len(time) - 1]]))
+    knots = np.zeros(len(time), bool)
+    knots[[0, -1]] = knots[rests] = knots[changes] = True
     return np.asarray(np.interp(time, time[knots], values[knots]))
 
 

@@ -125,7 +125,7 @@ def test_the_gap_of_an_imported_log_names_the_friction_of_the_elbow(home: Path, 
     mapping.write_text(f"{text}{first}[[runs]]{second}")
     assert main(["import", log, "--mapping", str(mapping), "--out", str(home / "out")]) == 0
     told = ["gap", str(home / "out"), "--out", str(home / "gap")]
-    told += ["--kinds", "viscous_friction", "--most-effects", "1", "--threads", "1"]
+    told += ["--kinds", "viscous_friction", "--threads", "1"]
     assert main(told) == 0
     result = json.loads((home / "gap" / "result.json").read_text())
     (effect,) = result["effects"]

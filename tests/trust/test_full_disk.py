@@ -32,7 +32,6 @@ MAPPING = """
 format = "loose-mapping/1"
 model = "recording/model.xml"
 [sources.t]
-kind = "csv"
 time = { column = "time", unit = "s" }
 [columns]
 "sensor.q1" = { source = "t", channel = "sensor.q1" }

@@ -89,7 +89,6 @@ URDF = """<robot name="two">
 MAPPING = b"""format = "loose-mapping/1"
 model = "model.xml"
 [sources.log]
-kind = "csv"
 time = { column = "t", unit = "s" }
 [columns]
 "sensor.angle" = { source = "log", channel = "angle", unit = "rad" }
