@@ -98,7 +98,6 @@ class Evidence:
     channels: list[Channel]  # Channels that were measured and move
     terms: list[Term]  # Candidates
     places: dict[int, tuple[int, ...]]  # Columns of each term, by its identity
-    reached: dict[int, list[int]]  # Channels that they change
     centre: Array  # Prior means of the coefficients (K,)
     precision: Array  # Prior precisions (K,)
     low: Array  # Smallest coefficients (K,)
@@ -173,7 +172,6 @@ def whiten(
         channels=channels,
         terms=[],
         places={},
-        reached={},
         centre=np.zeros(kept),
         precision=np.ones(kept),
         low=np.full(kept, -np.inf),
@@ -214,11 +212,6 @@ def append(evidence: Evidence, *terms: Term) -> None:
     for term in terms:
         evidence.places[id(term)] = tuple(range(first, first + len(term.columns)))
         first += len(term.columns)
-        evidence.reached[id(term)] = [
-            k
-            for k, channel in enumerate(evidence.channels)
-            if any(column.change.reaches(channel.joint) for column in term.columns)
-        ]
     first = len(evidence.centre)
     evidence.terms += terms
     for channel in evidence.channels:
@@ -414,17 +407,14 @@ def _held(balance: Balance, joint: int, operators: Array, eased: Sequence[Array 
     return np.asarray(operators[:, 2, joint, joint] / stiffness - free)
 
 
-def _gains(balance: Balance, channel: int, turn: Array, wide: Sequence[Change]) -> Array:
-    """Share of the foretold reading that is in each column, by frequency (C, K)."""
-    foretold = balance.readings.foretold[:, channel - len(balance.machine.joints)]
-    frequency = np.fft.rfftfreq(len(foretold), balance.motion.step)
-    centres, at = np.unique(turn / (2 * np.pi), return_inverse=True)
-    first = np.searchsorted(frequency, np.r_[0.0, np.sqrt(centres[:-1] * centres[1:])])
-    told = np.fft.rfft(foretold - foretold.mean())
-    power = np.add.reduceat(np.abs(told) ** 2, first) + 1e-300
-    waves = (np.fft.rfft(column.at(channel)) for column in wide)
-    shares = [np.add.reduceat((told.conj() * wave).real, first) / power for wave in waves]
-    return np.stack(shares, axis=1)[at] if shares else np.zeros((len(turn), 0))
+def _gains(balance: Balance, channel: int, wide: Sequence[Change]) -> Array:
+    """Share of the foretold reading that is in each column (K,); 0 of a joint."""
+    number = channel - len(balance.machine.joints)
+    if number < 0:
+        return np.zeros(len(wide))
+    foretold = balance.readings.foretold[:, number]
+    whole = float(foretold @ foretold) + 1e-300
+    return np.array([float(foretold @ column.at(channel)) for column in wide]) / whole
 
 
 def _beside(
@@ -439,7 +429,7 @@ def _beside(
     if number >= 0:
         foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
         noisy = foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2
-        return np.asarray(noisy[:, None] * _gains(balance, channel, turn, wide))
+        return np.outer(noisy, _gains(balance, channel, wide))
     for k, own in enumerate(late):
         if own is not None:
             of_joint = balance.noise_of(channel, turn / (2 * np.pi))[:, own[0]]

@@ -38,7 +38,7 @@ SHARE_VALUES = 0.02
 _ROUNDS = 8  # reweighted rounds of one fit
 _LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is taken
 _SCREENED = 14  # candidates that are fitted in one step
-_FITTED = (3, 12)  # sets that are fitted for each weighting, the best at fixed weights first
+_FITTED = 3  # sets that are fitted for each weighting: the best at fixed weights
 _MOST = 40  # steps of a search
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
@@ -141,15 +141,6 @@ class Selection:
         excess = np.maximum(power - self.evidence.channels[channel].count, 0)
         values = self.values[channel]
         return np.asarray(values / (values + excess) * self.used[channel])
-
-    def earnable(self, powers: Sequence[Array], fit: SetFit | None) -> Array:
-        """What a set leaves of each channel over its noise, below which nothing is earned."""
-        left = powers if fit is None else fit.powers
-        over = (
-            self.weights(k, power) @ np.maximum(left[k] - channel.count, 0.0)
-            for k, (channel, power) in enumerate(zip(self.evidence.channels, powers, strict=True))
-        )
-        return np.array(list(over))
 
     def on(self, used: Sequence[NDArray[np.bool_]]) -> Selection:
         """The same selection on some of the cells."""
@@ -317,7 +308,6 @@ class Selection:
                 gain -= float(precision[new] @ centre[new] ** 2 + np.linalg.slogdet(several)[1])
             else:
                 continue
-            gain = min(gain, float(form.earnable[evidence.reached[id(term)]].sum()))
             found.append((gain - log(self._shapes[term.name]), term))
         return sorted(found, key=lambda pair: -pair[0])
 
@@ -522,12 +512,9 @@ class Selection:
                 if 1 < len(several) >= self._places[several[0].effect.kind] - 1:
                     sets[frozenset(map(id, several))] = several
         moves = [(*state.terms, *new) for new in sets.values()]
-        for most in _FITTED:
-            fitted = self.fitted(state, moves, weightings, most)
-            best = min(fitted, key=lambda f: f.total, default=state)
-            if best.total <= state.total - _LEAST_GAIN:
-                return best
-        return None
+        fitted = self.fitted(state, moves, weightings, _FITTED)
+        best = min(fitted, key=lambda f: f.total, default=None)
+        return best if best and best.total <= state.total - _LEAST_GAIN else None
 
     def fitted(
         self, state: SetFit, sets: Sequence[Set], weightings: Sequence[Sequence[Array]], most: int
@@ -537,16 +524,7 @@ class Selection:
         for powers in weightings:
             form = Form(self, powers)
             form.cover(k for own in sets for k in self.columns(own))
-            now, earnable = self.predicted(form, state.terms), self.earnable(powers, state)
-            totals = []
-            for own in sets:
-                new = [t for t in own if t not in state.terms]
-                total = self.predicted(form, own)
-                if len(own) == len(state.terms) + len(new):
-                    reached = sorted({k for t in new for k in self.evidence.reached[id(t)]})
-                    total = max(total, now - float(earnable[reached].sum()))
-                totals.append(total)
-            likely = sorted(zip(totals, range(len(sets)), strict=True))[:most]
+            likely = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
             for total, k in likely:
                 if np.isfinite(total):
                     chosen.setdefault(k, powers)
@@ -704,7 +682,6 @@ class Form:
         self.slope = evidence.precision * evidence.centre
         self.diagonal = evidence.precision.copy()
         growths, noises = [], []
-        self.earnable = selection.earnable(powers, fit)
         for channel, weight, power in zip(evidence.channels, self._weights, powers, strict=True):
             at = channel.columns
             self.slope[at] += weight @ channel.slope

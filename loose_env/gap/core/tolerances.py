@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Annotated, Any
 
 import mujoco
@@ -54,9 +53,9 @@ class Tolerances(Checked):
     """Torque constant, or gain of a servo [share]."""
     velocity_gain: Positive = 0.06
     """Velocity gain of a servo [share]: the same column as viscous friction."""
-    speed_feedback_s: Positive = 0.0005
-    """Time by which the speed is late that a servo feeds back [s]: half a cycle of 1 ms, as a
-    difference of positions is."""
+    speed_feedback_s: Positive = 0.002
+    """Time by which the speed is late that a servo feeds back [s]: two cycles of 1 ms, for a speed
+    is a difference of filtered positions."""
     damping: Positive = 0.06
     """Damping and dry friction that the model has [share]: they change with temperature."""
     offset: Positive = 0.01
@@ -311,12 +310,9 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         shown = foretold[:, at]
-        rate = partial(rates, step=motion.step)
-        late = np.concatenate([rate(run) for run in motion.split(shown)])
-        smeared = np.concatenate([rate(run, order=2) for run in motion.split(shown)])
+        late = np.concatenate([rates(run, motion.step) for run in motion.split(shown)])
         size = float(np.sqrt(np.mean(shown**2)))
-        width = tolerances.sensor_samples * step
-        changes = [("timing", -width * late), ("smear", width**2 / 2 * smeared)]
+        changes = [("timing", -tolerances.sensor_samples * step * late)]
         changes += [("gain", tolerances.sensor * shown)]
         axes = np.eye(len(at))
         changes += [("zero", tolerances.sensor_bias * size * axis + 0 * shown) for axis in axes]
