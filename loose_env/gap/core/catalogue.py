@@ -121,11 +121,11 @@ def shows(balance: Balance, effect: Effect) -> bool:
     senses = effect.overrides("sensed_torque")
     if effect.has_stops or not (effect.moves or senses):
         return False
-    place = effect.where
+    joint = effect.where if effect.part == "joint" else ""
     if isinstance(effect, DriveLimit):
-        place = balance.machine.actuated_joint[place]
-    joint = place in balance.machine.joints  # at rest all forces are constant
-    if joint and not moves_at(balance, balance.machine.joint_number(place)):
+        joint = balance.machine.actuated_joint[effect.where]
+    # at rest all forces are constant
+    if joint and not moves_at(balance, balance.machine.joint_number(joint)):
         return False
     if effect.drives and balance.released.all():
         return senses and bool((balance.forms == "inverse").any())
