@@ -184,7 +184,7 @@ def decide_simulated(
     findings = []
     for number, (term, values) in enumerate(zip(best.terms, best.values, strict=True)):
         off = np.stack(_simulated_ends(best, number)) - values
-        ends = values + np.sign(off) * np.hypot(off, wide[number])
+        ends = values + np.sign(off) * np.hypot(off, wide.get(term.name, 0.0))
         sure = not term.effect.interval_includes_null(ends.min(axis=0), ends.max(axis=0))
         gain, chance = float(gains[number]), min(chances[term.name], 1.0)
         findings.append(
@@ -332,18 +332,21 @@ def _confusable(
     }
 
 
-def _left_to_cells(selection: Selection, fit: SetFit) -> list[Array]:
-    """Half widths of intervals by what a simulation holds: tolerances, and what laws miss (P,)."""
+def _left_to_cells(selection: Selection, fit: SetFit) -> dict[tuple[str, str], Array]:
+    """Half widths of intervals by what a simulation holds: tolerances, and what laws miss (P,).
+
+    Of the effects that the cells show: not of a limit below the force that the motion took.
+    """
     _, sized = selection.sized(fit)
     own = np.arange(len(sized.numbers)) >= selection.evidence.tolerances
     covariance, effects = _missed(selection, sized), np.ix_(own, own)
     covariance[effects] += np.linalg.inv(sized.normal)[effects]
     covariance[effects] -= np.linalg.inv(sized.normal[effects])
-    found = []
+    found = {}
     for term in fit.terms:
         at = sized.places(selection.evidence.columns_of(term))
         low, high = _ends(term, sized.values[at], covariance[np.ix_(at, at)])
-        found.append(np.abs(high - low) / 2)
+        found[term.name] = np.abs(high - low) / 2
     return found
 
 
