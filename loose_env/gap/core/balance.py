@@ -625,12 +625,10 @@ class Balance:
         """Variance of a joint's balance by the noise of each joint's motion (F, joints)."""
         own = self.operator if operator is None else operator
         turn = 2 * np.pi * frequency
-        position, speed, _ = self.motion.noise
-        known = 1 / position**2 + (turn[:, None] / speed) ** 2
         # not the difference of stiffness and inertia, which vanishes where a pendulum swings
         gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
         gain = gain + (own[1, joint] * turn[:, None]) ** 2
-        return np.asarray(gain / known)
+        return np.asarray(gain / self.motion.precision(turn))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -136,8 +136,7 @@ def moves_at(balance: Balance, joint: int) -> bool:
     """Whether a joint moves clearly more than its noise in some run."""
     motion = balance.motion
     turn = 2 * np.pi * np.linspace(0.0, motion.band, _BINS)
-    position, speed, _ = motion.noise[:, joint]
-    noise = turn**2 / (1 / position**2 + turn**2 / speed**2)
+    noise = turn**2 / motion.precision(turn)[:, joint]
     share = 2 * motion.band * motion.step  # of a sample's noise, in the band
     moved = max(float(np.var(run.speed[:, joint])) for run in motion.runs)
     return moved > _MOVING**2 * share * float(np.mean(noise))

@@ -442,8 +442,7 @@ def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Arra
     """Relative change of a channel's noise with each column's coefficient (C, K)."""
     if joint >= len(balance.machine.joints):
         return np.zeros((len(turn), len(operators)))
-    position, speed, _ = balance.motion.noise
-    known = 1 / position**2 + (turn[:, None] / speed) ** 2
+    known = balance.motion.precision(turn)
     moved = np.zeros((len(operators), len(turn)))
     for order, power in ((0, 2), (1, 1), (2, 0)):
         weight = balance.operator[order, joint] * turn[:, None] ** (2 * power) / known

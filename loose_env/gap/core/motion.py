@@ -87,6 +87,10 @@ class Motion:
         """Interval of the samples [s]."""
         return self.runs[0].step
 
+    def precision(self, turn: Array) -> Array:
+        """Precision of each joint's position by both readings, by frequency (F, joints)."""
+        return np.asarray(1 / self.noise[0] ** 2 + (turn[:, None] / self.noise[1]) ** 2)
+
     def stacked(self, name: str) -> Array:
         """One field of all runs, one after the other."""
         return np.concatenate([getattr(run, name) for run in self.runs])

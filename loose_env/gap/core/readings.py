@@ -115,10 +115,11 @@ class Readings:
     def foretold_variance(self, reading: int, frequency: Array) -> Array:
         """Variance of a foretold reading by the noise of the positions (F,)."""
         turn = 2 * np.pi * frequency[:, None]
-        position, speed, _ = self.motion.noise
         # the speed is the derived one, and the acceleration that of both readings
-        moved = (self._gains[0, reading] ** 2 + (turn * self._gains[1, reading]) ** 2) * position**2
-        known = 1 / position**2 + (turn / speed) ** 2
+        moved = (
+            self._gains[0, reading] ** 2 + (turn * self._gains[1, reading]) ** 2
+        ) * self.motion.noise[0] ** 2
+        known = self.motion.precision(turn[:, 0])
         return np.asarray(np.sum(moved + (turn**2 * self._gains[2, reading]) ** 2 / known, axis=1))
 
     def _moved(self, model: mujoco.MjModel) -> bool:
