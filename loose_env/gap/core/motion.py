@@ -187,9 +187,9 @@ class _Log:
 
         def read(columns: Mapping[str, Array], names: Sequence[str]) -> Array:
             known = [columns[name] for name in names if name in columns]
-            if not known:
+            good = np.isfinite(known[0]) if known else np.zeros(1, bool)
+            if not good.any():
                 return nothing
-            good = np.isfinite(known[0])
             return np.asarray(np.interp(grid, run.time[good], known[0][good]))
 
         def whole(name: str, axis: int) -> Array:
