@@ -282,26 +282,39 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         yield _shift(f"smear of the commands of {name}", change, balance)
 
 
+def _between_samples(balance: Balance) -> Iterator[Nuisance]:
+    """Motion at the samples beyond its mean between them, as commands step or bend there or nearby.
+
+    Each joint gives way by an inertia of its own, which an effect may change; a speed feels hardly
+    more than its own drive's.
+    """
+    motion, joints, readings = balance.motion, len(balance.machine.joints), balance.readings
+    if not readings.names:
+        return
+    step = motion.runs[0].log_step
+    pairs = zip(balance.machine.actuators, balance.at_samples(), strict=True)
+    for name, (steps, bends) in pairs:
+        slopes = np.concatenate([rates(own, motion.step) for own in motion.split(bends)])
+        # between two steps a sawtooth of acceleration is a parabola of speed, lowest at them
+        beyond = [("steps", steps, -step / 6 * steps)]
+        if readings.accelerated:
+            beyond += [("bends", bends, 0 * bends), ("shift of bends", step * slopes, 0 * bends)]
+        for what, more, faster in beyond:
+            seen = [
+                readings.turned(k, [0 * v, v, a])
+                for k, (v, a) in enumerate(zip(faster.T, more.T, strict=True))
+            ]
+            for part in seen if readings.accelerated else [sum(seen)]:
+                change = np.hstack([np.zeros((len(part), joints)), part])
+                yield _shift(f"{what} of {name} in readings", change, balance)
+
+
 def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Gain, alignment and timing of velocity and inertial sensors."""
     motion, joints = balance.motion, len(balance.machine.joints)
     foretold = balance.readings.foretold
-    if balance.readings.accelerated and not balance.released.all():
-        # a reading is of an instant, and commands step or bend there or nearby; each joint gives
-        # way by an inertia of its own, which an effect may change
-        for name, (steps, bends) in zip(
-            balance.machine.actuators, balance.at_samples(), strict=True
-        ):
-            slopes = [rates(own, motion.step) for own in motion.split(bends)]
-            for what, beyond in (
-                ("steps", steps),
-                ("bends", bends),
-                ("shift of bends", motion.runs[0].log_step * np.concatenate(slopes)),
-            ):
-                for joint, moved in enumerate(beyond.T):
-                    seen = balance.readings.turned(joint, [0 * moved, 0 * moved, moved])
-                    change = np.hstack([np.zeros((len(seen), joints)), seen])
-                    yield _shift(f"{what} of {name} in readings", change, balance)
+    if not balance.released.all():
+        yield from _between_samples(balance)
     step = motion.runs[0].log_step
     for name in balance.encoders:
         forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
