@@ -323,9 +323,13 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         shown = foretold[:, at]
-        late = np.concatenate([rates(run, motion.step) for run in motion.split(shown)])
+        late, smeared = (
+            np.concatenate([rates(run, motion.step, order) for run in motion.split(shown)])
+            for order in (1, 2)
+        )
         size = float(np.sqrt(np.mean(shown**2)))
-        changes = [("timing", -tolerances.sensor_samples * step * late)]
+        width = tolerances.sensor_samples * step
+        changes = [("timing", -width * late), ("smear", width**2 / 2 * smeared)]
         changes += [("gain", tolerances.sensor * shown)]
         axes = np.eye(len(at))
         changes += [("zero", tolerances.sensor_bias * size * axis + 0 * shown) for axis in axes]
