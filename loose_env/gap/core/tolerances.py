@@ -6,7 +6,7 @@ here, and are never reported. An effect is named only where the data pull it cle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from annotated_types import Ge, Le
 
-from loose_env.gap.core.balance import USUAL, Balance, Change
+from loose_env.gap.core.balance import USUAL, Balance, Change, Forces
 from loose_env.gap.core.motion import rates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.inertia import LinkMass, links_with_mass
@@ -127,23 +127,41 @@ class Nuisance:
 _STEP = 1e-3  # relative step of numerical derivatives
 
 
-def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
-    """List the tolerances of a model that its recording can depend on."""
+def nuisances(
+    balance: Balance, tolerances: Tolerances, beside: Sequence[tuple[Effect, Array]] = ()
+) -> list[Nuisance]:
+    """List the tolerances of a model that its recording can depend on.
+
+    Those of rigid bodies beside some effects with their values.
+    """
     return [
-        *_rigid(balance, tolerances),
+        *_rigid(balance, tolerances, beside),
         *_joints(balance, tolerances),
         *_drives(balance, tolerances),
         *_sensors(balance, tolerances),
     ]
 
 
-def _edited(name: str, edit: Edit, balance: Balance) -> Nuisance:
-    """Tolerance that an edit of the spec describes, differentiated at the nominal model."""
+def _edited(
+    name: str,
+    edit: Edit,
+    balance: Balance,
+    beside: Sequence[tuple[Effect, Array]] = (),
+    still: Forces | None = None,
+) -> Nuisance:
+    """Tolerance that an edit of the spec describes, beside effects of which `still` is the change."""
     spec = balance.machine.fresh()
+    for effect, values in beside:
+        effect.edit(spec, values)
     edit(spec, _STEP)
     forces = balance.edited(spec)
-    change = balance.change(forces.with_contact(balance.directions[USUAL]) / _STEP)
-    return Nuisance(name=name, change=change, operator=forces.operator / _STEP, edit=edit)
+    change, operator = forces.with_contact(balance.directions[USUAL]), forces.operator
+    if still is not None:
+        change = change - still.with_contact(balance.directions[USUAL])
+        operator = operator - still.operator
+    return Nuisance(
+        name=name, change=balance.change(change / _STEP), operator=operator / _STEP, edit=edit
+    )
 
 
 def _shift(name: str, change: Array, balance: Balance, **more: Any) -> Nuisance:
@@ -152,24 +170,33 @@ def _shift(name: str, change: Array, balance: Balance, **more: Any) -> Nuisance:
     return Nuisance(name=name, change=balance.change(change), operator=nothing, **more)
 
 
-def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
+def _rigid(
+    balance: Balance, tolerances: Tolerances, beside: Sequence[tuple[Effect, Array]]
+) -> Iterator[Nuisance]:
     """Ten rigid parameters of each link."""
-    machine = balance.machine
+    machine, still = balance.machine, None
+    if beside:
+        spec = machine.fresh()
+        for effect, values in beside:
+            effect.edit(spec, values)
+        still = balance.edited(spec)
     for link in links_with_mass(machine):
         own = float(machine.model.body(link).mass[0])
         size = _size(machine, link)
         heavier = _sized(LinkMass(machine, link), tolerances.mass * own)
-        yield _edited(f"mass of {link}", heavier, balance)
+        yield _edited(f"mass of {link}", heavier, balance, beside, still)
         width = min(tolerances.centre * size, tolerances.centre_m)
         for k, axis in enumerate("xyz"):
             shift = _inertial(machine, link, width * np.eye(3)[k], np.zeros((3, 3)))
-            yield _edited(f"centre of {link} along {axis}", shift, balance)
+            yield _edited(f"centre of {link} along {axis}", shift, balance, beside, still)
         moment = float(np.mean(machine.model.body(link).inertia)) + 1e-3 * own * size**2
         for row, column in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
             tensor = np.zeros((3, 3))
             tensor[row, column] = tensor[column, row] = tolerances.inertia * moment
             turned = _inertial(machine, link, np.zeros(3), tensor)
-            yield _edited(f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", turned, balance)
+            yield _edited(
+                f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", turned, balance, beside, still
+            )
 
 
 def _sized(effect: Effect, width: float) -> Edit:
@@ -304,7 +331,7 @@ def _between_samples(balance: Balance) -> Iterator[Nuisance]:
                 readings.turned(k, [0 * v, v, a])
                 for k, (v, a) in enumerate(zip(faster.T, more.T, strict=True))
             ]
-            for part in seen if readings.accelerated else [sum(seen)]:
+            for part in seen if readings.accelerated else [np.sum(seen, axis=0)]:
                 change = np.hstack([np.zeros((len(part), joints)), part])
                 yield _shift(f"{what} of {name} in readings", change, balance)
 
