@@ -149,7 +149,7 @@ def _edited(
     beside: Sequence[tuple[Effect, Array]] = (),
     still: Forces | None = None,
 ) -> Nuisance:
-    """Tolerance that an edit of the spec describes, beside effects of which `still` is the change."""
+    """Tolerance that an edit of the spec describes; `still` is the change by the effects beside it."""
     spec = balance.machine.fresh()
     for effect, values in beside:
         effect.edit(spec, values)
