@@ -149,7 +149,7 @@ def _edited(
     beside: Sequence[tuple[Effect, Array]] = (),
     still: Forces | None = None,
 ) -> Nuisance:
-    """Tolerance that an edit of the spec describes; `still` is the change by the effects beside it."""
+    """Tolerance that an edit of the spec describes, less what effects beside it change."""
     spec = balance.machine.fresh()
     for effect, values in beside:
         effect.edit(spec, values)
