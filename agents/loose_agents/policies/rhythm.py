@@ -22,7 +22,7 @@ class RhythmSettings(Checked):
     loud: Positive = 6e-4
     """Power of the top band over that of the excited one from which a part has knocked [1]: more
     than healthy arms of the library ring by their noise and bending."""
-    sure: Positive = 0.9
+    sure: Positive = 0.7
     """Probability of a place, among all places, at which it is named [1]."""
 
 
