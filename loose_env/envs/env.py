@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakValueDictionary
 
 import gymnasium
 import numpy as np
@@ -207,6 +209,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         root, number = self._seed, self._number + 1
         if seed is not None:
             root, number = seed, 0
+            self._warn_of_neighbour(seed)
         elif root is None:
             root = new_seed()
         info = self.batch.start(0, seed=root, number=number, options=options)
@@ -230,6 +233,20 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
             outcome.truncated,
             outcome.info,
         )
+
+    def _warn_of_neighbour(self, seed: int) -> None:
+        """Warn where seeds count up over environments alike, as other vector environments do."""
+        before, _SEEDED[seed] = _SEEDED.get(seed - 1), self
+        if self._seed is not None or before is None or before._seed != seed - 1:
+            return  # one after the other is no batch
+        if before.batch.fingerprint == self.batch.fingerprint:
+            warnings.warn(
+                f"two environments alike were seeded {seed - 1} and {seed}: runs of neighbouring "
+                "seeds will share episodes. Give stable-baselines3's make_vec_env "
+                "vec_env_cls=loose_env.envs.sb3.KeyedDummyVecEnv, or use gymnasium.make_vec",
+                UserWarning,
+                stacklevel=3,
+            )
 
     def _shown(self) -> Any:
         shown = self.batch.shown([0])
@@ -300,6 +317,10 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         if self._picture is not None:
             self._picture.close()
             self._picture = None
+
+
+_SEEDED: WeakValueDictionary[int, DiagnosisEnv] = WeakValueDictionary()
+"""Single environment of this process that each seed was last given to."""
 
 
 def new_seed() -> int:
