@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakValueDictionary
 
 import gymnasium
 import numpy as np
@@ -120,9 +122,11 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     latest record. With
     `SensorSuite(link_accelerometers=...)` each slot also holds the transmission to the sensors on
     links, the nominal one and their rms, and `raw` has their signals as `"links"`; the agent
-    `local` reads them. `loose_env.wrappers.JointSideObservation(env)` keeps what a robot without
-    accelerometers has: pose, excitation, joint motion and apparent inertia. That a fault is
-    there shows in them ([by how much](method.md#torque-and-encoder-alone)), its direction does not.
+    `local` reads them. With `rhythm=True` it holds how loudly the record rang above the excited
+    band and how well knocks of each seat would explain when it did (`rhythm`).
+    `loose_env.wrappers.JointSideObservation(env)` keeps what a robot without accelerometers has:
+    pose, excitation, joint motion and apparent inertia. That a fault is there shows in them ([by
+    how much](method.md#torque-and-encoder-alone)), its direction does not.
 
     ## Rewards
     +1 for the right hypothesis, -1 for a wrong one or for running out of records, -0.25 for being
@@ -207,6 +211,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         root, number = self._seed, self._number + 1
         if seed is not None:
             root, number = seed, 0
+            self._warn_of_neighbour(seed)
         elif root is None:
             root = new_seed()
         info = self.batch.start(0, seed=root, number=number, options=options)
@@ -230,6 +235,20 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
             outcome.truncated,
             outcome.info,
         )
+
+    def _warn_of_neighbour(self, seed: int) -> None:
+        """Warn where seeds count up over environments alike, as other vector environments do."""
+        before, _SEEDED[seed] = _SEEDED.get(seed - 1), self
+        if self._seed is not None or before is None or before._seed != seed - 1:
+            return  # one after the other is no batch
+        if before.batch.fingerprint == self.batch.fingerprint:
+            warnings.warn(
+                f"two environments alike were seeded {seed - 1} and {seed}: runs of neighbouring "
+                "seeds will share episodes. Give stable-baselines3's make_vec_env "
+                "vec_env_cls=loose_env.envs.sb3.KeyedDummyVecEnv, or use gymnasium.make_vec",
+                UserWarning,
+                stacklevel=3,
+            )
 
     def _shown(self) -> Any:
         shown = self.batch.shown([0])
@@ -300,6 +319,10 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         if self._picture is not None:
             self._picture.close()
             self._picture = None
+
+
+_SEEDED: WeakValueDictionary[int, DiagnosisEnv] = WeakValueDictionary()
+"""Single environment of this process that each seed was last given to."""
 
 
 def new_seed() -> int:

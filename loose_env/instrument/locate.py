@@ -49,8 +49,12 @@ class Rhythm:
     timing: Array
     """Correlation of foretold and heard amplitude beyond friction, all poses and bands together
     (H,)."""
+    likelihood: Array
+    """Log likelihood of a sample over that of noise (H,) [1]: the mean of two models between which
+    an arm lies. In one a knock is as loud in every pose as foretold, in the other the links' modes
+    give each pose a loudness of its own."""
     gap_mm: Array
-    """Clearance at which it is highest (H,) [mm]."""
+    """Clearance at which that is highest (H,) [mm]."""
     throws: Array
     """Direction in which each would throw the tool (R, H, 3)."""
     chance: float
@@ -128,8 +132,9 @@ def rhythm_of(heard: Heard, directions: Array) -> Rhythm:
     labels = tuple((BOLTS, i, d) for i in range(n) for d in range(len(directions)))
     labels += tuple((GEARS, j, -1) for j in range(n))
     labels += tuple((BOLTS, n, k) for k in range(ROCKS))
-    timing = np.full(len(labels), -1.0)
+    timing, likelihood = np.full(len(labels), -1.0), np.full(len(labels), -1.0)
     gap_mm, share, chance = np.zeros(len(labels)), 0.0, 0.0
+    poses = range(len(heard.amplitude))
     rng = np.random.default_rng(_SHIFTS)
     shifts = rng.integers(GRID, size=(_SHIFTS, len(heard.amplitude)), dtype=np.intp)
     for loads, gaps in ((heard.elastic, GAPS_MM), (heard.rigid, RIGID_GAPS_MM)):
@@ -140,15 +145,20 @@ def rhythm_of(heard: Heard, directions: Array) -> Rhythm:
             ]
             found, share, other = correlation(heard.amplitude, told, heard.friction, shifts)
             chance = max(chance, other)
-            better = found > timing
             timing = np.maximum(timing, found)
-            gap_mm[better] = gap if loads is heard.elastic else -gap
+            alone = [
+                correlation([heard.amplitude[k]], [told[k]], [heard.friction[k]])[0] for k in poses
+            ]
+            gain = (_likelihood(found) + np.mean([_likelihood(r) for r in alone], 0)) / 2
+            gap_mm[gain > likelihood] = gap if loads is heard.elastic else -gap
+            likelihood = np.maximum(likelihood, gain)
     reversing = [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
     resists = [knocks.friction_of(own, len(directions), heard.slides) for own in heard.elastic]
     return Rhythm(
         labels=labels,
         directions=directions,
         timing=timing,
+        likelihood=likelihood,
         gap_mm=gap_mm,
         throws=np.array([knocks.thrown(own, directions) for own in heard.free]),
         chance=chance,
@@ -156,6 +166,12 @@ def rhythm_of(heard: Heard, directions: Array) -> Rhythm:
         reversing=np.array(reversing),
         held=(np.array(reversing) * np.array(resists)).max(0),
     )
+
+
+def _likelihood(found: Array) -> Array:
+    """Log likelihood of a sample (H,) by a correlation that was fitted."""
+    gain: Array = -0.5 * np.log(np.maximum(1 - found**2, 1e-4))
+    return gain
 
 
 def foretold(heard: Heard, rhythm: Rhythm, hypothesis: int) -> list[Array]:

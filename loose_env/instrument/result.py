@@ -29,7 +29,7 @@ class Place:
     """Link or joint, by the model's name."""
     verdict: PlaceVerdict
     probability: float
-    """That it is the loose one, if one is [1]: share of resampled sessions in which it is best."""
+    """That it is the loose one, if one is [1]."""
     rhythm: float
     """Correlation of its foretold knocks with what was heard [1]."""
     tested: float

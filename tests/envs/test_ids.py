@@ -223,6 +223,8 @@ def test_neighbouring_seeds_of_make_vec_env_share_no_episode() -> None:
     ]
     assert len(np.unique(np.concatenate(found), axis=0)) == 6
     np.testing.assert_array_equal(found[1], adapted(3)[0].reset(seed=1)[0])
+    with pytest.warns(UserWarning, match="0 and 1.*KeyedDummyVecEnv"):
+        make_vec_env("loose_env/Planar-v0", 2, 0, env_kwargs=own).reset()
 
 
 def test_what_cannot_be_adapted_is_refused() -> None:
