@@ -25,8 +25,8 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path, PurePath
 from typing import Any, Literal, TextIO
@@ -51,15 +51,13 @@ _LINES = 10
 class BackendSettings:
     """Where the work runs; no result depends on it."""
 
-    backend: Literal["loky", "threading", "ray", "dask"] = "loky"
+    backend: Literal["loky", "threading", "dask"] = "loky"
     """Where the work runs: loky, processes on this machine; threading, threads of this process;
-    ray, a Ray cluster, or one started here; dask, a Dask cluster, or one started here."""
+    dask, a Dask cluster, or one started here."""
     workers: Count | None = None
     """Tasks that run side by side; by default as many as there are cores."""
     retries: NonNegativeCount = 2
     """Times that tasks run again after a worker died."""
-    ray_address: str | None = None
-    """Running Ray cluster, as in 'auto'; by default one on this machine."""
     dask_scheduler: str | None = None
     """Running Dask scheduler, as in tcp://host:8786; by default one on this machine."""
 
@@ -101,20 +99,14 @@ def results_of(
 
         def run(positions: Sequence[int], workers: int) -> Iterator[tuple[int, Any]]:
             calls = (joblib.delayed(_numbered)(work, k, tasks[k]) for k in positions)
-            if chosen.backend == "ray":
-                found = _on_ray(calls)
-            else:
-                own: dict[str, Any] = {}
-                if chosen.backend == "loky":
-                    own = {"inner_max_num_threads": 1}
-                    own |= {"initializer": _end_with, "initargs": (here,)}
-                with joblib.parallel_config(chosen.backend, **own):
-                    found = joblib.Parallel(
-                        workers,
-                        batch_size=1,
-                        pre_dispatch="n_jobs",
-                        return_as="generator_unordered",
-                    )(calls)
+            own: dict[str, Any] = {}
+            if chosen.backend == "loky":
+                own = {"inner_max_num_threads": 1}
+                own |= {"initializer": _end_with, "initargs": (here,)}
+            with joblib.parallel_config(chosen.backend, **own):
+                found = joblib.Parallel(
+                    workers, batch_size=1, pre_dispatch="n_jobs", return_as="generator_unordered"
+                )(calls)
             for position, result in found:
                 done.add(position)
                 yield position, result
@@ -135,16 +127,6 @@ def results_of(
                 raise WorkerDied(position, words) from error
 
 
-def _on_ray(calls: Iterable[tuple[Any, Any, Any]]) -> Iterator[tuple[int, Any]]:
-    """Results of calls on a Ray cluster as they come; ray's own backend gives them at the end."""
-    ray = importlib.import_module("ray")
-    on_a_worker = ray.remote(max_retries=0)
-    waiting = [on_a_worker(function).remote(*given, **named) for function, given, named in calls]
-    while waiting:
-        (ready,), waiting = ray.wait(waiting)
-        yield ray.get(ready)
-
-
 def _end_with(parent: int) -> None:
     """End this worker once the process that started it is gone, be it killed: nobody listens."""
 
@@ -162,18 +144,6 @@ def _numbered(work: Callable[[Any], Any], position: int, task: Any) -> tuple[int
 
 def _begun(settings: BackendSettings, stack: ExitStack) -> tuple[type[BaseException], ...]:
     """Join or start the cluster of a backend; errors by which a dead worker shows."""
-    if settings.backend == "ray":
-        ray = _installed("ray", "ray")
-        if not ray.is_initialized():
-            given = {"runtime_env": {"env_vars": ONE_THREAD}, "log_to_driver": False}
-            if settings.ray_address is None:
-                given |= {"num_cpus": settings.workers, "include_dashboard": False}
-            # "local": a cluster that happens to run here is not joined unasked
-            with _refused("Ray cluster", settings.ray_address, "ray start --head"):
-                ray.init(settings.ray_address or "local", **given)
-            stack.callback(ray.shutdown)
-        gone = ray.exceptions
-        return gone.WorkerCrashedError, gone.RayActorError, gone.OutOfMemoryError
     if settings.backend == "dask":
         distributed = _installed("distributed", "dask")
         cluster: Any = settings.dask_scheduler
@@ -184,23 +154,17 @@ def _begun(settings: BackendSettings, stack: ExitStack) -> tuple[type[BaseExcept
                     env=ONE_THREAD,
                 )
             )  # fmt: skip
-        with _refused("Dask scheduler", settings.dask_scheduler, "dask scheduler"):
+        try:
             stack.enter_context(distributed.Client(cluster))
+        except (OSError, ValueError, RuntimeError) as error:
+            raise InvalidSetting(
+                f"no Dask scheduler answers at {settings.dask_scheduler}; start one with "
+                f"'dask scheduler', or give no address: {error}"
+            ) from error
         return (distributed.KilledWorker,)
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     return (TerminatedWorkerError,)
-
-
-@contextmanager
-def _refused(noun: str, address: str | None, start: str) -> Iterator[None]:
-    """Say in one line that no cluster answers."""
-    try:
-        yield
-    except (ConnectionError, OSError, ValueError, RuntimeError) as error:
-        raise InvalidSetting(
-            f"no {noun} answers at {address}; start one with '{start}', or give no address: {error}"
-        ) from error
 
 
 def _installed(module: str, extra: str) -> Any:

@@ -52,6 +52,7 @@ from loose_agents.policies.link_finding import (
     SpaceLinkFindingAgent,
     SpaceLinkFindingSettings,
 )
+from loose_agents.policies.rhythm import RhythmAgent
 from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 from loose_env.faults import UNSURE
@@ -174,6 +175,10 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     "local": (
         _classical(method=LocalAgent),
         "the same with accelerometers on the links beside the tool's",
+    ),
+    "rhythm": (
+        lambda problem, seed: RhythmAgent(problem, seed=seed),
+        "the seat whose knocks explain when the accelerometer rang, no learned model",
     ),
     "classical_literal": (
         _classical_literal,

@@ -1,7 +1,7 @@
 """Diagnosis from several records: posteriors, directions, link finding, experiment design.
 
 Data flow: prediction -> posterior -> features -> novelty -> learned ->
-experiment_design -> directions -> link_finding -> scatter -> pose_sets.
+experiment_design -> rhythm, directions -> link_finding -> scatter -> pose_sets.
 """
 
 from loose_env.diagnosis.directions import (
@@ -18,6 +18,7 @@ from loose_env.diagnosis.directions import (
     sight_change,
 )
 from loose_env.diagnosis.experiment_design import (
+    SEAT_AXES,
     ImaginedFaults,
     InformationFactors,
     Proposal,
@@ -100,6 +101,7 @@ from loose_env.diagnosis.prediction import (
     statistics_of_all,
     stiffness_errors,
 )
+from loose_env.diagnosis.rhythm import KnockRhythm
 from loose_env.diagnosis.scatter import (
     PlaceDirections,
     PooledScatter,
@@ -117,6 +119,7 @@ __all__ = [
     "RATIOS",
     "RECORD_FEATURES",
     "REFERENCE",
+    "SEAT_AXES",
     "SHUT",
     "AmortisedBelief",
     "AmortisedPosterior",
@@ -127,6 +130,7 @@ __all__ = [
     "FaultPosterior",
     "ImaginedFaults",
     "InformationFactors",
+    "KnockRhythm",
     "LinkFindingSettings",
     "LinkPosterior",
     "LinkReadings",

@@ -44,7 +44,7 @@ _LEAST_WIDTH = 20.0
 """Narrowest band worth proposing [Hz]: 1.2 s of it hold 48 independent samples."""
 _LOWEST = 8.0
 """Lowest end of a band: twice the modes of the soft springs that centre excited joints [Hz]."""
-_AXES = {2: 12, 3: 40}
+SEAT_AXES = {2: 12, 3: 40}
 """Sliding directions that stand for all of a link, by dimension."""
 _LEVELS = np.geomspace(0.05, 50.0, 121)
 """Levels that are tried, rms acceleration of the nominal tool [m/s²]."""
@@ -212,7 +212,7 @@ def _proposal(
 ) -> Proposal:
     """Find the level of every joint in the arm's band."""
     arm, at = nominal.arm, nominal.at(pose)
-    axes = axes_grid(_AXES[len(arm.axes)], len(arm.axes))
+    axes = axes_grid(SEAT_AXES[len(arm.axes)], len(arm.axes))
     load = np.abs(at.seat_load @ axes.T) + friction  # (n links, A)
     levels, shares = np.zeros(arm.n), np.ones(arm.n)
     excitations: list[Excitation | None] = [None] * arm.n
@@ -536,7 +536,7 @@ class SeatCoverage:
     ) -> None:
         arm, table = linear.arm, shipped_table()
         self.linear = linear
-        self.axes = axes_grid(_AXES[len(arm.axes)], len(arm.axes))
+        self.axes = axes_grid(SEAT_AXES[len(arm.axes)], len(arm.axes))
         """Sliding directions in a link's frame (A, d)."""
         self._friction = seat_drives(linear, self.axes, over)[:, None] * np.geomspace(
             *friction, _STEPS

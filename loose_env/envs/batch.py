@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, Drift, LinearArm, MismatchDraw
 from loose_env.diagnosis import (
+    KnockRhythm,
     NominalLinks,
     SensorFloor,
     link_axes,
@@ -324,6 +325,11 @@ class EpisodeBatch:
         self.floor = SensorFloor.of(settings.sensors, arm.band)
         links = settings.sensors.on_links
         self._nominal_links = None if links is None else NominalLinks(arm, links)
+        self._rhythm = (
+            KnockRhythm(self.nominal, settings.sensors.rate, self.difficulty.friction_over)
+            if settings.rhythm
+            else None
+        )
         self._raw = raw_shapes(arm, settings) if settings.raw else {}
         self.divergences: Counter[str] = Counter()
         self._levels = np.array([0.0, *arm.levels])
@@ -722,6 +728,7 @@ class EpisodeBatch:
             share,
             statistics_of_all(records),
             predicted,
+            rhythm=() if self._rhythm is None else self._rhythm.of(records),
             links=links,
             nominal_links=expected,
         )

@@ -243,6 +243,10 @@ class DiagnosisSettings(Checked):
     """Simulation engine: MuJoCo's batched one, or "reduced", the same equations about
     the pose in a compiled loop: over 20 times faster, for faults of one degree of freedom. It
     needs numba."""
+    rhythm: bool = False
+    """True for a block in each record of how loudly it rang above the excited band, and how well
+    knocks of each seat would explain it; see `loose_env.diagnosis.KnockRhythm`. The agent
+    `rhythm` reads it."""
     raw: bool = False
     """True for an observation that is a Dict with the latest record's signals beside the
     statistics, and `info` carries the measurement itself."""

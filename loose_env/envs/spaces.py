@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
@@ -13,7 +13,13 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms import Arm, held_inertia
-from loose_env.diagnosis import LinkReadings, Prediction, RecordStatistics, link_axes
+from loose_env.diagnosis import (
+    SEAT_AXES,
+    LinkReadings,
+    Prediction,
+    RecordStatistics,
+    link_axes,
+)
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.typing import Array
@@ -529,6 +535,15 @@ def slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
     yield from second_order("nominal_")
     yield from inertia("nominal_")
     yield from tool("nominal_")
+    if settings.rhythm:
+        yield Element(
+            name="loudness.top", unit="1", scaling="log10", scale=1e-2, low=-4.0, high=4.0
+        )
+        for i in range(1, arm.n + 1):
+            for k in range(SEAT_AXES[len(axes)]):
+                yield asinh(f"rhythm.link{i}_{k}", "1", 1.0)
+        for joint in arm.joints:
+            yield asinh(f"rhythm.{joint}", "1", 1.0)
     choice = settings.sensors.on_links
     if choice is None:
         return
@@ -672,13 +687,15 @@ class ObservationLayout(RecordLayout):
         record: RecordStatistics,
         predicted: Array,
         *,
+        rhythm: Sequence[Array] = (),
         links: LinkReadings | None = None,
         nominal_links: Array | None = None,
     ) -> NDArray[np.float32]:
         """Scale the elements of B records (B, slot size).
 
         From their levels (B, n), the shares of these that torque limits allow (B, n), statistics
-        and the elements that are `predicted`; where accelerometers stand on links, also what these
+        and the elements that are `predicted`; where the settings ask, loudness (B,) and rhythm
+        (B, seats); where accelerometers stand on links, also what these
         measured and would show on the nominal arm (B, L, a, n).
         """
         count = len(levels)
@@ -704,6 +721,7 @@ class ObservationLayout(RecordLayout):
             record.kurtosis,
             numbers(record.lowest_skewness, record.lowest_kurtosis),
             predicted,
+            *rhythm,
         ]
         if links is not None and nominal_links is not None:
             values += [links.transmission_by_instrument, nominal_links, links.rms]

@@ -1,6 +1,6 @@
 """Statistics of one record: pure functions of arrays.
 
-Data flow: _checks -> transmission, correlation, spectra, gaussian_mixture.
+Data flow: _checks -> transmission, correlation, spectra, gaussian_mixture, impacts.
 """
 
 from loose_env.statistics.correlation import (
@@ -18,6 +18,7 @@ from loose_env.statistics.gaussian_mixture import (
     GaussianMixture,
     fit_gaussian_mixture,
 )
+from loose_env.statistics.impacts import knocks, rung
 from loose_env.statistics.spectra import (
     PhaseDelay,
     acceleration_from_angle,
@@ -57,12 +58,14 @@ __all__ = [
     "comparative_index",
     "covariances",
     "fit_gaussian_mixture",
+    "knocks",
     "long_run_variance",
     "lowest_coherence_direction_from",
     "noise_floor",
     "phase_delay",
     "record_covariances",
     "resolution_of",
+    "rung",
     "shape_of",
     "transmission_by_instrument_from",
     "transmission_from",

@@ -86,7 +86,6 @@ def all_rows(settings: BackendSettings, work: Any = rows_of) -> list[dict[str, A
 
 EXPECTED = [row for span in SPANS for row in rows_of(span)]
 CLUSTERS = [
-    pytest.param("ray", marks=[needs("ray"), pytest.mark.slow]),
     pytest.param("dask", marks=[needs("distributed"), pytest.mark.slow]),
 ]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from math import log
 
 import numpy as np
@@ -18,7 +19,16 @@ from loose_env.gap.core.balance import USUAL, Balance
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import append, stretches_of
 from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
-from loose_env.gap.core.selection import KIND, Form, Selection, Set, SetFit, at_joint, neighbours
+from loose_env.gap.core.selection import (
+    KIND,
+    Form,
+    Selection,
+    Set,
+    SetFit,
+    at_joint,
+    neighbours,
+    stepped,
+)
 from loose_env.gap.model.effect import Mountings, free_of, values_of
 from loose_env.gap.model.effects.inertia import MountedPayload, Payload
 from loose_env.gap.output.result import ChannelVerdict, ChannelWord, EffectLocation
@@ -35,7 +45,9 @@ CONTRADICTED = -10.0
 Raftery 1995)."""
 _RIVAL = 0.05  # probability from which another effect is a rival
 _Z = 1.96  # half width of a 95 % interval in standard deviations
-_ASIDE = 0.25  # relative step of a shape over which the fall of its evidence is read
+_ASIDE, _HIGH, _NEARER = 0.25, 12.0, 5
+"""Relative step of a shape over which the fall of its evidence is read, at most; the fall from
+which it is halved, for beyond three standard deviations it is no parabola, and how often."""
 _NOISE = 1.6
 """Held-out residual up to which nothing more is needed [noise standard deviations]: noise alone,
 where its estimate is a third too small."""
@@ -373,16 +385,43 @@ def _with_shapes(selection: Selection, fit: SetFit, term: Term, ends: Array) -> 
     missed = 0.5 * float(
         np.max(selection.evidence.inexact[list(selection.evidence.columns_of(term))])
     )
-    for k in selection.shaped(term):
-        aside = (selection.reshaped(fit, term, k, side * _ASIDE) for side in (-1, 1))
-        rises = [max(other.total - fit.total, 0.0) for other in aside if other is not None]
-        fall = float(np.mean(rises)) if rises else 0.0
-        doubt = np.hypot(_ASIDE / np.sqrt(max(fall, 1e-6)), missed)
-        half = min(_Z * doubt, _Z)
-        value, own = term.axes[0][k], term.effect.parameters[k]
-        sides = np.array([-half, half])
-        moved = value * np.exp(sides) if value > 0 else value + sides * own.scale
-        found[:, k] = [own.clipped(float(v)) for v in moved]
+    shaped = selection.shaped(term)
+    if not shaped:
+        return found
+    spreads = np.sqrt(np.diag(np.linalg.inv(_curvature(selection, fit, term, shaped))))
+    for k, spread in zip(shaped, np.hypot(spreads, missed), strict=True):
+        half = min(_Z * float(spread), _Z)
+        found[:, k] = [
+            stepped(term.effect.parameters[k], term.axes[0][k], s * half) for s in (-1, 1)
+        ]
+    return found
+
+
+def _curvature(selection: Selection, fit: SetFit, term: Term, shaped: Sequence[int]) -> Array:
+    """Half the second derivatives of the evidence by relative steps of a member's shape (K, K).
+
+    Of the shapes beside each other: one may make up for another.
+    """
+
+    def rise(*steps: tuple[int, float]) -> float:
+        own = selection.reshaped(fit, term, dict(steps))
+        return np.inf if own is None else max(own.total - fit.total, 0.0)
+
+    count = len(shaped)
+    found, aside = np.zeros((count, count)), np.full(count, _ASIDE)
+    for i, k in enumerate(shaped):
+        for _ in range(_NEARER):
+            rises = [rise((k, side * aside[i])) for side in (-1, 1)]
+            if max(rises) < _HIGH:
+                break
+            aside[i] /= 2
+        low = min(rises) if np.isinf(max(rises)) else float(np.mean(rises))
+        found[i, i] = min(low, 1e9) / aside[i] ** 2 + 1e-6
+    for i, j in combinations(range(count), 2):
+        corners = [rise((shaped[i], aside[i]), (shaped[j], s * aside[j])) for s in (-1, 1)]
+        mixed = (corners[1] - corners[0]) / (4 * aside[i] * aside[j])
+        most = 0.99 * np.sqrt(found[i, i] * found[j, j])
+        found[i, j] = found[j, i] = np.clip(mixed, -most, most) if np.isfinite(mixed) else 0.0
     return found
 
 

@@ -23,13 +23,14 @@ from loose_env.gap.core.decision import (
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import Exact, ExactFit, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, smooth
-from loose_env.gap.core.selection import Selection, SetFit
+from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
 from loose_env.gap.core.tolerances import GapSettings, nuisances
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Recording
 
 Say = Callable[[str], None]
+_AGAIN = 4  # times that the rigid bodies are linearised beside what was found
 
 
 @contextmanager
@@ -81,7 +82,9 @@ def find_gap(
     with silent():
         selection = evidence_of(used, settings, say)
         say("selection of effects")
-        best = pruned(selection, selection.best())
+        best = selection.best()
+        selection, best = relinearised(selection, best, settings)
+        best = pruned(selection, best)
         best = by_runs(selection, best)
         left = left_open(selection, best)
         # simulations have one model for all runs, and step no memory of a way
@@ -158,6 +161,33 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
             "motion; record runs in which the joints move"
         )
     return Selection(evidence)
+
+
+def relinearised(
+    selection: Selection, best: SetFit, settings: GapSettings
+) -> tuple[Selection, SetFit]:
+    """The search again beside the rigid bodies of a machine that has what was found, till it stays.
+
+    Of a link whose weight is half borne, a centre that is off has half the moment.
+    """
+    for _ in range(_AGAIN):
+        evidence = selection.evidence
+        beside = [
+            (term.effect, term.values(best.values[best.places(evidence.columns_of(term))]))
+            for term in best.terms
+            if term.effect.part in ("link", "arm")
+            and term.effect.overrides("edit")
+            and not (term.effect.adds_motion or term.effect.mountings)
+        ]
+        if not beside:
+            break
+        rigid = nuisances(evidence.balance, settings.tolerances, beside)
+        law = settings.tolerances.law
+        selection = Selection(whiten(evidence.balance, evidence.terms, rigid, law=law))
+        before, best = best, selection.search(best.terms)
+        if best.total > before.total - LEAST_GAIN:
+            break
+    return selection, best
 
 
 def _split(recording: Recording, settings: GapSettings) -> tuple[Recording, Recording | None]:

@@ -8,19 +8,21 @@ not rule the others. Sets are searched by adding, exchanging and removing, to a 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from math import comb, log
+from math import comb, exp, log
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers
+from loose_env.gap.model.effect import Parameter
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.inference import log_determinant
 from loose_env.typing import Array
@@ -36,7 +38,7 @@ its shape."""
 SHARE_VALUES = 0.02
 """The same at most, as a share of a cell's values: discrepancies repeat to some per cent."""
 _ROUNDS = 8  # reweighted rounds of one fit
-_LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is taken
+LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is taken
 _SCREENED = 14  # candidates that are fitted in one step
 _FITTED = 3  # sets that are fitted for each weighting: the best at fixed weights
 _MOST = 40  # steps of a search
@@ -46,7 +48,7 @@ _SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _SIZES = 10.0  # widths of the prior of a size that values are given
-_STEPS = (0.5, 0.25, 0.12, 0.06, 0.03)  # relative steps in which shapes are refined
+_STEP, _SHAPES = 0.3, 25  # relative step of a shape, and shapes tried for each of its parameters
 
 Set = tuple[Term, ...]
 
@@ -362,18 +364,29 @@ class Selection:
         return [(), *(f.terms for f in chosen)]
 
     def refined(self, state: SetFit) -> SetFit:
-        """Shapes of the members by shrinking steps, beside the others."""
+        """Shapes of the members by a simplex, each beside the others.
+
+        Where a motion is short, the parameters of a shape make up for each other: a ripple of more
+        periods for one of another phase.
+        """
         for term in state.terms:
-            shaped = self.shaped(term)
-            for step in _STEPS:
-                for k in shaped:
-                    for sign in (1.0, -1.0):
-                        own = self.reshaped(state, term, k, sign * step)
-                        if own is not None and own.total < state.total:
-                            new = next(t for t in own.terms if t not in state.terms)
-                            state, term = own, new
-                            break
+            state = self._refined(state, term)
         return state
+
+    def _refined(self, state: SetFit, term: Term) -> SetFit:
+        shaped, found = self.shaped(term), [state]
+
+        def total(steps: Array) -> float:
+            own = self.reshaped(state, term, dict(zip(shaped, steps.tolist(), strict=True)))
+            found.append(own or state)
+            return np.inf if own is None else own.total
+
+        if shaped:
+            simplex = np.vstack([np.zeros(len(shaped)), _STEP * np.eye(len(shaped))])
+            options = {"initial_simplex": simplex, "maxfev": _SHAPES * len(shaped),
+                       "fatol": LEAST_GAIN, "xatol": _STEP / 10}  # fmt: skip
+            minimize(total, simplex[0], method="Nelder-Mead", options=options)
+        return min(found, key=lambda f: f.total)
 
     @staticmethod
     def shaped(term: Term) -> list[int]:
@@ -382,18 +395,16 @@ class Selection:
             return []
         return [k for k in range(len(term.effect.parameters)) if k != term.effect.proportional]
 
-    def reshaped(self, state: SetFit, term: Term, parameter: int, step: float) -> SetFit | None:
-        """Fit with one shape parameter of a member changed; None if that is out of bounds."""
+    def reshaped(self, state: SetFit, term: Term, steps: Mapping[int, float]) -> SetFit | None:
+        """Fit with shape parameters of a member changed; None if that is out of bounds."""
         values = np.array(term.axes[0])
-        own = term.effect.parameters[parameter]
-        moved = values[parameter] * np.exp(step) if values[parameter] > 0 else (
-            values[parameter] + step * own.scale
-        )  # fmt: skip
-        values[parameter] = own.clipped(float(moved))
-        if values[parameter] == term.axes[0][parameter]:
+        for parameter, step in steps.items():
+            own = term.effect.parameters[parameter]
+            values[parameter] = stepped(own, float(values[parameter]), step)
+        axes = (tuple(float(v) for v in values),)
+        if axes == term.axes:
             return None
         contact = (term.contact,) if term.contact else ()
-        axes = (tuple(float(v) for v in values),)
         return self.replaced(state, term, axes, contact or ("",))
 
     def relinearised(self, state: SetFit, term: Term) -> SetFit:
@@ -482,7 +493,7 @@ class Selection:
         for _ in range(_MOST):
             better = self._grown(state)
             better = self.polished(state if better is None else better)
-            if better.total > state.total - _LEAST_GAIN:
+            if better.total > state.total - LEAST_GAIN:
                 break
             state = better
         return state
@@ -514,7 +525,7 @@ class Selection:
         moves = [(*state.terms, *new) for new in sets.values()]
         fitted = self.fitted(state, moves, weightings, _FITTED)
         best = min(fitted, key=lambda f: f.total, default=None)
-        return best if best and best.total <= state.total - _LEAST_GAIN else None
+        return best if best and best.total <= state.total - LEAST_GAIN else None
 
     def fitted(
         self, state: SetFit, sets: Sequence[Set], weightings: Sequence[Sequence[Array]], most: int
@@ -541,7 +552,7 @@ class Selection:
             before = fit
             for term in filter(_is_linear, fit.terms):
                 fit = self.relinearised(fit, term)
-            if fit.total > before.total - _LEAST_GAIN:
+            if fit.total > before.total - LEAST_GAIN:
                 break
         return fit
 
@@ -604,6 +615,12 @@ def _by_kind(terms: Iterable[Term]) -> list[Set]:
 def _is_linear(term: Term) -> bool:
     """Whether an effect's columns are its derivatives; else they have a shape."""
     return bool(term.effect.axes) or not (term.law or term.effect.proportional is not None)
+
+
+def stepped(parameter: Parameter, value: float, step: float) -> float:
+    """Value of a shape parameter a relative step away; of either sign, by shares of its scale."""
+    sized = parameter.low >= 0 and value > 0
+    return parameter.clipped(value * exp(step) if sized else value + step * parameter.scale)
 
 
 def neighbours(machine: NominalModel, where: str) -> set[str]:

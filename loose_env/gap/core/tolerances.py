@@ -6,7 +6,7 @@ here, and are never reported. An effect is named only where the data pull it cle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from annotated_types import Ge, Le
 
-from loose_env.gap.core.balance import USUAL, Balance, Change
+from loose_env.gap.core.balance import USUAL, Balance, Change, Forces
 from loose_env.gap.core.motion import rates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.inertia import LinkMass, links_with_mass
@@ -127,23 +127,41 @@ class Nuisance:
 _STEP = 1e-3  # relative step of numerical derivatives
 
 
-def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
-    """List the tolerances of a model that its recording can depend on."""
+def nuisances(
+    balance: Balance, tolerances: Tolerances, beside: Sequence[tuple[Effect, Array]] = ()
+) -> list[Nuisance]:
+    """List the tolerances of a model that its recording can depend on.
+
+    Those of rigid bodies beside some effects with their values.
+    """
     return [
-        *_rigid(balance, tolerances),
+        *_rigid(balance, tolerances, beside),
         *_joints(balance, tolerances),
         *_drives(balance, tolerances),
         *_sensors(balance, tolerances),
     ]
 
 
-def _edited(name: str, edit: Edit, balance: Balance) -> Nuisance:
-    """Tolerance that an edit of the spec describes, differentiated at the nominal model."""
+def _edited(
+    name: str,
+    edit: Edit,
+    balance: Balance,
+    beside: Sequence[tuple[Effect, Array]] = (),
+    still: Forces | None = None,
+) -> Nuisance:
+    """Tolerance that an edit of the spec describes, less what effects beside it change."""
     spec = balance.machine.fresh()
+    for effect, values in beside:
+        effect.edit(spec, values)
     edit(spec, _STEP)
     forces = balance.edited(spec)
-    change = balance.change(forces.with_contact(balance.directions[USUAL]) / _STEP)
-    return Nuisance(name=name, change=change, operator=forces.operator / _STEP, edit=edit)
+    change, operator = forces.with_contact(balance.directions[USUAL]), forces.operator
+    if still is not None:
+        change = change - still.with_contact(balance.directions[USUAL])
+        operator = operator - still.operator
+    return Nuisance(
+        name=name, change=balance.change(change / _STEP), operator=operator / _STEP, edit=edit
+    )
 
 
 def _shift(name: str, change: Array, balance: Balance, **more: Any) -> Nuisance:
@@ -152,24 +170,33 @@ def _shift(name: str, change: Array, balance: Balance, **more: Any) -> Nuisance:
     return Nuisance(name=name, change=balance.change(change), operator=nothing, **more)
 
 
-def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
+def _rigid(
+    balance: Balance, tolerances: Tolerances, beside: Sequence[tuple[Effect, Array]]
+) -> Iterator[Nuisance]:
     """Ten rigid parameters of each link."""
-    machine = balance.machine
+    machine, still = balance.machine, None
+    if beside:
+        spec = machine.fresh()
+        for effect, values in beside:
+            effect.edit(spec, values)
+        still = balance.edited(spec)
     for link in links_with_mass(machine):
         own = float(machine.model.body(link).mass[0])
         size = _size(machine, link)
         heavier = _sized(LinkMass(machine, link), tolerances.mass * own)
-        yield _edited(f"mass of {link}", heavier, balance)
+        yield _edited(f"mass of {link}", heavier, balance, beside, still)
         width = min(tolerances.centre * size, tolerances.centre_m)
         for k, axis in enumerate("xyz"):
             shift = _inertial(machine, link, width * np.eye(3)[k], np.zeros((3, 3)))
-            yield _edited(f"centre of {link} along {axis}", shift, balance)
+            yield _edited(f"centre of {link} along {axis}", shift, balance, beside, still)
         moment = float(np.mean(machine.model.body(link).inertia)) + 1e-3 * own * size**2
         for row, column in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
             tensor = np.zeros((3, 3))
             tensor[row, column] = tensor[column, row] = tolerances.inertia * moment
             turned = _inertial(machine, link, np.zeros(3), tensor)
-            yield _edited(f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", turned, balance)
+            yield _edited(
+                f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", turned, balance, beside, still
+            )
 
 
 def _sized(effect: Effect, width: float) -> Edit:
@@ -282,26 +309,39 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         yield _shift(f"smear of the commands of {name}", change, balance)
 
 
+def _between_samples(balance: Balance) -> Iterator[Nuisance]:
+    """Motion at the samples beyond its mean between them, as commands step or bend there or nearby.
+
+    Each joint gives way by an inertia of its own, which an effect may change; a speed feels hardly
+    more than its own drive's.
+    """
+    motion, joints, readings = balance.motion, len(balance.machine.joints), balance.readings
+    if not readings.names:
+        return
+    step = motion.runs[0].log_step
+    pairs = zip(balance.machine.actuators, balance.at_samples(), strict=True)
+    for name, (steps, bends) in pairs:
+        slopes = np.concatenate([rates(own, motion.step) for own in motion.split(bends)])
+        # between two steps a sawtooth of acceleration is a parabola of speed, lowest at them
+        beyond = [("steps", steps, -step / 6 * steps)]
+        if readings.accelerated:
+            beyond += [("bends", bends, 0 * bends), ("shift of bends", step * slopes, 0 * bends)]
+        for what, more, faster in beyond:
+            seen = [
+                readings.turned(k, [0 * v, v, a])
+                for k, (v, a) in enumerate(zip(faster.T, more.T, strict=True))
+            ]
+            for part in seen if readings.accelerated else [np.sum(seen, axis=0)]:
+                change = np.hstack([np.zeros((len(part), joints)), part])
+                yield _shift(f"{what} of {name} in readings", change, balance)
+
+
 def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Gain, alignment and timing of velocity and inertial sensors."""
     motion, joints = balance.motion, len(balance.machine.joints)
     foretold = balance.readings.foretold
-    if balance.readings.accelerated and not balance.released.all():
-        # a reading is of an instant, and commands step or bend there or nearby; each joint gives
-        # way by an inertia of its own, which an effect may change
-        for name, (steps, bends) in zip(
-            balance.machine.actuators, balance.at_samples(), strict=True
-        ):
-            slopes = [rates(own, motion.step) for own in motion.split(bends)]
-            for what, beyond in (
-                ("steps", steps),
-                ("bends", bends),
-                ("shift of bends", motion.runs[0].log_step * np.concatenate(slopes)),
-            ):
-                for joint, moved in enumerate(beyond.T):
-                    seen = balance.readings.turned(joint, [0 * moved, 0 * moved, moved])
-                    change = np.hstack([np.zeros((len(seen), joints)), seen])
-                    yield _shift(f"{what} of {name} in readings", change, balance)
+    if not balance.released.all():
+        yield from _between_samples(balance)
     step = motion.runs[0].log_step
     for name in balance.encoders:
         forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
@@ -310,9 +350,13 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         shown = foretold[:, at]
-        late = np.concatenate([rates(run, motion.step) for run in motion.split(shown)])
+        late, smeared = (
+            np.concatenate([rates(run, motion.step, order) for run in motion.split(shown)])
+            for order in (1, 2)
+        )
         size = float(np.sqrt(np.mean(shown**2)))
-        changes = [("timing", -tolerances.sensor_samples * step * late)]
+        width = tolerances.sensor_samples * step
+        changes = [("timing", -width * late), ("smear", width**2 / 2 * smeared)]
         changes += [("gain", tolerances.sensor * shown)]
         axes = np.eye(len(at))
         changes += [("zero", tolerances.sensor_bias * size * axis + 0 * shown) for axis in axes]
