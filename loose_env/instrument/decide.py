@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp, softmax
+from scipy.special import softmax
 
 from loose_env.instrument.arm import BOLTS, SuspectArm
 from loose_env.instrument.locate import Rhythm, direction_scores, names_of
@@ -36,16 +36,15 @@ class Numbers:
     samples: float = 60.0
     """Independent samples of a band's rhythm in a session [1]: knocks ring for some 5 ms, and loads
     change sign some ten times a second in each of six poses."""
-    vectors: float = 2.0
+    vectors: float = 2.5
     """Independent vectors that a pose's ringing counts for [1]: it rings in a few modes alone."""
-    softer: float = 40.0
+    softer: float = 30.0
     """Weight of a joint's softening against a healthy session [1]: lines that see it."""
     stiff: float = 1.6
     """Growth of the tool motion left by the healthy gears from which a joint became softer [1]."""
-    believed: float = 0.5
+    believed: float = 0.33
     """Share of the log likelihood that counts [1]: what the model of an arm lacks is wrong alike in
-    all samples. 0.4 is likeliest for the places of 97 faults heard, 0.33 to 0.6 with each class of
-    machines left out in turn."""
+    all samples. It, `vectors` and `softer` are likeliest for the places of faults heard before."""
     sure: float = 0.75
     """Probability of a place from which it is settled [1]."""
 
@@ -90,11 +89,13 @@ def score(
                 found[h] += numbers.softer * change.softer[i]
     # A place that no pose lets knock is not heard, whatever the direction of the ringing.
     found = numbers.believed * np.where(rhythm.likelihood > 0, found, -np.inf)
+    # A direction is two numbers more, which cost this much in expectation (Schwarz 1978).
+    searched = np.array([kind == BOLTS for kind, _, _ in rhythm.labels])
+    found -= searched * np.log(max(numbers.samples, 1.0))
     names = np.array(names_of(arm, rhythm))
     members = {place: np.flatnonzero(names == place) for place in arm.places}
     best = {place: int(own[found[own].argmax()]) for place, own in members.items()}
-    # All directions of a seat are as likely beforehand.
-    each = np.array([logsumexp(found[own]) - np.log(len(own)) for own in members.values()])
+    each = np.array([found[h] for h in best.values()])
     shares = softmax(each) if np.isfinite(each).any() else np.full(len(each), 1 / len(each))
     probability = dict(zip(best, shares.tolist(), strict=True))
     order = sorted(arm.places, key=lambda place: -probability[place])

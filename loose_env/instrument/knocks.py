@@ -11,7 +11,7 @@ from loose_env.statistics import knocks, rung
 from loose_env.typing import Array
 
 DIRECTIONS = 240
-"""Directions of a seat's slide that are tried, over half the sphere: 6 degrees apart."""
+"""Directions of a seat's slide that are tried, over half the sphere: 9 degrees apart."""
 SEAT_FRICTION_N, SEAT_FRICTION = 3.0, 0.3
 """Friction of a loosened seat: of steel on steel under the weight that it carries [1], and at most
 what bolts without preload leave [N]."""
@@ -23,12 +23,20 @@ _REVERSAL_S = 0.010
 """The same of friction's reversal [s]."""
 
 
-def sphere(count: int) -> Array:
-    """Directions (count, 3) spread over half the sphere (Fibonacci lattice)."""
+def sphere(count: int, share: float = 1.0) -> Array:
+    """Directions (count, 3) over half the sphere, or that share of it around z (Fibonacci)."""
     k = np.arange(count) + 0.5
-    z, turn = 1 - k / count, np.pi * (1 + 5**0.5) * k
+    z, turn = 1 - share * k / count, np.pi * (1 + 5**0.5) * k
     flat = np.sqrt(1 - z * z)
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], 1)
+
+
+def around(centres: Array, count: int, share: float) -> Array:
+    """Directions (n, count, 3) spread over that share of half the sphere around each centre."""
+    flat = np.linalg.svd(centres[:, None])[2][:, 1:]
+    axes = np.concatenate([flat, centres[:, None]], 1)
+    found: Array = sphere(count, share) @ axes
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,23 +95,30 @@ def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period
 
     Parameters
     ----------
+    directions : ndarray
+        Directions of the seats, link frame: of all (D, 3), or of each (n, D, 3).
     gap_mm : float
         Clearance of a seat [mm]; ten times it is a joint's free travel [mrad], or as much of a
         slide [mm].
     """
-    n = len(loads.seats)
-    parts = [loads.along(link, directions) for link in range(n)]
+    n, each = len(loads.seats), _of_each(loads, directions)
+    parts = [loads.along(link, own) for link, own in enumerate(each)]
     load = np.concatenate([p[0] for p in parts] + [loads.turning])
     mass = np.concatenate([p[1] for p in parts] + [loads.inertia])
-    count = n * len(directions)
+    count = n * each.shape[1]
     gap = np.full(len(load), gap_mm * 1e-3)
     gap[count:] = np.where(_sliding(slides), gap_mm * 1e-3, gap_mm * 1e-2)
-    energy = knocks(load, mass, gap, friction_of(loads, len(directions), slides), period)
+    energy = knocks(load, mass, gap, friction_of(loads, each.shape[1], slides), period)
     thrown = np.concatenate([p[2] for p in parts])
     loud = np.concatenate(
         [(thrown**2).sum(1), ((loads.turns * loads.inertia[:, None]) ** 2).sum(1)]
     )
     return rung(energy * loud[:, None], _RING_S, period)
+
+
+def _of_each(loads: Loads, directions: Array) -> Array:
+    """Directions of each seat (n, D, 3)."""
+    return np.broadcast_to(directions, (len(loads.seats), *directions.shape[-2:]))
 
 
 def friction_of(loads: Loads, directions: int, slides: Array) -> Array:
@@ -134,7 +149,8 @@ def reversals(loads: Loads, speed: Array, period: float) -> Array:
 
 def thrown(loads: Loads, directions: Array) -> Array:
     """Unit direction in which each hypothesis throws the tool (H, 3), as `trains`."""
-    seats = np.concatenate([directions @ loads.throws[link].T for link in range(len(loads.throws))])
+    each = _of_each(loads, directions)
+    seats = np.concatenate([own @ to.T for own, to in zip(each, loads.throws, strict=True)])
     every = np.vstack([seats, loads.turns])
     found: Array = every / np.maximum(np.linalg.norm(every, axis=1, keepdims=True), 1e-12)
     return found

@@ -40,12 +40,16 @@ class Heard:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rhythm:
-    """Agreement of every hypothesis with what was heard; H: seats by direction, teeth, the base."""
+    """Agreement of every hypothesis with what was heard.
+
+    H: seats by direction of the lattice, teeth, the base, seats by directions around the best.
+    """
 
     labels: tuple[tuple[str, int, int], ...]
     """Kind, link or joint or n for the base, and index of the direction or axis (H,)."""
     directions: Array
-    """Directions of seats (D, 3), link frame."""
+    """Directions of seats, link frame: those of the lattice, and those around the best of each link
+    (D + n K, 3)."""
     timing: Array
     """Correlation of foretold and heard amplitude beyond friction, all poses and bands together
     (H,)."""
@@ -63,9 +67,9 @@ class Rhythm:
     friction: float
     """Share of the variance heard that reversals of friction explain [1]."""
     reversing: Array
-    """How far each hypothesis' load reverses, over friction (R, H)."""
+    """How far the load of each but the last ones reverses, over friction (R, H - n K)."""
     held: Array
-    """The same as a load, in the pose where it is largest (H,) [N, N·m]."""
+    """The same as a load, in the pose where it is largest (H - n K,) [N, N·m]."""
 
 
 def hear(
@@ -126,17 +130,67 @@ def rhythm_of(heard: Heard, directions: Array) -> Rhythm:
     Parameters
     ----------
     directions : ndarray
-        Directions of seats that are tried (D, 3), link frame.
+        Directions of seats that are tried (D, 3), link frame; around the best of each link more
+        are tried, since a true seat's rhythm is sharper than their lattice.
     """
-    n = len(heard.slides)
-    labels = tuple((BOLTS, i, d) for i in range(n) for d in range(len(directions)))
+    n, count = len(heard.slides), len(directions)
+    wide = _compare(heard, directions)
+    best = wide.likelihood[: n * count].reshape(n, count).argmax(1)
+    finer = knocks.around(directions[best], _FINER, _AROUND / count)
+    close = _compare(heard, finer)
+    labels = tuple((BOLTS, i, d) for i in range(n) for d in range(count))
     labels += tuple((GEARS, j, -1) for j in range(n))
     labels += tuple((BOLTS, n, k) for k in range(ROCKS))
-    timing, likelihood = np.full(len(labels), -1.0), np.full(len(labels), -1.0)
-    gap_mm, share, chance = np.zeros(len(labels)), 0.0, 0.0
+    labels += tuple((BOLTS, i, count + i * _FINER + d) for i in range(n) for d in range(_FINER))
+    reversing = [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
+    resists = [knocks.friction_of(own, count, heard.slides) for own in heard.elastic]
+
+    def both(of_wide: Array, of_close: Array) -> Array:
+        """What belongs to each hypothesis, in the order of the labels, along the last axis."""
+        found: Array = np.concatenate([of_wide, of_close[..., : n * _FINER]], -1)
+        return found
+
+    throws = [
+        both(knocks.thrown(own, directions).T, knocks.thrown(own, finer).T).T for own in heard.free
+    ]
+    return Rhythm(
+        labels=labels,
+        directions=np.concatenate([directions, finer.reshape(-1, 3)]),
+        timing=both(wide.timing, close.timing),
+        likelihood=both(wide.likelihood, close.likelihood),
+        gap_mm=both(wide.gap_mm, close.gap_mm),
+        throws=np.array(throws),
+        chance=max(wide.chance, close.chance),
+        friction=wide.friction,
+        reversing=np.array(reversing),
+        held=(np.array(reversing) * np.array(resists)).max(0),
+    )
+
+
+_FINER, _AROUND = 40, 1.5
+"""Directions tried around the best of each link, over so many times the share of one [1]: a degree
+and a half apart, to the corners of its cell."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Agreement:
+    """What `Rhythm` says of hypotheses in the order of `knocks.trains`."""
+
+    timing: Array
+    likelihood: Array
+    gap_mm: Array
+    chance: float
+    friction: float
+
+
+def _compare(heard: Heard, directions: Array) -> _Agreement:
+    """Correlate what was heard with what is foretold at each clearance."""
     poses = range(len(heard.amplitude))
+    count = len(heard.slides) * (directions.shape[-2] + 1) + ROCKS
+    timing, likelihood = np.full(count, -1.0), np.full(count, -1.0)
+    gap_mm, share, chance = np.zeros(count), 0.0, 0.0
     rng = np.random.default_rng(_SHIFTS)
-    shifts = rng.integers(GRID, size=(_SHIFTS, len(heard.amplitude)), dtype=np.intp)
+    shifts = rng.integers(GRID, size=(_SHIFTS, len(poses)), dtype=np.intp)
     for loads, gaps in ((heard.elastic, GAPS_MM), (heard.rigid, RIGID_GAPS_MM)):
         for gap in gaps:
             told = [
@@ -152,19 +206,8 @@ def rhythm_of(heard: Heard, directions: Array) -> Rhythm:
             gain = (_likelihood(found) + np.mean([_likelihood(r) for r in alone], 0)) / 2
             gap_mm[gain > likelihood] = gap if loads is heard.elastic else -gap
             likelihood = np.maximum(likelihood, gain)
-    reversing = [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
-    resists = [knocks.friction_of(own, len(directions), heard.slides) for own in heard.elastic]
-    return Rhythm(
-        labels=labels,
-        directions=directions,
-        timing=timing,
-        likelihood=likelihood,
-        gap_mm=gap_mm,
-        throws=np.array([knocks.thrown(own, directions) for own in heard.free]),
-        chance=chance,
-        friction=share,
-        reversing=np.array(reversing),
-        held=(np.array(reversing) * np.array(resists)).max(0),
+    return _Agreement(
+        timing=timing, likelihood=likelihood, gap_mm=gap_mm, chance=chance, friction=share
     )
 
 

@@ -448,9 +448,10 @@ def _places(
     arm: SuspectArm, rhythm: Rhythm, alarm: Alarm, scores: Scores, *, settled: bool
 ) -> tuple[Place, ...]:
     """Verdict of every place, best first."""
-    reversed_ = tested_share(rhythm.reversing, arm.n, len(rhythm.directions))
+    reversed_ = tested_share(rhythm.reversing, arm.n, knocks.DIRECTIONS)
     shares = dict(zip(arm.places, reversed_.tolist(), strict=True))
     names = np.array(names_of(arm, rhythm))
+    lattice = names[: len(rhythm.held)]
     slides = dict(zip(arm.joints, arm.slides, strict=True))
     found = []
     for rank, place in enumerate(scores.order):
@@ -477,7 +478,7 @@ def _places(
         elif is_tested_share(shares[place]):
             verdict = "tight"
             turns = place == arm.places[-1] or (kind != BOLTS and not slides[at])
-            held = f"{np.median(rhythm.held[names == place]):.2g} {'N·m' if turns else 'N'}"
+            held = f"{np.median(rhythm.held[lattice == place]):.2g} {'N·m' if turns else 'N'}"
             why = f"its load reversed by up to {held}, and " + (
                 "another place fits what was heard better" if alarm.loose else "it was not heard"
             )

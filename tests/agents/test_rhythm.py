@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -16,14 +18,19 @@ from loose_env.diagnosis import KnockRhythm
 from loose_env.envs import DiagnosisSettings
 from loose_env.errors import InvalidSetting
 
-OWN = {"engine": "reduced", "rhythm": True, "n_links": 3}
+OWN: dict[str, Any] = {"engine": "reduced", "rhythm": True, "n_links": 3}
+
+
+def single(**arguments: Any) -> Any:
+    return gymnasium.make("loose_env/Planar-v0", **arguments).unwrapped
+
+
+def batch_of(count: int, **arguments: Any) -> Any:
+    return gymnasium.make_vec("loose_env/Planar-v0", num_envs=count, **arguments).unwrapped
 
 
 def test_the_block_is_off_by_default_and_comes_last() -> None:
-    plain, with_it = (
-        gymnasium.make("loose_env/Planar-v0", n_links=3, rhythm=on).unwrapped.layout
-        for on in (False, True)
-    )
+    plain, with_it = (single(n_links=3, rhythm=on).layout for on in (False, True))
     own, more = plain.slot_elements, with_it.slot_elements
     assert more[: len(own)] == own
     names = [each.name for each in more[len(own) :]]
@@ -32,8 +39,7 @@ def test_the_block_is_off_by_default_and_comes_last() -> None:
 
 
 def test_a_batch_shows_what_a_single_environment_does() -> None:
-    env = gymnasium.make("loose_env/Planar-v0", **OWN).unwrapped
-    batch = gymnasium.make_vec("loose_env/Planar-v0", num_envs=3, **OWN).unwrapped
+    env, batch = single(**OWN), batch_of(3, **OWN)
     env.reset(seed=4)
     batch.reset(seed=4)
     action = env.actions.encode(duration=0)
@@ -42,22 +48,18 @@ def test_a_batch_shows_what_a_single_environment_does() -> None:
 
 
 def test_what_knocks_is_loud_and_is_named_by_its_rhythm() -> None:
-    batch = gymnasium.make_vec("loose_env/Planar-v0", num_envs=24, difficulty="easy", **OWN)
-    layout, agent = batch.unwrapped.layout, make_agent("rhythm", _problem(batch))
+    batch = batch_of(24, difficulty="easy", **OWN)
+    problem = Problem.of(batch.arm, batch.settings)
+    layout, agent = batch.layout, make_agent("rhythm", problem)
     observation, _ = batch.reset(seed=11)
     actions, _ = agent.predict(observation)
     observation, *_ = batch.step(actions)
     loud = layout.physical(observation, "loudness")[:, 0, 0]
-    episodes = [batch.unwrapped.batch.episode(k) for k in range(24)]
+    episodes = [batch.batch.episode(k) for k in range(24)]
     healthy = np.array([each.fault.kind == "healthy" for each in episodes])
     assert loud[healthy].max() < 6e-4 < np.median(loud[~healthy])
-    problem = _problem(batch)
     rows = evaluate(agent, "rhythm", problem.arm, problem.settings, episodes=40, seed=11)
     assert np.mean([row.success for row in rows]) > 0.85
-
-
-def _problem(batch: gymnasium.vector.VectorEnv) -> Problem:
-    return Problem.of(batch.unwrapped.arm, batch.unwrapped.settings)
 
 
 def test_what_has_no_rhythm_is_refused() -> None:
