@@ -48,6 +48,7 @@ _Z = 1.96  # half width of a 95 % interval in standard deviations
 _ASIDE, _HIGH, _NEARER = 0.25, 12.0, 5
 """Relative step of a shape over which the fall of its evidence is read, at most; the fall from
 which it is halved, for beyond three standard deviations it is no parabola, and how often."""
+_MOST = 0.5  # share of a channel's power beyond its noise that is most of it
 _NOISE = 1.6
 """Held-out residual up to which nothing more is needed [noise standard deviations]: noise alone,
 where its estimate is a third too small."""
@@ -177,14 +178,17 @@ def decide_simulated(
 ) -> Decision:
     """Say what is named of the best set that was searched for in simulation, the first visited."""
     best = visited[0]
+    gains, left, without = _simulated_gains(selection, exact, best)
+    while len(gains) > 1 and gains.min() < HELD_OUT:  # as in the cells, the worst first
+        best = exact.only(selection, best, [k for k in range(len(gains)) if k != gains.argmin()])
+        gains, left, without = _simulated_gains(selection, exact, best)
     fit = _in_cells(selection, best)
-    weights = np.exp(-0.5 * np.array([f.total - best.total for f in visited]))
+    weights = np.exp(-0.5 * np.array([f.total - visited[0].total for f in visited]))
     chances: dict[tuple[str, str], float] = {}
     for other, weight in zip(visited, weights / weights.sum(), strict=True):
         for term in other.terms:
             chances[term.name] = chances.get(term.name, 0.0) + float(weight)
     wide = _left_to_cells(selection, fit)
-    gains, left = _simulated_gains(selection, exact, best)
     before, after = held_out_rms(selection, fit)
     simulated = exact.by_joint()
     for k, channel in enumerate(selection.evidence.channels):
@@ -192,12 +196,11 @@ def decide_simulated(
             number = simulated[channel.joint]
             before[k], after[k] = nominal.rms[number], left[number]
     open_ = _unexplained(before, after)
-    # when a loose part knocks is not foretold: what a reading has of it stays open
-    shown = {
-        term.name: open_[_main(selection, fit, term)]
-        for term in fit.terms
-        if not term.effect.has_stops
-    }
+    shown = {term.name: open_[_main(selection, fit, term)] for term in fit.terms}
+    for term, own in zip(best.terms, without, strict=True):
+        if term.effect.has_stops:  # no column has its knocks: by what it explains in simulation
+            share = 1 - (left**2 - 1) / np.maximum(own**2 - 1, 1e-9)
+            shown[term.name] = not np.any(share[own > LARGE] > _MOST)
     findings = []
     for number, (term, values) in enumerate(zip(best.terms, best.values, strict=True)):
         off = np.stack(_simulated_ends(best, number)) - values
@@ -226,8 +229,10 @@ def _in_cells(selection: Selection, fit: ExactFit) -> SetFit:
     return selection.solve(tuple(terms))
 
 
-def _simulated_gains(selection: Selection, exact: Exact, fit: ExactFit) -> tuple[Array, Array]:
-    """Rise of twice the held-out log likelihood with each member, and the residual with all.
+def _simulated_gains(
+    selection: Selection, exact: Exact, fit: ExactFit
+) -> tuple[Array, Array, Array]:
+    """Rise of twice the held-out log likelihood with each member; residuals with all, and without.
 
     By halves of the runs, of a lone run by alternate windows.
     """
@@ -235,6 +240,7 @@ def _simulated_gains(selection: Selection, exact: Exact, fit: ExactFit) -> tuple
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
     order = [number[name] for name in names] if len(number) > 1 else range(len(names))
     gains, left = np.zeros(len(fit.terms)), np.zeros(len(fit.rms))
+    without = np.zeros((len(fit.terms), len(fit.rms)))
     for half in (0, 1):
         train, test = (
             exact.on([k for k, place in enumerate(order) if place % 2 == side])
@@ -244,8 +250,10 @@ def _simulated_gains(selection: Selection, exact: Exact, fit: ExactFit) -> tuple
         left += rms**2 / 2
         for k in range(len(fit.terms)):
             rest = [i for i in range(len(fit.terms)) if i != k]
-            gains[k] += test.score(train.only(selection, fit, rest))[0] - score
-    return gains, np.asarray(np.sqrt(left))
+            other, rms = test.score(train.only(selection, fit, rest))
+            gains[k] += other - score
+            without[k] += rms**2 / 2
+    return gains, np.sqrt(left), np.sqrt(without)
 
 
 def pruned(selection: Selection, fit: SetFit) -> SetFit:
