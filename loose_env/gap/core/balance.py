@@ -393,6 +393,11 @@ class Balance:
         changed[:, actuator] -= size * np.concatenate(slopes)
         return (self.given - self.given_by(changed)) / size
 
+    def feels(self, channel: int) -> bool:
+        """Whether a channel is a reading that depends on the joints' acceleration."""
+        reading = channel - len(self.machine.joints)
+        return reading >= 0 and self.readings.accelerated_by(reading)
+
     def at_samples(self) -> Iterator[tuple[Array, Array]]:
         """Acceleration at the samples beyond its mean between them, by each actuator (T, joints).
 

@@ -192,7 +192,12 @@ def decide_simulated(
             number = simulated[channel.joint]
             before[k], after[k] = nominal.rms[number], left[number]
     open_ = _unexplained(before, after)
-    shown = {term.name: open_[_main(selection, fit, term)] for term in fit.terms}
+    # when a loose part knocks is not foretold: what a reading has of it stays open
+    shown = {
+        term.name: open_[_main(selection, fit, term)]
+        for term in fit.terms
+        if not term.effect.has_stops
+    }
     findings = []
     for number, (term, values) in enumerate(zip(best.terms, best.values, strict=True)):
         off = np.stack(_simulated_ends(best, number)) - values
@@ -498,13 +503,13 @@ def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
 
 
 def left_open(selection: Selection, fit: SetFit) -> list[int]:
-    """Joints that a set leaves open: much is left, or most of the time says nothing of it."""
+    """Joints and readings left open: much is left, or most of the time says nothing of a joint."""
     unexplained = _unexplained(*held_out_rms(selection, fit))
     joints = len(selection.evidence.balance.machine.joints)
     return [
         channel.joint
         for channel, most in zip(selection.evidence.channels, unexplained, strict=True)
-        if channel.joint < joints and (most or channel.blanked > 0.5)
+        if most or (channel.joint < joints and channel.blanked > 0.5)
     ]
 
 

@@ -377,11 +377,11 @@ def open_joints(exact: Exact, nominal: ExactFit, best: ExactFit, cells: Iterable
 
 
 def pool_of(
-    selection: Selection, joints: set[str], kinds: Iterable[str]
+    selection: Selection, joints: set[str], kinds: Iterable[str], *, loose: bool
 ) -> tuple[set[str], list[Start]]:
     """Places of some joints, and starts of every effect there, alone and at all of them at once.
 
-    Starts are its own and those in the evidence.
+    Starts are its own and those in the evidence. With those of loose parts anywhere, if asked for.
     """
     evidence = selection.evidence
     balance, known = evidence.balance, evidence.terms
@@ -390,7 +390,8 @@ def pool_of(
     everywhere: dict[tuple[str, str, int], list[Term]] = {}
     for effect in candidates(balance.machine, kinds):
         shows = effect.moves or effect.where in balance.encoders
-        if effect.where not in places or not shows or effect.has_memory:
+        there = effect.where in places or (loose and effect.has_stops)
+        if not there or not shows or effect.has_memory:
             continue
         starts = list(effect.starts)
         if not starts or effect.adds_motion or isinstance(effect, DriveLimit):

@@ -115,10 +115,13 @@ def _simulated(
     fits = [exact.fit(selection, best)]
     nominal = exact.fit(selection, selection.solve(()))
     joints = open_joints(exact, nominal, fits[0], left)
+    # an impact is felt at the tool while all joints stay on their ways
+    loose = any(selection.evidence.balance.feels(channel) for channel in left)
     exact = exact.beside(selection, best)
-    if joints:
-        say(f"search in simulation: {', '.join(sorted(joints))}")
-        places, pool = pool_of(selection, joints, settings.kinds or EFFECTS)
+    if joints or loose:
+        say(f"search in simulation: {', '.join(sorted(joints)) or 'loose parts'}")
+        kinds = settings.kinds or EFFECTS
+        places, pool = pool_of(selection, joints, kinds, loose=loose)
         # what cells that say little named there would lead astray
         kept = [k for k, term in enumerate(fits[0].terms) if term.effect.where not in places]
         start = exact.only(selection, fits[0], kept)
@@ -126,7 +129,7 @@ def _simulated(
         def leaves_open(fit: ExactFit) -> bool:
             return bool(open_joints(exact, nominal, fit, left))
 
-        fits += exact.searched(selection, start, pool, len(joints), leaves_open, say)
+        fits += exact.searched(selection, start, pool, max(len(joints), 1), leaves_open, say)
         fits.sort(key=lambda f: f.total)
     else:
         say("decision on held-out data")

@@ -51,6 +51,10 @@ class Readings:
         """Whether a reading depends on the joints' acceleration."""
         return bool(np.any(self._gains[2]))
 
+    def accelerated_by(self, reading: int) -> bool:
+        """Whether one reading does."""
+        return bool(np.any(self._gains[2, reading]))
+
     def has(self, sensor: str) -> bool:
         """Whether a sensor is among them."""
         return any(name == sensor for name, _ in self.motion.sensors)
