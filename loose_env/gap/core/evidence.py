@@ -151,7 +151,7 @@ def whiten(
     kept = mixed.shape[1]
     channels = []
     for joint, own in rows.items():
-        noise = _noise_of(balance, joint, own.turn, wide, operators)
+        noise = _noise_of(balance, joint, own.turn, own.whitened[:, :-1], operators)
         channels.append(
             Channel(
                 joint=joint,
@@ -226,7 +226,7 @@ def append(evidence: Evidence, *terms: Term) -> None:
         channel.slope = _widened(channel.slope, slope)
         channel.square = _widened(channel.square, channel.by_cell(new**2))
         noise = _noise_of(
-            balance, channel.joint, channel.turn, wide, np.stack(operators),
+            balance, channel.joint, channel.turn, new, np.stack(operators),
             [columns[k].late for k in own], [columns[k].eased for k in own],
         )  # fmt: skip
         for name, part in noise.items():
@@ -246,13 +246,13 @@ def _noise_of(
     balance: Balance,
     joint: int,
     turn: Array,
-    wide: Sequence[Change],
+    rows: Array,
     operators: Array,
     late: Sequence[Late] = (),
     eased: Sequence[Array | float] = (),
 ) -> dict[str, Array]:
     """Relative changes of a channel's noise and of what its drive holds, by each column."""
-    beside = _beside(balance, joint, turn, wide, late)
+    beside = _beside(balance, joint, turn, rows, late)
     held = _held(balance, joint, operators, eased or [0.0] * len(operators))
     return {"growth": _growth(balance, joint, turn, operators) + beside, "held": held,
             "beside": beside}  # fmt: skip
@@ -407,29 +407,31 @@ def _held(balance: Balance, joint: int, operators: Array, eased: Sequence[Array 
     return np.asarray(operators[:, 2, joint, joint] / stiffness - free)
 
 
-def _gains(balance: Balance, channel: int, wide: Sequence[Change]) -> Array:
-    """Share of the foretold reading that is in each column (K,); 0 of a joint."""
-    number = channel - len(balance.machine.joints)
-    if number < 0:
-        return np.zeros(len(wide))
-    foretold = balance.readings.foretold[:, number]
-    whole = float(foretold @ foretold) + 1e-300
-    return np.array([float(foretold @ column.at(channel)) for column in wide]) / whole
+def _gains(balance: Balance, channel: int, turn: Array, rows: Array) -> Array:
+    """Share of the foretold reading that is in each column, in the band of each cell (C, K)."""
+    grid = grid_of(balance, channel)
+    foretold = grid.whitened(balance.readings.foretold[:, [channel - len(balance.machine.joints)]])
+    bands, band = np.unique(turn, return_inverse=True)
+    shares = np.empty((len(bands), rows.shape[1]))
+    for k in range(len(bands)):
+        own = band[grid.rows.cell] == k
+        shares[k] = foretold[own, 0] @ rows[own] / (np.sum(foretold[own] ** 2) + 1e-300)
+    return np.asarray(shares[band])
 
 
 def _beside(
-    balance: Balance, channel: int, turn: Array, wide: Sequence[Change], late: Sequence[Late]
+    balance: Balance, channel: int, turn: Array, rows: Array, late: Sequence[Late]
 ) -> Array:
     """Relative change of a channel's noise by what no operator has (C, K).
 
     Of a reading, the noise of the foretold one; of a joint whose positions are late, the part of
     the shift that is in phase.
     """
-    number, found = channel - len(balance.machine.joints), np.zeros((len(turn), len(wide)))
+    number, found = channel - len(balance.machine.joints), np.zeros((len(turn), rows.shape[1]))
     if number >= 0:
         foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
         noisy = foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2
-        return np.outer(noisy, _gains(balance, channel, wide))
+        return noisy[:, None] * _gains(balance, channel, turn, rows)
     for k, own in enumerate(late):
         if own is not None:
             of_joint = balance.noise_of(channel, turn / (2 * np.pi))[:, own[0]]
