@@ -337,7 +337,7 @@ def _near(selection: Selection, fit: SetFit) -> list[tuple[set[tuple[str, str]],
         selection.solve(rest, fit.powers)
         for other in selection.alternatives(form, rest, term)[:3]:
             selection.solve((*rest, other), fit.powers)
-    near = [f for f in (*selection.fits.values(), fit) if f.allowed]
+    near = [*(f for f in selection.fits.values() if f.allowed), fit]
     least = min(f.total for f in near)
     weights = np.exp(-0.5 * np.array([f.total - least for f in near]))
     weights /= weights.sum()
