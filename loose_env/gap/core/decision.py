@@ -423,11 +423,12 @@ def _curvature(selection: Selection, fit: SetFit, term: Term, shaped: Sequence[i
     count = len(shaped)
     found, aside = np.zeros((count, count)), np.full(count, _ASIDE)
     for i, k in enumerate(shaped):
-        for _ in range(_NEARER):
-            rises = [rise((k, side * aside[i])) for side in (-1, 1)]
+        rises = [rise((k, side * aside[i])) for side in (-1, 1)]
+        for _ in range(_NEARER - 1):
             if max(rises) < _HIGH:
                 break
             aside[i] /= 2
+            rises = [rise((k, side * aside[i])) for side in (-1, 1)]
         low = min(rises) if np.isinf(max(rises)) else float(np.mean(rises))
         found[i, i] = min(low, 1e9) / aside[i] ** 2 + 1e-6
     for i, j in combinations(range(count), 2):

@@ -145,6 +145,14 @@ def nuisances(
     ]
 
 
+def _with(balance: Balance, beside: Sequence[tuple[Effect, Array]]) -> mujoco.MjSpec:
+    """Spec of the nominal model with some effects."""
+    spec = balance.machine.fresh()
+    for effect, values in beside:
+        effect.edit(spec, values)
+    return spec
+
+
 def _edited(
     name: str,
     edit: Edit,
@@ -153,9 +161,7 @@ def _edited(
     still: Forces | None = None,
 ) -> Nuisance:
     """Tolerance that an edit of the spec describes, less what effects beside it change."""
-    spec = balance.machine.fresh()
-    for effect, values in beside:
-        effect.edit(spec, values)
+    spec = _with(balance, beside)
     edit(spec, _STEP)
     forces = balance.edited(spec)
     change, operator = forces.with_contact(balance.directions[USUAL]), forces.operator
@@ -177,12 +183,8 @@ def _rigid(
     balance: Balance, tolerances: Tolerances, beside: Sequence[tuple[Effect, Array]]
 ) -> Iterator[Nuisance]:
     """Ten rigid parameters of each link."""
-    machine, still = balance.machine, None
-    if beside:
-        spec = machine.fresh()
-        for effect, values in beside:
-            effect.edit(spec, values)
-        still = balance.edited(spec)
+    machine = balance.machine
+    still = balance.edited(_with(balance, beside)) if beside else None
     for link in links_with_mass(machine):
         own = float(machine.model.body(link).mass[0])
         size = _size(machine, link)
@@ -327,10 +329,10 @@ def _between_samples(balance: Balance) -> Iterator[Nuisance]:
     step = motion.runs[0].log_step
     pairs = zip(balance.machine.actuators, balance.at_samples(), strict=True)
     for name, (steps, bends) in pairs:
-        slopes = np.concatenate([rates(own, motion.step) for own in motion.split(bends)])
         # between two steps a sawtooth of acceleration is a parabola of speed, lowest at them
         beyond = [("steps", steps, -step / 6 * steps)]
         if readings.accelerated:
+            slopes = np.concatenate([rates(own, motion.step) for own in motion.split(bends)])
             beyond += [("bends", bends, 0 * bends), ("shift of bends", step * slopes, 0 * bends)]
         for what, more, faster in beyond:
             seen = [
