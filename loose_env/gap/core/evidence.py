@@ -254,8 +254,10 @@ def _noise_of(
     """Relative changes of a channel's noise and of what its drive holds, by each column."""
     beside = _beside(balance, joint, turn, rows, late)
     held = _held(balance, joint, operators, eased or [0.0] * len(operators))
-    return {"growth": _growth(balance, joint, turn, operators) + beside, "held": held,
-            "beside": beside}  # fmt: skip
+    bands, band = np.unique(turn, return_inverse=True)
+    still, moved = operator_noise(balance, joint, bands, operators)
+    growth = np.einsum("bj,bjk->bk", still, moved)[band] + beside
+    return {"growth": growth, "held": held, "beside": beside}
 
 
 def _widened(known: Array, more: Array) -> Array:
@@ -440,16 +442,24 @@ def _beside(
     return found
 
 
-def _growth(balance: Balance, joint: int, turn: Array, operators: Array) -> Array:
-    """Relative change of a channel's noise with each column's coefficient (C, K)."""
-    if joint >= len(balance.machine.joints):
-        return np.zeros((len(turn), len(operators)))
-    known = balance.motion.precision(turn)
-    moved = np.zeros((len(operators), len(turn)))
-    for order, power in ((0, 2), (1, 1), (2, 0)):
-        weight = balance.operator[order, joint] * turn[:, None] ** (2 * power) / known
-        moved += operators[:, order, joint] @ weight.T
-    return np.asarray((moved / balance.noise(joint, turn / (2 * np.pi), floor=False) ** 2).T)
+def operator_noise(
+    balance: Balance, joint: int, turn: Array, operators: Array
+) -> tuple[Array, Array]:
+    """What the operator makes of the noise of motion at some frequencies, and its change by columns.
+
+    In the channel's noise standard deviations: (F, 3 joints) and (F, 3 joints, K).
+    """
+    joints = len(balance.machine.joints)
+    if joint >= joints:
+        return np.zeros((len(turn), 1)), np.zeros((len(turn), 1, len(operators)))
+    usual = (
+        np.sqrt(balance.motion.precision(turn))
+        * (balance.noise(joint, turn / (2 * np.pi), floor=False)[:, None])
+    )
+    powers = np.stack([turn**2, turn, turn**0], axis=1)
+    weight = (powers[:, :, None] / usual[:, None]).reshape(len(turn), -1)
+    moved = operators[:, :, joint].reshape(len(operators), -1)
+    return weight * balance.operator[:, joint].ravel(), weight[..., None] * moved.T
 
 
 def weight_of(balance: Balance, joint: int) -> Array:

@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Term, terms_of
-from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers
+from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers, operator_noise
 from loose_env.gap.model.effect import Parameter
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.inference import log_determinant
@@ -45,6 +45,7 @@ _MOST = 40  # steps of a search
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
 _SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
+_NOTHING = 1e-6  # share of a noise or a stiffness that is as good as none
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _SIZES = 10.0  # widths of the prior of a size that values are given
@@ -80,13 +81,6 @@ class Selection:
         self.evidence = evidence
         self.used: list[NDArray[np.bool_]] = [
             np.ones(len(c.count), bool) for c in evidence.channels
-        ]
-        self.usual = [
-            evidence.balance.noise(c.joint, c.turn / (2 * np.pi), floor=False)
-            for c in evidence.channels
-        ]
-        self._bands = [
-            np.unique(c.turn / (2 * np.pi), return_inverse=True) for c in evidence.channels
         ]
         self.values = [_values(c, 0.0) for c in evidence.channels]
         self.values = [
@@ -186,35 +180,21 @@ class Selection:
         """Fit a set by reweighted least squares."""
         evidence, numbers = self.evidence, self.columns(terms)
         precision, centre = evidence.precision[numbers], evidence.centre[numbers]
-        parts = [_part(channel, numbers) for channel in evidence.channels]
+        parts = [_part(channel, numbers, evidence) for channel in evidence.channels]
+        found = np.zeros(len(numbers))
+        states = [part.state(found[part.at]) for part in parts]
         powers = [c.power for c in evidence.channels] if start is None else list(start)
-        best, stale, found = np.inf, 0, np.zeros(len(numbers))
-        shrunk = [np.zeros(len(c.count), bool) for c in evidence.channels]
+        best, stale = np.inf, 0
         for round_ in range(rounds):
-            normal, slope = np.diag(precision), precision * centre
-            for k, (part, power) in enumerate(zip(parts, powers, strict=True)):
-                weight, count = self.weights(k, power), evidence.channels[k].count
-                moved = part.growth @ found[part.at]
-                own = (weight @ part.gram).reshape(len(part.at), -1)
-                held = part.held @ found[part.at]
-                less = bool(held < -1e-12)
-                shrunk[k] |= moved < min(float(held), -1e-12)  # for good: else it alternates
-                # noise that grows with the operator is in the columns: least squares would
-                # attenuate their coefficients (errors in variables)
-                noisy = weight * np.minimum(count, power) * ~shrunk[k] * (1 + moved)
-                noisy *= (moved > 0) | less
-                slope[part.at] += weight @ part.slope + noisy @ part.growth
-                guard = shrunk[k] * weight * power
-                own += (part.growth.T * guard) @ part.growth
-                slope[part.at] += guard @ part.growth
-                if less:  # what is beyond the noise was the motion that the drive held
-                    beyond = float(np.sum(~shrunk[k] * weight * np.maximum(power - count, 0)))
-                    own += beyond * np.outer(part.held, part.held)
-                    slope[part.at] += beyond * part.held
+            normal, pull = np.diag(precision), precision * (centre - found)
+            for k, (part, state) in enumerate(zip(parts, states, strict=True)):
+                own, down = part.steps(state, self.weights(k, powers[k]))
                 normal[part.grid] += own
+                pull[part.at] -= down
             scale = 1 / np.sqrt(np.diag(normal))
-            found = np.linalg.solve(normal * np.outer(scale, scale), slope * scale) * scale
-            now = self._levels(parts, numbers, found)
+            found = found + np.linalg.solve(normal * np.outer(scale, scale), pull * scale) * scale
+            states = [part.state(found[part.at]) for part in parts]
+            now = self._levels(states)
             costs = sum(c[used].sum() for c, used in zip(now[1], self.used, strict=True))
             value = float(costs + precision @ (found - centre) ** 2)
             powers, stale = list(now[0]), stale + 1
@@ -236,31 +216,14 @@ class Selection:
             terms, numbers, values, *levels, curvature, cost, cost + self.prior(terms), allowed
         )
 
-    def _levels(
-        self, parts: Sequence[_Part], numbers: NDArray[np.intp], values: Array
-    ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Powers and costs of all cells, in units of the noise of the fitted operator.
-
-        A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
-        drive that holds less, whose discrepancy stays the same motion.
-        """
-        evidence = self.evidence
-        operator = evidence.balance.operator + np.tensordot(values, evidence.operators[numbers], 1)
-        found = []
-        for k, (channel, part) in enumerate(zip(evidence.channels, parts, strict=True)):
-            own, count = values[part.at], channel.count
-            power = channel.by_cell((channel.residual - part.rows @ own) ** 2)
-            bands, at = self._bands[k]
-            now = evidence.balance.noise(channel.joint, bands, operator, floor=False)[at]
-            ratio = (now / self.usual[k]) ** 2
-            ratio += (1 + part.beside @ own) ** 2 - 1
-            held = max(1.0 + float(part.held @ own), 0.0) ** 2
-            scale = np.clip(np.minimum(ratio, held), 1e-300, 1.0)
-            excess = np.maximum((power - count * ratio) / scale, -count)
-            level = self.values[k]
-            costs = level * np.log1p(np.maximum(excess, 0.0) / level)
-            found.append((count + excess, costs))
-        return tuple(power for power, _ in found), tuple(cost for _, cost in found)
+    def _levels(self, states: Sequence[_State]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Powers and costs of all cells, in units of the noise of the fitted operator."""
+        channels = self.evidence.channels
+        costs = tuple(
+            level * np.log1p(np.maximum(state.excess, 0.0) / level)
+            for state, level in zip(states, self.values, strict=True)
+        )
+        return tuple(c.count + s.excess for c, s in zip(channels, states, strict=True)), costs
 
     # ---- many sets at fixed weights
 
@@ -777,18 +740,76 @@ def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
 
 
 @dataclass(frozen=True, eq=False)
+class _State:
+    """A channel at some coefficients."""
+
+    slope: Array  # Half the derivative of each cell's power (C, K)
+    growth: Array  # Half the derivative of its noise variance over the nominal one (C, K)
+    power: Array  # Its residual sum of squares (C,)
+    ratio: Array  # Its noise variance over the nominal one (C,)
+    held: float  # Stiffness by which the drive holds the joint, over the nominal one
+    scale: Array  # Power of the same motion over the nominal one (C,)
+    excess: Array  # Power beyond the noise, of the same motion (C,)
+
+
+@dataclass(frozen=True, eq=False)
 class _Part:
-    at: NDArray[np.intp]
-    grid: tuple[NDArray[np.intp], ...]
-    rows: Array
-    gram: Array
-    slope: Array
-    growth: Array
-    held: Array
-    beside: Array
+    """Products of some columns in a channel."""
+
+    at: NDArray[np.intp]  # Which of the columns it has (K,)
+    grid: tuple[NDArray[np.intp], ...]  # The same as rows and columns of a matrix
+    gram: Array  # Products of the columns in each cell (C, K K)
+    slope: Array  # Products with the residual (C, K)
+    power: Array  # Residual sums of squares (C,)
+    count: Array  # Independent values (C,)
+    band: NDArray[np.intp]  # Band of each cell (C,)
+    still: Array  # What the nominal operator makes of the noise of motion in each band (B, 3 J)
+    moved: Array  # Its change by each column (B, 3 J, K)
+    held: Array  # Relative change of the stiffness by which the drive holds the joint (K,)
+    beside: Array  # Relative change of the noise that no operator has (C, K)
+
+    def state(self, values: Array) -> _State:
+        """The channel at some coefficients.
+
+        A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
+        drive that holds less, whose discrepancy stays the same motion.
+        """
+        size = len(self.at)
+        slope = self.gram.reshape(-1, size, size) @ values - self.slope
+        power = np.maximum(self.power + (slope - self.slope) @ values, 0.0)
+        change, beside = self.moved @ values, 1 + self.beside @ values
+        ratio = np.sum((2 * self.still + change) * change, axis=1)[self.band] + beside**2
+        ratio = np.maximum(ratio, _NOTHING)
+        growth = np.einsum("bj,bjk->bk", self.still + change, self.moved)[self.band]
+        growth += beside[:, None] * self.beside
+        held = max(1.0 + float(self.held @ values), _NOTHING)
+        scale = np.minimum(np.minimum(ratio, held**2), 1.0)
+        excess = np.maximum((power - self.count * ratio) / scale, -self.count)
+        return _State(slope, growth, power, ratio, held, scale, excess)
+
+    def steps(self, at: _State, weight: Array) -> tuple[Array, Array]:
+        """Normal matrix and half the derivative of the weighted excess of all cells.
+
+        Noise that grows with the operator is in the columns: least squares would attenuate their
+        coefficients (errors in variables).
+        """
+        weight, size = weight / at.scale, len(self.at)
+        quieter = (at.scale < 1) & (at.scale == at.ratio)
+        softer = (at.scale < 1) & ~quieter
+        # of a residual below its noise, no more than there is
+        noisy = np.where(
+            quieter, self.count + at.excess, np.minimum(self.count, at.power / at.ratio)
+        )
+        noisy *= weight
+        normal = (weight @ self.gram).reshape(size, size)
+        normal += (at.growth.T * (noisy * quieter)) @ at.growth
+        down = weight @ at.slope - noisy @ at.growth
+        beyond = float(np.sum(weight * softer * np.maximum(at.excess, 0.0)))
+        normal += beyond * np.outer(self.held, self.held)
+        return normal, down - beyond * at.held * self.held
 
 
-def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
+def _part(channel: Channel, numbers: NDArray[np.intp], evidence: Evidence) -> _Part:
     """Products of some columns in a channel, the matrix of each cell in one row."""
     lookup = np.full(max(int(numbers.max(initial=0)), int(channel.columns.max(initial=0))) + 1, -1)
     lookup[channel.columns] = np.arange(len(channel.columns))
@@ -801,16 +822,15 @@ def _part(channel: Channel, numbers: NDArray[np.intp]) -> _Part:
     gram[:, :kept, :kept] = channel.tolerances
     gram[:, kept:] = channel.by_products(rows[:, kept:], rows)
     gram[:, :kept, kept:] = gram[:, kept:, :kept].transpose(0, 2, 1)
+    bands, band = np.unique(channel.turn, return_inverse=True)
+    operators = evidence.operators[numbers[at]]
+    still, moved = operator_noise(evidence.balance, channel.joint, bands, operators)
     return _Part(
-        at,
-        np.ix_(at, at),
-        rows,
-        gram.reshape(len(gram), -1),
-        channel.slope[:, local],
-        channel.growth[:, local],
-        channel.held[local],
-        channel.beside[:, local],
-    )
+        at=at, grid=np.ix_(at, at), gram=gram.reshape(len(gram), -1),
+        slope=channel.slope[:, local], power=channel.power, count=channel.count, band=band,
+        still=still, moved=moved, held=channel.held[local],
+        beside=channel.beside[:, local],
+    )  # fmt: skip
 
 
 def _near_bounds(
