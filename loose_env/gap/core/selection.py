@@ -37,15 +37,16 @@ LEAST_VALUES = 1.5
 its shape."""
 SHARE_VALUES = 0.02
 """The same at most, as a share of a cell's values: discrepancies repeat to some per cent."""
-_ROUNDS = 8  # reweighted rounds of one fit
+_ROUNDS, _HALVINGS = 8, 4  # reweighted rounds of one fit, and steps that are tried in each
 LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is taken
 _SCREENED = 14  # candidates that are fitted in one step
-_FITTED = 3  # sets that are fitted for each weighting: the best at fixed weights
+_FITTED = 6  # sets that are fitted for each weighting: the best at fixed weights
 _MOST = 40  # steps of a search
 _LEVELS, _KEPT, _STARTS = 3, 4, 3
 """Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
 _SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
-_NOTHING = 1e-6  # share of a noise or a stiffness that is as good as none
+_NOTHING = 0.01  # share of a noise variance below which a balance has shrunk to nothing
+_RIDGE = 1e-12  # relative share of a normal matrix that is added: two columns may be the same
 _BENT = 4.0
 """Noise variances, two standard deviations, by which an effect may differ from its columns."""
 _SIZES = 10.0  # widths of the prior of a size that values are given
@@ -184,7 +185,7 @@ class Selection:
         found = np.zeros(len(numbers))
         states = [part.state(found[part.at]) for part in parts]
         powers = [c.power for c in evidence.channels] if start is None else list(start)
-        best, stale = np.inf, 0
+        best, last, stale = np.inf, np.inf, 0
         for round_ in range(rounds):
             normal, pull = np.diag(precision), precision * (centre - found)
             for k, (part, state) in enumerate(zip(parts, states, strict=True)):
@@ -192,12 +193,19 @@ class Selection:
                 normal[part.grid] += own
                 pull[part.at] -= down
             scale = 1 / np.sqrt(np.diag(normal))
-            found = found + np.linalg.solve(normal * np.outer(scale, scale), pull * scale) * scale
-            states = [part.state(found[part.at]) for part in parts]
-            now = self._levels(states)
-            costs = sum(c[used].sum() for c, used in zip(now[1], self.used, strict=True))
-            value = float(costs + precision @ (found - centre) ** 2)
-            powers, stale = list(now[0]), stale + 1
+            even = normal * np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
+            step = np.linalg.solve(even, pull * scale) * scale
+            for part_of_it in 0.5 ** np.arange(_HALVINGS):  # where noise shrinks, steps go too far
+                moved = found + part_of_it * step
+                states = [part.state(moved[part.at]) for part in parts]
+                now = self._levels(states)
+                costs = sum(c[used].sum() for c, used in zip(now[1], self.used, strict=True))
+                value = float(costs + precision @ (moved - centre) ** 2)
+                if min(float(state.scale.min()) for state in states) < _NOTHING:
+                    value = np.inf  # no machine is left
+                if value < last + LEAST_GAIN:
+                    break
+            found, last, powers, stale = moved, value, list(now[0]), stale + 1
             if value < best - 0.05 or round_ == 0:
                 best, values, levels, curvature, stale = value, found, now, normal, 0
             if stale > 1:
@@ -239,12 +247,22 @@ class Selection:
                 half, values, determinant = _solved(normal + more, slope + along)
         except np.linalg.LinAlgError:
             return np.inf
-        own = slice(evidence.tolerances, None)
-        if not np.all(_near_bounds(values[own], evidence, at[own])):
-            return np.inf
+        if not np.all(_near_bounds(values, evidence, at)):
+            if noise.acts:
+                normal, slope = normal + more, slope + along
+            inside = _clipped(values, evidence, at)
+            free = inside == values  # the others beside those that stand at their bounds
+            rest = slope[free] - normal[np.ix_(free, ~free)] @ inside[~free]
+            values = inside
+            values[free] = np.linalg.solve(normal[np.ix_(free, free)], rest)
+            if not np.all(_near_bounds(values, evidence, at)):
+                return np.inf
+            gained = 2 * slope @ values - values @ normal @ values
+        else:
+            gained = half @ half
         precision = evidence.precision[at]
         prior = precision @ evidence.centre[at] ** 2 - np.log(precision).sum()
-        return float(-half @ half + determinant + prior + self.prior(terms))
+        return float(determinant - gained + prior + self.prior(terms))
 
     def screened(
         self, form: Form, terms: Sequence[Term], pool: Iterable[Term]
@@ -266,10 +284,11 @@ class Selection:
                 gain = float(gains[new[0]])
             elif len(new) > 1:
                 several = form.around(new) - beside[:, new].T @ spread[:, new]
-                values = np.linalg.solve(several, left[new])
+                values = _clipped(np.linalg.solve(several, left[new]), evidence, new)
                 if not np.all(_near_bounds(values, evidence, new)):
                     continue
-                gain = float(left[new] @ values + np.log(precision[new]).sum())
+                gain = float(2 * left[new] @ values - values @ several @ values)
+                gain += float(np.log(precision[new]).sum())
                 gain -= float(precision[new] @ centre[new] ** 2 + np.linalg.slogdet(several)[1])
             else:
                 continue
@@ -613,7 +632,12 @@ def _values(channel: Channel, noisy: float) -> Array:
     Half of all values where there is nothing but noise, which then says what chi-square does; few
     where a discrepancy repeats the motion.
     """
+    import os
+
     least = few(channel.count)
+    if os.environ.get("POOL"):
+        bands, at = np.unique(channel.turn, return_inverse=True)
+        least = least / np.bincount(at)[at] * float(os.environ["POOL"])
     most = np.maximum(channel.count / 2, least)
     return np.asarray(least + min(noisy, 1.0) * (most - least))
 
@@ -779,10 +803,10 @@ class _Part:
         power = np.maximum(self.power + (slope - self.slope) @ values, 0.0)
         change, beside = self.moved @ values, 1 + self.beside @ values
         ratio = np.sum((2 * self.still + change) * change, axis=1)[self.band] + beside**2
-        ratio = np.maximum(ratio, _NOTHING)
+        ratio = np.maximum(ratio, 1e-12)
         growth = np.einsum("bj,bjk->bk", self.still + change, self.moved)[self.band]
         growth += beside[:, None] * self.beside
-        held = max(1.0 + float(self.held @ values), _NOTHING)
+        held = max(1.0 + float(self.held @ values), 1e-6)
         scale = np.minimum(np.minimum(ratio, held**2), 1.0)
         excess = np.maximum((power - self.count * ratio) / scale, -self.count)
         return _State(slope, growth, power, ratio, held, scale, excess)
@@ -831,6 +855,12 @@ def _part(channel: Channel, numbers: NDArray[np.intp], evidence: Evidence) -> _P
         still=still, moved=moved, held=channel.held[local],
         beside=channel.beside[:, local],
     )  # fmt: skip
+
+
+def _clipped(values: Array, evidence: Evidence, at: NDArray[np.intp]) -> Array:
+    """Coefficients within bounds where they have no law: other weights may lead them back."""
+    inside = np.clip(values, evidence.low[at], evidence.high[at])
+    return np.where(evidence.centre[at] > 0, values, inside)
 
 
 def _near_bounds(
