@@ -82,7 +82,8 @@ def find_gap(
     with silent():
         selection = evidence_of(used, settings, say)
         say("selection of effects")
-        best = selection.best()
+        leading = selection.leading
+        best = leading[0]
         selection, best = relinearised(selection, best, settings)
         best = pruned(selection, best)
         best = by_runs(selection, best)
@@ -90,8 +91,10 @@ def find_gap(
         # simulations have one model for all runs, and step no memory of a way
         stepped = not any(t.effect.mountings or t.effect.has_memory for t in best.terms)
         stepped &= settings.simulate and not selection.evidence.balance.released.any()
-        if left and stepped:
-            decision, fits = _simulated(used, selection, best, left, settings, say)
+        if (left or len(leading) > 1) and stepped:
+            others = [selection.solve(fit.terms) for fit in leading[1:]]
+            sets = [best, *(pruned(selection, fit) for fit in others)]
+            decision, fits = _simulated(used, selection, sets, left, settings, say)
         else:
             say("decision on held-out data")
             decision, fits = decide(selection, best), ()
@@ -104,15 +107,17 @@ def find_gap(
 def _simulated(
     recording: Recording,
     selection: Selection,
-    best: SetFit,
+    sets: Sequence[SetFit],
     left: Sequence[int],
     settings: GapSettings,
     say: Say,
 ) -> tuple[Decision, tuple[ExactFit, ...]]:
-    """Decide in simulation where the cells leave channels open; the sets, the best first."""
+    """Decide in simulation among sets that leave channels open in the cells; the best first."""
     say("exact fit in full simulation")
     exact = Exact(recording, selection.evidence.balance, threads=settings.threads)
-    fits = [exact.fit(selection, best)]
+    pairs = [(exact.fit(selection, own), own) for own in sets]
+    pairs.sort(key=lambda pair: pair[0].total)
+    fits, best = [fit for fit, _ in pairs], pairs[0][1]
     nominal = exact.fit(selection, selection.solve(()))
     joints = open_joints(exact, nominal, fits[0], left)
     # an impact is felt at the tool while all joints stay on their ways

@@ -42,8 +42,7 @@ LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is tak
 _SCREENED = 14  # candidates that are fitted in one step
 _FITTED = 6  # sets that are fitted for each weighting: the best at fixed weights
 _MOST = 40  # steps of a search
-_LEVELS, _KEPT, _STARTS = 3, 4, 3
-"""Kinds in a start, sets kept of each number of kinds, and starts that are searched from."""
+_STARTS = 3  # kinds that are searched from
 _SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
 _NOTHING = 0.01  # share of a noise variance below which a balance has shrunk to nothing
 _RIDGE = 1e-12  # relative share of a normal matrix that is added: two columns may be the same
@@ -311,39 +310,42 @@ class Selection:
         return self.fit(tuple(pool.values()), start).powers
 
     def best(self) -> SetFit:
-        """Best set of searches from several starts, with the shapes of its laws refined."""
-        found = min((self.search(start) for start in self.starts()), key=lambda f: f.total)
+        """Best set of all searches."""
+        return self.leading[0]
+
+    @cached_property
+    def leading(self) -> list[SetFit]:
+        """Best sets of searches from several starts that the data hardly tell apart.
+
+        The shapes of the best one's laws are refined.
+        """
+        found = sorted((self.search(start) for start in self.starts()), key=lambda f: f.total)
+        best = found[0]
         for _ in range(2):
-            refined = self.refined(found)
-            if refined is found:
+            refined = self.refined(best)
+            if refined is best:
                 break
-            found = self.search(refined.terms)
-        return found
+            best = self.search(refined.terms)
+        alike = [f for f in found if f.terms and f.total < best.total + KIND]
+        kinds = {kinds_of(best): best}
+        for fit in alike:
+            kinds.setdefault(kinds_of(fit), fit)
+        return list(kinds.values())
 
     def starts(self) -> list[Set]:
-        """Sets to start from: none, and kinds at all their places, one, two or three of them.
+        """Sets to start from: none, and the kinds that alone at all their places explain most.
 
         One kind at a time may be led astray: where friction is missing as well, a lag that halves
         every drive explains more than the true delay.
         """
         form = Form(self, self.rich)
         single = _by_kind(t for _, t in self.screened(form, (), self.evidence.terms))
-        ranked: list[Set] = []
-        level: list[Set] = [()]
-        for _ in range(_LEVELS):
-            wider = {
-                frozenset(map(id, (*own, *more))): (*own, *more)
-                for own in level
-                for more in single
-                if not {t.form for t in own} & {t.form for t in more}
-            }
-            form.cover(k for own in wider.values() for k in self.columns(own))
-            order = sorted(wider.values(), key=lambda s: self.predicted(form, s))
-            level = order[:_KEPT]
-            ranked += level
-        fits = [self.solve(s, self.rich) for s in ranked]
-        chosen = sorted((f for f in fits if f.allowed), key=lambda f: f.total)[:_STARTS]
-        return [(), *(f.terms for f in chosen)]
+        fits = [fit for fit in (self.solve(s, self.rich) for s in single) if fit.allowed]
+        chosen: dict[str, Set] = {}
+        for fit in sorted(fits, key=lambda f: f.total):
+            effect = fit.terms[0].effect
+            chosen.setdefault(effect.extends or effect.kind, fit.terms)
+        return [(), *list(chosen.values())[:_STARTS]]
 
     def refined(self, state: SetFit) -> SetFit:
         """Shapes of the members by a simplex, each beside the others.
@@ -594,6 +596,11 @@ def _by_kind(terms: Iterable[Term]) -> list[Set]:
     return [tuple(places.values()) for places in kinds.values()]
 
 
+def kinds_of(fit: SetFit) -> frozenset[str]:
+    """Kinds of effect in a set, forms of friction as one."""
+    return frozenset(term.effect.extends or term.effect.kind for term in fit.terms)
+
+
 def _is_linear(term: Term) -> bool:
     """Whether an effect's columns are its derivatives; else they have a shape."""
     return bool(term.effect.axes) or not (term.law or term.effect.proportional is not None)
@@ -767,7 +774,7 @@ def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
 class _State:
     """A channel at some coefficients."""
 
-    slope: Array  # Half the derivative of each cell's power (C, K)
+    left: Array  # Fitted less measured, row by row (R,)
     growth: Array  # Half the derivative of its noise variance over the nominal one (C, K)
     power: Array  # Its residual sum of squares (C,)
     ratio: Array  # Its noise variance over the nominal one (C,)
@@ -782,9 +789,9 @@ class _Part:
 
     at: NDArray[np.intp]  # Which of the columns it has (K,)
     grid: tuple[NDArray[np.intp], ...]  # The same as rows and columns of a matrix
+    channel: Channel  # The channel
+    rows: Array  # Whitened columns (R, K)
     gram: Array  # Products of the columns in each cell (C, K K)
-    slope: Array  # Products with the residual (C, K)
-    power: Array  # Residual sums of squares (C,)
     count: Array  # Independent values (C,)
     band: NDArray[np.intp]  # Band of each cell (C,)
     still: Array  # What the nominal operator makes of the noise of motion in each band (B, 3 J)
@@ -798,9 +805,8 @@ class _Part:
         A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
         drive that holds less, whose discrepancy stays the same motion.
         """
-        size = len(self.at)
-        slope = self.gram.reshape(-1, size, size) @ values - self.slope
-        power = np.maximum(self.power + (slope - self.slope) @ values, 0.0)
+        left = self.rows @ values - self.channel.residual
+        power = self.channel.by_cell(left**2)
         change, beside = self.moved @ values, 1 + self.beside @ values
         ratio = np.sum((2 * self.still + change) * change, axis=1)[self.band] + beside**2
         ratio = np.maximum(ratio, 1e-12)
@@ -809,7 +815,7 @@ class _Part:
         held = max(1.0 + float(self.held @ values), 1e-6)
         scale = np.minimum(np.minimum(ratio, held**2), 1.0)
         excess = np.maximum((power - self.count * ratio) / scale, -self.count)
-        return _State(slope, growth, power, ratio, held, scale, excess)
+        return _State(left, growth, power, ratio, held, scale, excess)
 
     def steps(self, at: _State, weight: Array) -> tuple[Array, Array]:
         """Normal matrix and half the derivative of the weighted excess of all cells.
@@ -827,7 +833,7 @@ class _Part:
         noisy *= weight
         normal = (weight @ self.gram).reshape(size, size)
         normal += (at.growth.T * (noisy * quieter)) @ at.growth
-        down = weight @ at.slope - noisy @ at.growth
+        down = self.rows.T @ (weight[self.channel.cell] * at.left) - noisy @ at.growth
         beyond = float(np.sum(weight * softer * np.maximum(at.excess, 0.0)))
         normal += beyond * np.outer(self.held, self.held)
         return normal, down - beyond * at.held * self.held
@@ -850,9 +856,8 @@ def _part(channel: Channel, numbers: NDArray[np.intp], evidence: Evidence) -> _P
     operators = evidence.operators[numbers[at]]
     still, moved = operator_noise(evidence.balance, channel.joint, bands, operators)
     return _Part(
-        at=at, grid=np.ix_(at, at), gram=gram.reshape(len(gram), -1),
-        slope=channel.slope[:, local], power=channel.power, count=channel.count, band=band,
-        still=still, moved=moved, held=channel.held[local],
+        at=at, grid=np.ix_(at, at), channel=channel, rows=rows,
+        gram=gram.reshape(len(gram), -1), count=channel.count, band=band, still=still, moved=moved, held=channel.held[local],
         beside=channel.beside[:, local],
     )  # fmt: skip
 
