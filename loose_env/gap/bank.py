@@ -41,6 +41,7 @@ EXCLUDED = (
     "torque_constant",
     "torque_limit",
     "voltage_limit",
+    "speed_limit",
     "gear_eccentricity",
 )
 """Kinds that are no candidates of encoders and torque sensors on the drives' side: looseness needs

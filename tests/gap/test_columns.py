@@ -75,6 +75,7 @@ DRIVES: list[Case] = [
     ("command_interpolation", "all", "", [1.0]),
     ("torque_limit", "motor2", "", [9.0]),
     ("voltage_limit", "motor2", "", [14.0, 5.0]),
+    ("speed_limit", "motor2", "", [1.0]),
     ("dead_zone", "motor2", "", [0.006]),
 ]
 """Effects that a torque log does not show."""

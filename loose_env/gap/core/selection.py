@@ -361,6 +361,8 @@ class Selection:
         shaped, found = self.shaped(term), [state]
 
         def total(steps: Array) -> float:
+            if not np.any(steps):
+                return state.total
             own = self.reshaped(state, term, dict(zip(shaped, steps.tolist(), strict=True)))
             found.append(own or state)
             return np.inf if own is None else own.total

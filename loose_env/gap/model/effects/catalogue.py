@@ -50,6 +50,7 @@ CATALOGUE: dict[str, type[Effect]] = {
         joints.AsymmetricFriction,
         drives.TorqueLimit,
         drives.VoltageLimit,
+        drives.SpeedLimit,
         drives.DeadZone,
         inertia.GravityCompensation,
         sensors.TorqueConstant,

@@ -1,4 +1,4 @@
-"""Effects of drives: gain, lag, delay of commands, dead zone, and limits of torque and voltage."""
+"""Effects of drives: gain, lag, delay of commands, dead zone; limits of torque, voltage, speed."""
 
 from __future__ import annotations
 
@@ -274,6 +274,46 @@ class JointDriveEffect(Effect):
     def gear(self) -> float:
         """Torque on the joint per force of the drive, with its sign."""
         return float(self.machine.model.actuator_gear[self._number, 0]) or 1.0
+
+
+class SpeedLimit(JointDriveEffect):
+    """Limit of the speed of a drive's set point, which follows the command no faster.
+
+    Hobby servos and drives with a profile of their own have it.
+    """
+
+    kind = "speed_limit"
+    limit = (("speed", "high"),)
+    exact_law = True
+    in_model = False
+
+    @classmethod
+    def locations(cls, machine: NominalModel) -> tuple[str, ...]:
+        """Return drives that hold a position."""
+        holds = machine.model.actuator_biasprm[:, 1] != 0
+        return tuple(n for n in super().locations(machine) if holds[machine.actuators.index(n)])
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Largest speed of the set point: the largest speeds that were reached are near it."""
+        usual = self.machine.speed(self.joint) * abs(self.gear)
+        unit, starts = f"{self.machine.units(self.joint)[0]}/s", (0.5, 0.8, 1.0, 1.3)
+        return (
+            Parameter.sized("speed", unit, usual, 0.05, 50, scale=1.0, starts=starts, log=True),
+        )
+
+    def command(self, time: Array, controls: Array, values: Array) -> Array:
+        """Let the set point follow the command: means over each step."""
+        found = controls.copy()
+        if len(time) > 1:
+            most = float(values[0] * (time[1] - time[0]))
+            state, way = float(controls[0, self._number]), []
+            for asked in controls[:, self._number].tolist():
+                step = min(max(asked - state, -most), most)
+                way.append(state + 0.5 * step)
+                state += step
+            found[:, self._number] = way
+        return found
 
 
 class DriveLimit(JointDriveEffect):
