@@ -511,9 +511,9 @@ def _unexplained(before: Array, after: Array) -> NDArray[np.bool_]:
     return np.asarray((after > LARGE) & (share < EXPLAINED))
 
 
-def left_open(selection: Selection, fit: SetFit) -> list[int]:
+def left_open(selection: Selection, before: Array, after: Array) -> list[int]:
     """Joints and readings left open: much is left, or most of the time says nothing of a joint."""
-    unexplained = _unexplained(*held_out_rms(selection, fit))
+    unexplained = _unexplained(before, after)
     joints = len(selection.evidence.balance.machine.joints)
     return [
         channel.joint

@@ -17,11 +17,12 @@ from loose_env.gap.core.decision import (
     by_runs,
     decide,
     decide_simulated,
+    held_out_rms,
     left_open,
     pruned,
 )
 from loose_env.gap.core.evidence import whiten
-from loose_env.gap.core.exact import Exact, ExactFit, open_joints, pool_of
+from loose_env.gap.core.exact import LARGE, Exact, ExactFit, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, smooth
 from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
 from loose_env.gap.core.tolerances import GapSettings, nuisances
@@ -87,11 +88,13 @@ def find_gap(
         selection, best = relinearised(selection, best, settings)
         best = pruned(selection, best)
         best = by_runs(selection, best)
-        left = left_open(selection, best)
+        before, after = held_out_rms(selection, best)
+        left = left_open(selection, before, after)
+        rivals = len(leading) > 1 and bool(np.any(after > LARGE))
         # simulations have one model for all runs, and step no memory of a way
         stepped = not any(t.effect.mountings or t.effect.has_memory for t in best.terms)
         stepped &= settings.simulate and not selection.evidence.balance.released.any()
-        if (left or len(leading) > 1) and stepped:
+        if (left or rivals) and stepped:
             others = [selection.solve(fit.terms) for fit in leading[1:]]
             sets = [best, *(pruned(selection, fit) for fit in others)]
             decision, fits = _simulated(used, selection, sets, left, settings, say)

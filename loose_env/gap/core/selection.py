@@ -43,6 +43,9 @@ _SCREENED = 14  # candidates that are fitted in one step
 _FITTED = 6  # sets that are fitted for each weighting: the best at fixed weights
 _MOST = 40  # steps of a search
 _STARTS = 3  # kinds that are searched from
+ALIKE = 0.9
+"""Share of the evidence of the best set from which another one is a rival that simulations decide
+about: cells of what a model leaves open are no better than some per cent."""
 _SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
 _NOTHING = 0.01  # share of a noise variance below which a balance has shrunk to nothing
 _RIDGE = 1e-12  # relative share of a normal matrix that is added: two columns may be the same
@@ -315,7 +318,7 @@ class Selection:
 
     @cached_property
     def leading(self) -> list[SetFit]:
-        """Best sets of searches from several starts that the data hardly tell apart.
+        """Best sets of searches from several starts, of unlike kinds, that explain about as much.
 
         The shapes of the best one's laws are refined.
         """
@@ -326,11 +329,12 @@ class Selection:
             if refined is best:
                 break
             best = self.search(refined.terms)
-        alike = [f for f in found if f.terms and f.total < best.total + KIND]
-        kinds = {kinds_of(best): best}
-        for fit in alike:
-            kinds.setdefault(kinds_of(fit), fit)
-        return list(kinds.values())
+        nothing = self.solve(()).total
+        alike = {kinds_of(best): best}
+        for fit in found:
+            if nothing - fit.total > ALIKE * (nothing - best.total):
+                alike.setdefault(kinds_of(fit), fit)
+        return list(alike.values())
 
     def starts(self) -> list[Set]:
         """Sets to start from: none, and the kinds that alone at all their places explain most.
@@ -859,8 +863,8 @@ def _part(channel: Channel, numbers: NDArray[np.intp], evidence: Evidence) -> _P
     still, moved = operator_noise(evidence.balance, channel.joint, bands, operators)
     return _Part(
         at=at, grid=np.ix_(at, at), channel=channel, rows=rows,
-        gram=gram.reshape(len(gram), -1), count=channel.count, band=band, still=still, moved=moved, held=channel.held[local],
-        beside=channel.beside[:, local],
+        gram=gram.reshape(len(gram), -1), count=channel.count, band=band, still=still,
+        moved=moved, held=channel.held[local], beside=channel.beside[:, local],
     )  # fmt: skip
 
 
