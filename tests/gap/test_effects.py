@@ -27,7 +27,8 @@ KINDS = [
     "link_com", "payload", "rotor_inertia", "actuator_gain", "actuator_lag", "command_delay",
     "encoder_offset", "sensor_misalignment", "sensor_gain", "sensor_bias", "sensor_delay",
     "base_tilt", "torque_ripple", "joint_spring", "load_friction", "asymmetric_friction",
-    "torque_limit", "voltage_limit", "dead_zone", "gravity_compensation", "torque_constant",
+    "torque_limit", "voltage_limit", "speed_limit",
+    "dead_zone", "gravity_compensation", "torque_constant",
     "base_compliance", "gear_eccentricity", "sensor_quantisation",
 ]  # fmt: skip
 
@@ -119,7 +120,7 @@ def test_where_there_is_nothing_the_nominal_model_is_left(arm: str, kind: str) -
         if effect.null_values is None:
             assert kind in (
                 "stribeck_friction", "joint_compliance", "backlash", "structural_looseness",
-                "link_flexibility", "torque_limit", "voltage_limit", "base_compliance",
+                "link_flexibility", "torque_limit", "voltage_limit", "speed_limit", "base_compliance",
                 "sensor_quantisation", "load_friction",
             )  # fmt: skip
             continue

@@ -46,6 +46,7 @@ CASES: list[Case] = [
     ("torque_limit", "planar3", "motor1", {"limit": 40.0}, "", [40.0]),
     ("voltage_limit", "planar3", "motor1", {"stall_torque": 60.0, "no_load_speed": 2.0}, "",
      [60.0, 2.0]),
+    ("speed_limit", "planar3", "motor2", {"speed": 0.8}, "", [0.8]),
     ("dead_zone", "planar3", "motor2", {"width": 0.004}, "", [0.004]),
     ("gravity_compensation", "spatial3", "link2", {"share": -0.4}, "", [-0.4]),
     ("gear_eccentricity", "planar3", "joint2", {"sine": 0.01, "cosine": -0.004}, "",
@@ -137,16 +138,17 @@ def test_the_exported_model_and_its_code_reproduce_the_motion(case: Case) -> Non
     if not before.startswith("# before"):
         before, after = "", before
     lines = compile(before, "before", "exec"), compile(after, "after", "exec")
+    names = {"model": model, "data": data}
     inside = round(1e-3 / model.opt.timestep)
     shown = np.zeros((COUNT, len(both.channels)))
     settling = np.tile(both.commands[0], (400, 1))
     for k, command in enumerate(np.vstack([settling, both.commands]), start=-400):
         for part in range(inside):
             data.ctrl[:] = command
-            exec(lines[0], {"model": model, "data": data})
+            exec(lines[0], names)
             mujoco.mj_step(model, data)
             if part == 0 and k >= 0:
-                exec(lines[1], {"model": model, "data": data})
+                exec(lines[1], names)
                 for c, channel in enumerate(both.channels):
                     shown[k, c] = data.sensor(channel.column.removeprefix("sensor.")).data[0]
     assert both.off(shown, expected, both.trial.measured) < 0.06

@@ -445,7 +445,7 @@ def _beside(
 def operator_noise(
     balance: Balance, joint: int, turn: Array, operators: Array
 ) -> tuple[Array, Array]:
-    """What the operator makes of the noise of motion at some frequencies, and its change by columns.
+    """What an operator makes of the noise of motion at some frequencies; its change by columns.
 
     In the channel's noise standard deviations: (F, 3 joints) and (F, 3 joints, K).
     """

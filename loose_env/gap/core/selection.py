@@ -645,12 +645,7 @@ def _values(channel: Channel, noisy: float) -> Array:
     Half of all values where there is nothing but noise, which then says what chi-square does; few
     where a discrepancy repeats the motion.
     """
-    import os
-
     least = few(channel.count)
-    if os.environ.get("POOL"):
-        bands, at = np.unique(channel.turn, return_inverse=True)
-        least = least / np.bincount(at)[at] * float(os.environ["POOL"])
     most = np.maximum(channel.count / 2, least)
     return np.asarray(least + min(noisy, 1.0) * (most - least))
 

@@ -373,6 +373,13 @@ class Effect:
         """Convert ideal sensor values to those with the effect; never changes its input."""
         return readings
 
+    def feedback_code(self, values: Array) -> str:
+        """Python lines that change ``command`` (actuators,) before each step; "" if none.
+
+        They read ``position`` and ``speed`` (joints,).
+        """
+        return ""
+
     def code(self, values: Array) -> str:
         """Python lines that apply effects which MJCF cannot express; "" if none."""
         return ""
@@ -455,13 +462,6 @@ class DrivenEffect(Effect):
     def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
         """Compute dry friction beyond the joints' friction loss; it holds a joint at rest."""
         return np.zeros_like(drive)
-
-    def feedback_code(self, values: Array) -> str:
-        """Python lines that change ``command`` (actuators,) as `feedback` does; "" if none.
-
-        They read ``position`` and ``speed`` (joints,).
-        """
-        return ""
 
     def friction_code(self, values: Array) -> str:
         """Python lines that add `dry_friction` to ``friction``; "" if none.

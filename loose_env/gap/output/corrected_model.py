@@ -94,7 +94,7 @@ def correction_code(hypothesis: Hypothesis) -> str:
     terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
     readings = [line for effect, own in pairs if (line := effect.code(own))]
     driven = [(e, own) for e, own in pairs if isinstance(e, DrivenEffect)]
-    feedback = [line for effect, own in driven if (line := effect.feedback_code(own))]
+    feedback = [line for effect, own in pairs if (line := effect.feedback_code(own))]
     frictions = [line for effect, own in driven if (line := effect.friction_code(own))]
     if not (terms or feedback or frictions):
         return "\n".join(readings)

@@ -315,6 +315,17 @@ class SpeedLimit(JointDriveEffect):
             found[:, self._number] = way
         return found
 
+    def feedback_code(self, values: Array) -> str:
+        """Python lines: the set point of the step before, moved towards the command."""
+        own, most = f"command[{self._number}]", f"{float(values[0])!r} * model.opt.timestep"
+        return "\n".join(
+            [
+                'held = globals().setdefault("held", {})  # set points of the step before',
+                f"at = held.setdefault({self.where!r}, {own})",
+                f"{own} = held[{self.where!r}] = at + np.clip({own} - at, -{most}, {most})",
+            ]
+        )
+
 
 class DriveLimit(JointDriveEffect):
     """A limit of the force of a drive, which may fall with speed."""
