@@ -120,8 +120,8 @@ def test_where_there_is_nothing_the_nominal_model_is_left(arm: str, kind: str) -
         if effect.null_values is None:
             assert kind in (
                 "stribeck_friction", "joint_compliance", "backlash", "structural_looseness",
-                "link_flexibility", "torque_limit", "voltage_limit", "speed_limit", "base_compliance",
-                "sensor_quantisation", "load_friction",
+                "link_flexibility", "torque_limit", "voltage_limit", "speed_limit",
+                "base_compliance", "sensor_quantisation", "load_friction",
             )  # fmt: skip
             continue
         machine = effect.machine
