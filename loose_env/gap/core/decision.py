@@ -26,6 +26,7 @@ from loose_env.gap.core.selection import (
     Set,
     SetFit,
     at_joint,
+    kinds_of,
     neighbours,
     stepped,
 )
@@ -92,7 +93,7 @@ class Decision:
 def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> Decision:
     """Say what of a pruned set is named, with the values of an exact fit if there is one."""
     gains = _gains(selection, fit)
-    near = _near(selection, fit)
+    near = _near(selection, fit, exact is not None)
     chances: dict[tuple[str, str], float] = {}
     for names, weight in near:
         for name in names:
@@ -325,8 +326,13 @@ def _gains(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
     return one[1:] - one[0], other[1:] - other[0]
 
 
-def _near(selection: Selection, fit: SetFit) -> list[tuple[set[tuple[str, str]], float]]:
-    """Effects and probability of the sets near the answer."""
+def _near(
+    selection: Selection, fit: SetFit, simulated: bool
+) -> list[tuple[set[tuple[str, str]], float]]:
+    """Effects and probability of the sets near the answer.
+
+    Of unlike kinds that cells prefer simulations have decided.
+    """
     form = Form(selection, fit.powers, fit)
     forms = {t.form for t in fit.terms}
     pool = [t for t in selection.evidence.terms if t.form not in forms]
@@ -337,7 +343,13 @@ def _near(selection: Selection, fit: SetFit) -> list[tuple[set[tuple[str, str]],
         selection.solve(rest, fit.powers)
         for other in selection.alternatives(form, rest, term)[:3]:
             selection.solve((*rest, other), fit.powers)
-    near = [*(f for f in selection.fits.values() if f.allowed), fit]
+    own = kinds_of(fit)
+    near = [
+        each
+        for each in selection.fits.values()
+        if each.allowed and not (simulated and each.total < fit.total and kinds_of(each) != own)
+    ]
+    near.append(fit)
     least = min(f.total for f in near)
     weights = np.exp(-0.5 * np.array([f.total - least for f in near]))
     weights /= weights.sum()
