@@ -239,32 +239,27 @@ class Selection:
 
     def predicted(self, form: Form, terms: Sequence[Term]) -> float:
         """Total of a set at fixed weights; infinite where a coefficient is out of bounds."""
-        evidence, at = self.evidence, self.columns(terms)
-        normal, slope = form.block(at), form.slope[at]
+        evidence, at = self.evidence, self.columns(terms)[self.evidence.tolerances :]
+        normal, slope, rest = form.beside_tolerances(at)
         try:
             half, values, determinant = _solved(normal, slope)
-            noise = _Noise(form, at, values)
-            if noise.acts:
-                more, along = noise.between(at, at), noise.along(at)
-                half, values, determinant = _solved(normal + more, slope + along)
         except np.linalg.LinAlgError:
             return np.inf
+        gained = half @ half
         if not np.all(_near_bounds(values, evidence, at)):
-            if noise.acts:
-                normal, slope = normal + more, slope + along
             inside = _clipped(values, evidence, at)
             free = inside == values  # the others beside those that stand at their bounds
-            rest = slope[free] - normal[np.ix_(free, ~free)] @ inside[~free]
             values = inside
-            values[free] = np.linalg.solve(normal[np.ix_(free, free)], rest)
+            values[free] = np.linalg.solve(
+                normal[np.ix_(free, free)],
+                slope[free] - normal[np.ix_(free, ~free)] @ inside[~free],
+            )
             if not np.all(_near_bounds(values, evidence, at)):
                 return np.inf
             gained = 2 * slope @ values - values @ normal @ values
-        else:
-            gained = half @ half
         precision = evidence.precision[at]
         prior = precision @ evidence.centre[at] ** 2 - np.log(precision).sum()
-        return float(determinant - gained + prior + self.prior(terms))
+        return float(rest + determinant - gained + prior + self.prior(terms))
 
     def screened(
         self, form: Form, terms: Sequence[Term], pool: Iterable[Term]
@@ -523,7 +518,7 @@ class Selection:
         """Fits of the sets that look best at fixed weights."""
         chosen: dict[int, Sequence[Array]] = {}
         for powers in weightings:
-            form = Form(self, powers)
+            form = Form(self, powers, state)
             form.cover(k for own in sets for k in self.columns(own))
             likely = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
             for total, k in likely:
@@ -706,7 +701,7 @@ class Form:
         self.growth, self.noise = np.concatenate(growths), np.concatenate(noises)
         self._beside: dict[int, Array] = {}
         self._around: dict[tuple[int, ...], Array] = {}
-        self._covered: tuple[NDArray[np.intp], Array] | None = None
+        self._covered: tuple[NDArray[np.intp], Array, Array, float]
         self._fit_noise = None if fit is None else _Noise(self, fit.numbers, fit.values)
         if self._fit_noise is not None:
             self.diagonal += self._fit_noise.diagonal()
@@ -736,18 +731,36 @@ class Form:
         return self._around[key]
 
     def cover(self, columns: Iterable[int]) -> None:
-        """Make the matrix of columns that are asked for soon."""
-        at = np.unique(np.fromiter(columns, dtype=int))
-        self._covered = at, self._between(at, at)
+        """Eliminate the tolerances from the form of the columns of effects that are asked for."""
+        count = self._evidence.tolerances
+        own = np.unique(np.fromiter(columns, dtype=int))
+        at = np.concatenate([np.arange(count), own[own >= count]])
+        normal, slope = self._between(at, at), self.slope[at]
+        if self._fit_noise is not None:
+            normal, slope = (
+                normal + self._fit_noise.between(at, at),
+                slope + self._fit_noise.along(at),
+            )
+        root = np.linalg.cholesky(normal[:count, :count])
+        across = solve_triangular(root, normal[:count, count:], lower=True)
+        half = solve_triangular(root, slope[:count], lower=True)
+        rest = float(2 * np.log(np.diag(root)).sum() - half @ half)
+        self._covered = (
+            at[count:],
+            normal[count:, count:] - across.T @ across,
+            slope[count:] - across.T @ half,
+            rest,
+        )
 
     def block(self, at: NDArray[np.intp]) -> Array:
         """Normal matrix of some columns."""
-        if self._covered is not None:
-            known, matrix = self._covered
-            place = np.searchsorted(known, at)
-            if len(known) and np.array_equal(known[np.minimum(place, len(known) - 1)], at):
-                return np.asarray(matrix[np.ix_(place, place)])
         return self._between(at, at)
+
+    def beside_tolerances(self, at: NDArray[np.intp]) -> tuple[Array, Array, float]:
+        """Normal matrix and slope of some covered columns beside the tolerances, and the rest."""
+        known, normal, slope, rest = self._covered
+        place = np.searchsorted(known, at)
+        return normal[np.ix_(place, place)], slope[place], rest
 
     def _between(self, left: NDArray[np.intp], right: NDArray[np.intp]) -> Array:
         precision = self._evidence.precision
@@ -833,11 +846,14 @@ class _Part:
         )
         noisy *= weight
         normal = (weight @ self.gram).reshape(size, size)
-        normal += (at.growth.T * (noisy * quieter)) @ at.growth
+        if quieter.any():
+            normal += (at.growth.T * (noisy * quieter)) @ at.growth
         down = self.rows.T @ (weight[self.channel.cell] * at.left) - noisy @ at.growth
         beyond = float(np.sum(weight * softer * np.maximum(at.excess, 0.0)))
-        normal += beyond * np.outer(self.held, self.held)
-        return normal, down - beyond * at.held * self.held
+        if beyond:
+            normal += beyond * np.outer(self.held, self.held)
+            down -= beyond * at.held * self.held
+        return normal, down
 
 
 def _part(channel: Channel, numbers: NDArray[np.intp], evidence: Evidence) -> _Part:
