@@ -29,7 +29,7 @@ from loose_env.typing import Array
 
 KIND = 10.0
 """Minus twice the log prior of one more kind of effect: one in 150 is missing, for a model in four
-lacks one of 36."""
+lacks one of 37."""
 FORM = 4.6
 """The same of a place whose friction has more than the simplest form: about 1 in 10."""
 LEAST_VALUES = 1.5
