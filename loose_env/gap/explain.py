@@ -12,24 +12,13 @@ import numpy as np
 from scipy.special import softmax
 
 from loose_env.doctor import Finding as Preflight
+from loose_env.gap.core import residual
 from loose_env.gap.core.decision import Finding, held_out_rms
 from loose_env.gap.core.evidence import weight_of
 from loose_env.gap.core.exact import LARGE
 from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
-from loose_env.gap.core.residual import (
-    Correlation,
-    Overlay,
-    Played,
-    Response,
-    force_errors,
-    left_by,
-    overlays,
-    parameter_correlation,
-    residual_tests,
-    responses,
-    simulated,
-)
+from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
 from loose_env.gap.core.selection import Selection
 from loose_env.gap.core.tolerances import GapSettings
 from loose_env.gap.model.effects.inertia import payload_notes
@@ -163,31 +152,31 @@ def solve_gap(
     answer = find_gap(recording, settings, say=say)
     say("residuals on held-out data")
     with silent():
-        selection, fit = answer.selection, answer.decision.fit
-        findings = sorted(answer.decision.findings, key=lambda f: f.term.name)
+        selection, decision, fit = answer.selection, answer.decision, answer.decision.fit
+        findings = sorted(decision.findings, key=lambda f: f.term.name)
         named = [f for f in findings if f.named]
-        corrected = Hypothesis(
-            effects=tuple(f.term.effect for f in named), values=tuple(f.values for f in named)
-        )
+        corrected = Hypothesis().with_effects([(f.term.effect, f.values) for f in named])
         # of what is in model.xml or the code, not of what was fitted and is not named
         terms = tuple(t for t in fit.terms if t.name in {f.term.name for f in named})
-        corrected_fit = fit if terms == fit.terms else selection.solve(terms, fit.powers)
-        nominal = selection.solve(())
-        before, after = left_by(selection, nominal), left_by(selection, corrected_fit)
-        tests, correlations = residual_tests(selection, after)
-        errors, played = simulated(answer, corrected)
-        evidence, machine = selection.evidence, selection.evidence.balance.machine
-        own = answer.decision.channels
-        sides = np.stack([held_out_rms(selection, each)[1] for each in (nominal, corrected_fit)])
-        if by_simulation := answer.decision.simulated:  # what a balance leaves says little there
-            of = [k for k, c in enumerate(evidence.channels) if c.joint < len(machine.joints)]
+        fitted = fit if terms == fit.terms else selection.solve(terms, fit.powers)
+        both = selection.solve(()), fitted
+        before, after = (residual.left_by(selection, each) for each in both)
+        tests, correlations = residual.residual_tests(selection, after)
+        errors, played = residual.simulated(answer, corrected)
+        evidence, own = selection.evidence, decision.channels
+        sides = np.stack([held_out_rms(selection, each)[1] for each in both])
+        if decision.simulated:  # what a balance leaves says little there
+            count = len(evidence.balance.machine.joints)
+            of = [k for k, c in enumerate(evidence.channels) if c.joint < count]
             sides[:, of] = np.transpose([(own[k].before, own[k].after) for k in of])
+        else:
+            errors = residual.force_errors(answer, before, after) | errors
         pairs = map(tuple, sides.T.tolist())
         gap = Gap(
             before=pooled_rms(selection, sides[0]),
             after=pooled_rms(selection, sides[1]),
             by_channel=dict(zip((each.channel for each in own), pairs, strict=True)),
-            by_quantity=errors if by_simulation else force_errors(answer, before, after) | errors,
+            by_quantity=errors,
         )
         result = GapResult(
             verdict=_verdict(answer),
@@ -210,10 +199,11 @@ def solve_gap(
         for channel in evidence.channels:
             shown[weight_of(evidence.balance, channel.joint) < 0.5, channel.joint] = nan
     return GapSolution(
-        answer=answer, corrected=corrected, overlays=overlays(selection, before, shown, FIGURES),
+        answer=answer, corrected=corrected,
+        overlays=residual.overlays(selection, before, shown, FIGURES),
         correlations=tuple(correlations[k] for k in largest), played=played,
-        parameters=parameter_correlation(selection, fit),
-        responses=() if played is None else responses(played, evidence.balance.motion.band),
+        parameters=residual.parameter_correlation(selection, fit),
+        responses=residual.responses(played, evidence.balance.motion.band) if played else (),
         result=result, seconds=time.monotonic() - begun,
     )  # fmt: skip
 

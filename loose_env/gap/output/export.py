@@ -337,11 +337,10 @@ def _parameters(source: _Source) -> Iterator[_Parameter]:
 
 def _places(source: _Source, effect: NamedEffect, element: str) -> dict[str, Any]:
     """Elements of the model that an effect acts on; those with a command where it is on all."""
-    wanted = {effect.where}
+    wanted, model = {effect.where}, source.model
     if effect.where == "all":
-        commanded = np.flatnonzero(source.model.actuator_ctrlnum)
-        wanted = {source.model.actuator(int(k)).name for k in commanded} - {""}
-    return {e.name: e for e in getattr(source.spec, f"{element}s") if e.name in wanted}
+        wanted = {model.actuator(k).name for k in range(model.nu) if model.actuator_ctrlnum[k]}
+    return {e.name: e for e in getattr(source.spec, f"{element}s") if e.name in wanted - {""}}
 
 
 _SYSID = resources.files("loose_env.gap.output").joinpath("parameters.py.txt").read_text("utf-8")
@@ -446,12 +445,11 @@ def _mjlab(source: _Source) -> Export:
     Fields are those of ``mjlab.actuator`` 1.6 (``ActuatorCfg``, ``DcMotorActuatorCfg`` and the
     classes ``Builtin...Cfg``), as their docstrings define them; delays are whole physics steps.
     """
-    configs: dict[str, tuple[str, _Fields]] = {}
-    left: list[str] = []
-    for joint in source.joints:
+
+    def configured(joint: _Joint, left: list[str]) -> tuple[str, _Fields] | None:
         if not joint.drive:
             left += _undriven(source, joint)
-            continue
+            return None
         low, high = _lags(source, joint, left)
         kind, motor = f"Builtin{joint.mode.capitalize()}ActuatorCfg", _motor(source, joint)
         effort, limit = joint.mode == "effort", joint.effort_limit
@@ -466,21 +464,16 @@ def _mjlab(source: _Source) -> Export:
         elif joint.mode == "velocity":
             own["stiffness"] = None
         left += joint.remarks + (joint.scale if motor else ())
-        own |= {
+        return kind, own | {
             "armature": joint.armature, "frictionloss": joint.frictionloss,
             "viscous_damping": joint.viscous, "delay_min_lag": low, "delay_max_lag": high,
         }  # fmt: skip
-        configs[joint.name] = kind, own
-    left = [*source.not_carried(_CARRIED), *left]
-    return Export(
-        files={"mjlab_actuators.py": _module(source, "mjlab", "mjlab.actuator", configs, left)},
-        not_expressed=tuple(left),
-        notes=(
-            "armature, frictionloss and viscous_damping replace those of the joints; the other "
-            "effects are those of the MJCF file that the entity loads: load model.xml without its "
-            "actuators",
-        ),
+
+    note = (
+        "armature, frictionloss and viscous_damping replace those of the joints; the other effects "
+        "are those of the MJCF file that the entity loads: load model.xml without its actuators"
     )
+    return _module(source, "mjlab", "mjlab.actuator", configured, _CARRIED, note)
 
 
 def _isaaclab(source: _Source) -> Export:
@@ -490,12 +483,9 @@ def _isaaclab(source: _Source) -> Export:
     ``DCMotorCfg``, ``DelayedPDActuatorCfg``, ``ImplicitActuatorCfg``), as their docstrings define
     them; delays are whole physics steps.
     """
-    configs: dict[str, tuple[str, _Fields]] = {}
-    left: list[str] = []
-    for joint in source.joints:
+
+    def configured(joint: _Joint, left: list[str]) -> tuple[str, _Fields]:
         low, high = _lags(source, joint, left)
-        # a joint that nothing drives has friction and inertia too
-        kind = "IdealPDActuatorCfg" if joint.drive else "ImplicitActuatorCfg"
         left += joint.remarks + joint.scale
         left += [] if joint.drive or joint.undriven == _NO_DRIVE else _undriven(source, joint)
         there = (e for e in source.effects if e.where == joint.name)
@@ -508,24 +498,21 @@ def _isaaclab(source: _Source) -> Export:
             "viscous_friction": joint.viscous,
         }  # fmt: skip
         if motor := _motor(source, joint):
-            kind, own = "DCMotorCfg", own | motor
             left += [f"the delay of {joint.name}: DCMotorCfg has none"] if high else []
-        elif high:
-            kind, own = "DelayedPDActuatorCfg", own | {"min_delay": low, "max_delay": high}
-        configs[joint.name] = kind, own
-    carried = _CARRIED | {"stribeck_friction": ("torque", "static_ratio")}
-    remedy = "change the USD asset or the environment accordingly"
-    left = [*source.not_carried(carried, remedy=remedy), *left]
-    text = _module(source, "Isaac Lab", "isaaclab.actuators", configs, left, keyed=True)
-    return Export(
-        files={"isaaclab_actuators.py": text},
-        not_expressed=tuple(left),
-        notes=(
-            "friction and dynamic_friction are torques or forces, as from Isaac Sim 5.0 on; in "
-            "Isaac Sim 4.5 they are coefficients",
-            "velocity_limit is that of the USD asset where none is written",
-        ),
-    )
+            return "DCMotorCfg", own | motor
+        if high:
+            return "DelayedPDActuatorCfg", own | {"min_delay": low, "max_delay": high}
+        # a joint that nothing drives has friction and inertia too
+        return "IdealPDActuatorCfg" if joint.drive else "ImplicitActuatorCfg", own
+
+    return _module(
+        source, "Isaac Lab", "isaaclab.actuators", configured,
+        _CARRIED | {"stribeck_friction": ("torque", "static_ratio")},
+        "friction and dynamic_friction are torques or forces, as from Isaac Sim 5.0 on; in Isaac "
+        "Sim 4.5 they are coefficients",
+        "velocity_limit is that of the USD asset where none is written",
+        remedy="change the USD asset or the environment accordingly", keyed=True,
+    )  # fmt: skip
 
 
 def _lags(source: _Source, joint: _Joint, left: list[str]) -> tuple[int, int] | tuple[None, None]:
@@ -569,10 +556,15 @@ def _number(value: float | str) -> str:
 
 
 def _module(
-    source: _Source, target: str, package: str, configs: Mapping[str, tuple[str, _Fields]],
-    left: Sequence[str], *, keyed: bool = False,
-) -> str:  # fmt: skip
+    source: _Source, target: str, package: str,
+    configured: Callable[[_Joint, list[str]], tuple[str, _Fields] | None],
+    carried: Mapping[str, Sequence[str]], *notes: str, remedy: str = "", keyed: bool = False,
+) -> Export:  # fmt: skip
     """Python text of a tuple or mapping of configurations, and what it does not contain."""
+    lost = list[str]()
+    made = {joint.name: configured(joint, lost) for joint in source.joints}
+    configs = {name: own for name, own in made.items() if own is not None}
+    left = [*source.not_carried(carried, remedy=remedy), *lost]
     lines = [f'"""Actuators for {target}, identified by \'loose gap\'.', ""]
     lines += [f"Delays are counted in physics steps of {_number(source.step)} s."]
     lines += ["", "Not expressed:", *(f"- {words}" for words in left)] if left else []
@@ -585,7 +577,9 @@ def _module(
         given = {field: value for field, value in own.items() if value is not None}
         lines += [f"        {field}={_number(value)}," for field, value in given.items()]
         lines.append("    ),")
-    return "\n".join([*lines, "}" if keyed else ")", ""])
+    text = "\n".join([*lines, "}" if keyed else ")", ""])
+    name = f"{package.partition('.')[0]}_actuators.py"
+    return Export(files={name: text}, not_expressed=tuple(left), notes=notes)
 
 
 # URDF
@@ -634,8 +628,8 @@ def _urdf(source: _Source) -> Export:
 
 def _robot(urdf: Path) -> ET.Element:
     """The root of a URDF, its comments kept."""
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     try:
-        parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
         root = ET.fromstring(urdf.read_text(encoding="utf-8"), parser=parser)
     except (ET.ParseError, UnicodeDecodeError) as error:
         raise InvalidData(f"{urdf} is not XML: {error}") from error
@@ -729,13 +723,10 @@ def _bam(source: _Source) -> Export:
             + (f"; got {servo!r}" if servo else "")
         )
     left = list(source.not_carried(_BY_BAM))
-    hinges = _bam_hinges(source, left)
-    files = {
-        "bam_" + re.sub(r"[^\w.-]", "_", joint.name) + ".json": json_text(
-            own | {"q_offset": 0.0, "actuator": servo}
-        )
-        for joint, own in hinges
-    }
+    files = {}
+    for joint, own in _bam_hinges(source, left):
+        name = "bam_" + re.sub(r"[^\w.-]", "_", joint.name) + ".json"
+        files[name] = json_text(own | {"q_offset": 0.0, "actuator": servo})
     return Export(
         files=files,
         not_expressed=tuple(left),
@@ -804,8 +795,7 @@ def _bam_parameters(joint: _Joint, effects: Mapping[str, NamedEffect]) -> dict[s
         effects[kind].parameters if kind in effects else {}
         for kind in ("stribeck_friction", "load_friction")
     )
-    fall = _fall(stribeck)
-    found: dict[str, float | str] = {"armature": joint.armature}
+    fall, found = _fall(stribeck), dict[str, float | str](armature=joint.armature)
     found["friction_base"] = max(joint.frictionloss - fall, 0.0)
     if stribeck or load:
         speed = {**load, **stribeck}.get("speed", _SPEED)

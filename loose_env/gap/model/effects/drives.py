@@ -93,9 +93,8 @@ class ActuatorGain(Effect):
         share. Gains of a servo and of its command do not change what a current means.
         """
         machine = self.machine
-        if self.variant or machine.actuated_joint.get(self.where) != joint:
-            return torque
-        alone = np.count_nonzero(machine.gears(joint)) == 1
+        own = not self.variant and machine.actuated_joint.get(self.where) == joint
+        alone = own and np.count_nonzero(machine.gears(joint)) == 1
         return torque / float(values[0]) if alone else torque
 
 
@@ -115,11 +114,8 @@ class ActuatorLag(ShiftedCommand):
 
     kind = "actuator_lag"
     # from a fast drive to a very slow one: a servo's response is not linear
-    parameters = (
-        Parameter.sized(
-            "time_constant", "s", 0.01, 0, 100, scale=1.0, starts=(0.1, 0.3, 0.8, 2.0, 6.0, 15.0)
-        ),
-    )
+    _starts = (0.1, 0.3, 0.8, 2.0, 6.0, 15.0)
+    parameters = (Parameter.sized("time_constant", "s", 0.01, 0, 100, scale=1, starts=_starts),)
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -225,16 +221,13 @@ class CommandInterpolation(Effect):
     proportional = 0
     in_model = False
     null_values = (0.0,)
+    # of the way from a held command to the straight line
+    parameters = (Parameter(name="share", unit="", low=0.0, high=1.0, starts=(1.0,)),)
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return all drives together."""
         return ("all",) if machine.actuators else ()
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Share of the way from a held command to the straight line."""
-        return (Parameter(name="share", unit="", low=0.0, high=1.0, starts=(1.0,)),)
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
         """Draw lines between the steps of the commands: means over each step."""
@@ -364,9 +357,9 @@ class VoltageLimit(DriveLimit):
         bias, damping = np.array(actuator.biasprm), np.array(actuator.damping)
         if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
             bias[:3] = 0.0
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         bias[2] += back
         damping[0] += back
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.biasprm, actuator.damping = bias, damping
 
 
@@ -383,15 +376,11 @@ class DeadZone(DrivenEffect, JointDriveEffect):
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return drives of a joint with a position feedback, or with none."""
         model = machine.model
-        kept = []
-        for name in super().locations(machine):
-            number = machine.actuators.index(name)
-            gain, _, rate = model.actuator_gainprm[number, :3]
-            offset, stiffness, damping = model.actuator_biasprm[number, :3]
-            servo = gain != 0 and np.isclose(stiffness, -gain) and offset == 0
-            if servo or (stiffness == 0 and damping == 0 and rate == 0):
-                kept.append(name)
-        return tuple(kept)
+        gain, _, rate = model.actuator_gainprm[:, :3].T
+        offset, stiffness, damping = model.actuator_biasprm[:, :3].T
+        servo = (gain != 0) & np.isclose(stiffness, -gain) & (offset == 0)
+        there = named(machine.actuators, servo | (stiffness == 0) & (damping == 0) & (rate == 0))
+        return tuple(name for name in super().locations(machine) if name in there)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
@@ -423,12 +412,9 @@ class DeadZone(DrivenEffect, JointDriveEffect):
 
     def feedback_code(self, values: Array) -> str:
         """Python lines: the command less the part of the error in the dead zone."""
-        number, width = self._number, float(values[0])
+        own, width = f"command[{self._number}]", float(values[0])
         at = f"{self.gear!r} * position[{self._place}]" if self._servo else "0.0"
-        error = f"command[{number}] - {at}"
-        limited = ""
+        lines = [f"# dead zone of {self.where}"]
         if self._limits:
-            low, high = self._limits
-            limited = f"command[{number}] = np.clip(command[{number}], {low!r}, {high!r})\n"
-        named = f"# dead zone of {self.where}\n"
-        return f"{named}{limited}command[{number}] -= np.clip({error}, {-width!r}, {width!r})"
+            lines.append(f"{own} = np.clip({own}, {self._limits[0]!r}, {self._limits[1]!r})")
+        return "\n".join([*lines, f"{own} -= np.clip({own} - {at}, {-width!r}, {width!r})"])

@@ -15,17 +15,8 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.effect import Effect, JointEffect, Parameter
+from loose_env.gap.model.effects import mjcf
 from loose_env.gap.model.effects.inertia import LinkEffect, links_with_mass
-from loose_env.gap.model.effects.mjcf import (
-    FASTEST,
-    add_extra_joint,
-    added_name,
-    insert_first,
-    joint_inertia,
-    keep_motor_side,
-    make_it_stick,
-    set_stops,
-)
 from loose_env.gap.model.nominal_model import (
     NominalModel,
     frame_about,
@@ -67,7 +58,7 @@ class AddedJoint(Effect):
     def inertia(self) -> tuple[float, float]:
         """Inertia on the joint [kg·m²] or mass [kg], and its inverse weight with all free."""
         spec = self.machine.fresh()
-        return joint_inertia(spec, self._insert(spec, 0.0, 0.0).name)
+        return mjcf.joint_inertia(spec, self._insert(spec, 0.0, 0.0).name)
 
 
 class SpringEffect(AddedJoint):
@@ -83,7 +74,7 @@ class SpringEffect(AddedJoint):
         """
         carried, weight = self.inertia
         low = carried * (2 * pi * _SLOWEST_HZ) ** 2
-        high = max((FASTEST / self.machine.time_step) ** 2 / weight, 10 * low)
+        high = max((mjcf.FASTEST / self.machine.time_step) ** 2 / weight, 10 * low)
         stiffness = Parameter(
             name="stiffness", unit=self.unit, low=low, high=high, scale=sqrt(low * high), log=True
         )
@@ -117,9 +108,9 @@ class SplitJoint(JointEffect, AddedJoint):
     def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
         """Add the link side; return its joint."""
         machine, number = self.machine, self.number
-        keep_motor_side(machine, spec, self.where, self.carried)
-        return add_extra_joint(
-            spec.body(machine.body_of(self.where)), added_name(spec, self.where, self.kind),
+        mjcf.keep_motor_side(machine, spec, self.where, self.carried)
+        return mjcf.add_extra_joint(
+            spec.body(machine.body_of(self.where)), mjcf.added_name(spec, self.where, self.kind),
             turns=self.turns, axis=machine.model.jnt_axis[number],
             pos=machine.model.jnt_pos[number], stiffness=spring[0], damping=spring[1],
         )  # fmt: skip
@@ -183,11 +174,9 @@ class Backlash(SplitJoint):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the clearance behind the joint."""
         joint = self._insert(spec, 0.0, _DRAG_RATE * self.carried)
-        gap, stiffness, ratio = (float(v) for v in values)
         # a small load is raised to that of slight shaking
         load = max(self.load, _LEAST_LOAD * float(np.max(self.machine.load_scales)))
-        weight = self.inertia[1]
-        set_stops(joint, 0.5 * gap, stiffness=stiffness, ratio=ratio, weight=weight, load=load)
+        mjcf.set_stops(joint, *map(float, values), weight=self.inertia[1], load=load)
 
 
 def _stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]:
@@ -257,13 +246,13 @@ class BaseCompliance(SpringEffect):
         first = int(model.jnt_bodyid[0])
         turn = data.xmat[first].reshape(3, 3)
         body = spec.body(model.body(first).name)
-        hinge = add_extra_joint(
-            body, added_name(spec, "base", self._name), turns=True,
+        hinge = mjcf.add_extra_joint(
+            body, mjcf.added_name(spec, "base", self._name), turns=True,
             axis=turn.T @ _axis(self.machine, self.variant),
             pos=turn.T @ (_foot(self.machine) - data.xpos[first]), stiffness=spring[0],
             damping=spring[1],
         )  # fmt: skip
-        insert_first(spec, body, hinge.name)
+        mjcf.insert_first(spec, body, hinge.name)
         return hinge
 
 
@@ -296,7 +285,7 @@ class _MovedLink(LinkEffect, AddedJoint):
         body = machine.model.body(self.where).id
         for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
             if owner == body and machine.turns(joint) == turns:
-                keep_motor_side(machine, spec, joint, machine.inertia(joint))
+                mjcf.keep_motor_side(machine, spec, joint, machine.inertia(joint))
 
 
 _GRAVITY = 9.81  # usual load of a seat, over the mass on it [m/s²]
@@ -357,28 +346,25 @@ class StructuralLooseness(_MovedLink):
         direction = self.direction(values)
         gap, friction, stiffness, ratio = (float(v) for v in values[-4:])
         joint = self._slide(spec, direction, friction)
-        make_it_stick(joint, spec.option.timestep)
+        mjcf.make_it_stick(joint, spec.option.timestep)
         weight = self._weight(direction)
-        # the same contact mode in every direction
-        set_stops(
-            joint, 0.5 * gap, stiffness=stiffness * self._mean_weight / weight, ratio=ratio,
-            weight=weight, load=_GRAVITY / weight,
-        )  # fmt: skip
+        stiffness *= self._mean_weight / weight  # the same contact mode in every direction
+        mjcf.set_stops(joint, gap, stiffness, ratio, weight=weight, load=_GRAVITY / weight)
 
     def _slide(
         self, spec: mujoco.MjSpec, direction: Array, friction: float = 0.0
     ) -> mujoco.MjsJoint:
         """Add the slide, and keep inertia on the drive's side of others, which may lie along it."""
         self.keep_driven_side(spec, turns=False)
-        return add_extra_joint(
-            spec.body(self.where), added_name(spec, self.where, self.kind), turns=False,
+        return mjcf.add_extra_joint(
+            spec.body(self.where), mjcf.added_name(spec, self.where, self.kind), turns=False,
             axis=direction, pos=np.zeros(3), friction=friction,
         )  # fmt: skip
 
     def _weight(self, direction: Array) -> float:
         """Inverse of the mass on the slide [1/kg], all joints free."""
         spec = self.machine.fresh()
-        return joint_inertia(spec, self._slide(spec, direction).name)[1]
+        return mjcf.joint_inertia(spec, self._slide(spec, direction).name)[1]
 
     @cached_property
     def _mean_weight(self) -> float:
@@ -452,8 +438,8 @@ class LinkFlexibility(_MovedLink, SpringEffect):
         """Add the pivot behind the link's joints, at a share of its length."""
         stiffness, damping, share = spring if len(spring) > 2 else (*spring, _MIDDLE)
         self.keep_driven_side(spec, turns=True)
-        return add_extra_joint(
-            spec.body(self.where), added_name(spec, self.where, self._name), turns=True,
+        return mjcf.add_extra_joint(
+            spec.body(self.where), mjcf.added_name(spec, self.where, self._name), turns=True,
             axis=self._axis, pos=self._start + share * self._length * self._along,
             stiffness=stiffness, damping=damping,
         )  # fmt: skip

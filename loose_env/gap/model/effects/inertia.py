@@ -21,13 +21,7 @@ from loose_env.gap.model.effect import (
     Parameter,
     WeightedEffect,
 )
-from loose_env.gap.model.effects.mjcf import (
-    Inertial,
-    added_name,
-    inertial_of,
-    set_inertial,
-    site_pose,
-)
+from loose_env.gap.model.effects import mjcf
 from loose_env.gap.model.nominal_model import NominalModel, link_ends, normal_of, reach_of
 from loose_env.typing import Array
 
@@ -67,10 +61,10 @@ class LinkMass(LinkEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Scale the link's mass and inertia."""
-        old = inertial_of(self.machine, spec, self.where)
+        old = mjcf.inertial_of(self.machine, spec, self.where)
         factor = max(1.0 + float(values[0]) / old.mass, 0.01)
-        scaled = Inertial(factor * old.mass, old.centre, factor * old.tensor)
-        set_inertial(self.machine, spec, self.where, scaled)
+        scaled = mjcf.Inertial(factor * old.mass, old.centre, factor * old.tensor)
+        mjcf.set_inertial(self.machine, spec, self.where, scaled)
 
 
 class LinkCom(AdditiveEffect, LinkEffect):
@@ -107,10 +101,10 @@ class LinkCom(AdditiveEffect, LinkEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Shift the link's centre."""
-        old = inertial_of(self.machine, spec, self.where)
+        old = mjcf.inertial_of(self.machine, spec, self.where)
         centre = old.centre.copy()
         centre[list(self._axes)] += np.asarray(values, dtype=float)
-        set_inertial(self.machine, spec, self.where, replace(old, centre=centre))
+        mjcf.set_inertial(self.machine, spec, self.where, replace(old, centre=centre))
 
 
 _FAR_OFF = 0.3  # furthest centre of a payload from the tool, over the reach of the arm
@@ -189,13 +183,13 @@ class Payload(WeightedEffect):
         centre = np.array(values[1:]) if self.variant else np.zeros(3)
         if self.machine.tool:
             site = spec.site(self.machine.tool)
-            (place, _), carrier = site_pose(self.machine, site), site.parent
+            (place, _), carrier = mjcf.site_pose(self.machine, site), site.parent
         else:
             name, place = _outermost(self.machine)
             carrier = spec.body(name)
-        body = carrier.add_body(name=added_name(spec, "tool", self.kind), pos=place)
+        body = carrier.add_body(name=mjcf.added_name(spec, "tool", self.kind), pos=place)
         tensor = mass * (_RADIUS * reach_of(self.machine)) ** 2 * np.eye(3)
-        set_inertial(self.machine, spec, body.name, Inertial(mass, centre, tensor))
+        mjcf.set_inertial(self.machine, spec, body.name, mjcf.Inertial(mass, centre, tensor))
 
 
 class MountedPayload(Payload):
@@ -353,5 +347,5 @@ class GravityCompensation(LinkEffect):
             spec.body(link).gravcomp += float(values[0])
         if any(spec.body(link).gravcomp < 0 for link in links):
             # MuJoCo compensates no gravity at all unless some body has a positive share
-            aside = spec.worldbody.add_body(name=added_name(spec, self.where, self.kind))
+            aside = spec.worldbody.add_body(name=mjcf.added_name(spec, self.where, self.kind))
             aside.gravcomp = 1.0

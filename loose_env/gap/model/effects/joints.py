@@ -18,14 +18,7 @@ import numpy as np
 from scipy.signal import lombscargle
 
 from loose_env.gap.model.effect import DrivenEffect, JointEffect, Parameter, WeightedEffect
-from loose_env.gap.model.effects.mjcf import (
-    add_constant,
-    add_friction,
-    add_passive,
-    added_name,
-    angle_unit,
-    make_it_stick,
-)
+from loose_env.gap.model.effects import mjcf
 from loose_env.gap.model.nominal_model import NominalModel, named
 from loose_env.typing import Array
 
@@ -85,10 +78,8 @@ class ViscousFriction(_Resistance):
         """
         joint, added = spec.joint(self.where), float(values[0])
         damping = np.array(joint.damping)
-        if added < 0:
-            damping[0] *= max(1.0 + added / self.nominal, 0.0)
-        else:
-            damping[0] += added
+        damping[0] *= max(1.0 + added / self.nominal, 0.0) if added < 0 else 1.0
+        damping[0] += max(added, 0.0)
         joint.damping = damping
 
 
@@ -111,7 +102,7 @@ class CoulombFriction(_Resistance):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's friction loss."""
         if values[0] != 0:
-            add_friction(spec, self.where, float(values[0]))
+            mjcf.add_friction(spec, self.where, float(values[0]))
 
 
 class QuadraticDrag(_Resistance):
@@ -175,11 +166,10 @@ class AsymmetricFriction(JointEffect):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add friction loss and a constant torque."""
         forward, backward = float(values[0]), float(values[1])
-        if forward + backward <= 0:
-            return
-        add_friction(spec, self.where, 0.5 * (forward + backward))
-        name = added_name(spec, self.where, self.kind)
-        add_constant(spec, self.where, name, 0.5 * (backward - forward))
+        if forward + backward > 0:
+            mjcf.add_friction(spec, self.where, 0.5 * (forward + backward))
+            name = mjcf.added_name(spec, self.where, self.kind)
+            mjcf.add_constant(spec, self.where, name, 0.5 * (backward - forward))
 
 
 _KNOTS = (0.19, 1.58)  # speeds, over the Stribeck speed, at which the pieces of the fall meet
@@ -222,12 +212,12 @@ class StribeckFriction(JointEffect):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add friction loss, and actuators without input for the decrease in motion."""
         torque, ratio, speed = (float(v) for v in values)
-        add_friction(spec, self.where, ratio * torque)
+        mjcf.add_friction(spec, self.where, ratio * torque)
         fall = max(ratio - 1, 1e-6) * torque
         for number, (slope, end) in enumerate(_PIECES):
-            name = added_name(spec, self.where, f"{self.kind}_{number}")
+            name = mjcf.added_name(spec, self.where, f"{self.kind}_{number}")
             bias, limit = (0.0, 0.0, fall * slope / speed), fall * abs(slope) * end
-            add_passive(spec, self.where, name, bias=bias, limit=limit)
+            mjcf.add_passive(spec, self.where, name, bias=bias, limit=limit)
 
 
 _TRACE = 1e-9
@@ -284,7 +274,7 @@ class LoadFriction(DrivenEffect, JointEffect):
             return
         joint = spec.joint(self.where)
         joint.frictionloss = max(joint.frictionloss, _TRACE * self.load)
-        make_it_stick(joint, spec.option.timestep)
+        mjcf.make_it_stick(joint, spec.option.timestep)
 
     def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
         """Shares of the torques of drive and load."""
@@ -350,23 +340,19 @@ class TorqueRipple(JointEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add an actuator without input, with the ripple as its cogging."""
-        name = added_name(spec, self.where, self.kind)
+        name = mjcf.added_name(spec, self.where, self.kind)
         amplitude, periods, phase = (float(v) for v in values)
-        add_passive(spec, self.where, name, cogging=(amplitude, self._rate * periods, phase))
+        mjcf.add_passive(spec, self.where, name, cogging=(amplitude, self._rate * periods, phase))
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Propose starts by a least-squares periodogram over a fine grid of periods.
+        """Propose the strongest peaks, none beside another, of a periodogram (Lomb, Scargle).
 
-        The periodogram is that of Lomb and Scargle. The grid, of phase per unit of position, has
-        the resolution of the range of motion. The strongest peaks that are not neighbours become
-        starts.
+        Its grid, of phase per unit of position, has the resolution of the range of motion.
         """
         q, force = angle, -torque
-        width = float(np.ptp(q)) if len(q) >= 10 else 0.0
-        if width <= 0:
-            return ()
+        width = max(float(np.ptp(q)), 1e-9) if len(q) >= 10 else 1e-9
         spacing = 0.25 * 2 * pi / width
         lowest = max(0.5, pi / width)
         highest = min(self._rate * self._most, lowest + _TRIED * spacing)
@@ -432,15 +418,12 @@ class JointSpring(WeightedEffect, JointEffect):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Set the joint's stiffness and spring reference to those of both springs."""
         added, rest = float(values[0]), float(values[1])
-        if added == 0:
-            return
-        joint = spec.joint(self.where)
-        unit = angle_unit(joint)
-        stiffness = np.array(joint.stiffness)
-        both = stiffness[0] + added
-        rests = (stiffness[0] * joint.springref * unit + added * rest) / both
-        stiffness[0] = both
-        joint.stiffness, joint.springref = stiffness, rests / unit
+        if added != 0:
+            joint = spec.joint(self.where)
+            stiffness, unit = np.array(joint.stiffness), mjcf.angle_unit(joint)
+            moment = stiffness[0] * joint.springref * unit + added * rest
+            stiffness[0] += added
+            joint.stiffness, joint.springref = stiffness, moment / stiffness[0] / unit
 
 
 class TorqueOffset(JointEffect):
@@ -453,14 +436,14 @@ class TorqueOffset(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Torque in the joint's direction that the model lacks."""
-        starts = (-0.1, 0.1)
-        return (Parameter.sized("torque", self.torque_unit, self.load, -20, 20, starts=starts),)
+        own, unit = self.load, self.torque_unit
+        return (Parameter.sized("torque", unit, own, -20, 20, starts=(-0.1, 0.1)),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add an actuator without input that gives the torque."""
         if values[0] != 0:
-            name = added_name(spec, self.where, self.kind)
-            add_constant(spec, self.where, name, -float(values[0]))
+            name = mjcf.added_name(spec, self.where, self.kind)
+            mjcf.add_constant(spec, self.where, name, -float(values[0]))
 
 
 class FrictionBehindSlack(JointEffect):
@@ -502,19 +485,12 @@ class FrictionBehindSlack(JointEffect):
 
     def torque(self, position: Array, speed: Array, values: Array) -> Array:
         """Force along a path (T, joints)."""
-        joint = self.number
-        found = np.zeros_like(position)
-        found[:, joint] = -values[0] * behind_slack(position[:, joint], values[1], values[2])
+        joint, (friction, slack, elastic) = self.number, values
+        anchor, found = float(position[0, joint]), np.zeros_like(position)
+        for k, x in enumerate(position[:, joint]):
+            stretch = abs(x - anchor) - slack / 2
+            if stretch > elastic:
+                anchor = x - np.sign(x - anchor) * (slack / 2 + elastic)
+                stretch = elastic
+            found[k, joint] = -friction * (np.sign(x - anchor) * max(stretch, 0.0) / elastic)
         return found
-
-
-def behind_slack(position: Array, slack: float, elastic: float) -> Array:
-    """Share of the friction that acts along a path (T,)."""
-    anchor, found = float(position[0]), np.empty_like(position)
-    for k, x in enumerate(position):
-        stretch = abs(x - anchor) - slack / 2
-        if stretch > elastic:
-            anchor = x - np.sign(x - anchor) * (slack / 2 + elastic)
-            stretch = elastic
-        found[k] = np.sign(x - anchor) * max(stretch, 0.0) / elastic
-    return found

@@ -156,14 +156,14 @@ def add_extra_joint(
 
 def set_stops(
     joint: mujoco.MjsJoint,
-    reach: float,
-    *,
+    gap: float,
     stiffness: float,
     ratio: float,
+    *,
     weight: float,
     load: float,
 ) -> None:
-    """Add stops at ±reach to an added joint.
+    """Add stops with a gap between them to an added joint.
 
     Contact force grows with the penetration to the power of 1.5 (Hertz), and damping with the
     force. MuJoCo's smallest impedance d makes a limit a spring and a damper, d² k r + d c v, where
@@ -176,7 +176,7 @@ def set_stops(
     """
     damping = 2 * ratio * np.sqrt(stiffness / weight) / _USUAL
     joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    end = reach / angle_unit(joint)
+    end = 0.5 * gap / angle_unit(joint)
     joint.range = [-end, end]
     # Under the typical load a Hertzian stop deflects by 1.5 load / stiffness; its impedance is
     # largest at three times that, where force over travel is 1.5^-1 3^0.5 times the stiffness.
