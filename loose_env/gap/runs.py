@@ -184,22 +184,15 @@ def channels_of(runs: list[Run]) -> tuple[Channel, ...]:
 
 def _even_interval(time: Array) -> float | None:
     """Sample interval [s] of stamps (T,) that are even but for rounding; None if they are not."""
-    number = np.arange(len(time))
-    interval, first = np.polyfit(number, time - time[0], 1)
-    off = float(np.max(np.abs(time - time[0] - first - interval * number)))
-    rounded = _resolution(time)
+    number, since = np.arange(len(time)), time - time[0]
+    interval, first = np.polyfit(number, since, 1)
+    off = float(np.max(np.abs(since - first - interval * number)))
+    spacing, steps = float(np.spacing(np.max(np.abs(time)))), 10.0 ** -np.arange(2, 8)
+    counts = since / steps[:, None]
+    whole = np.abs(counts - np.round(counts)).max(axis=1) <= 1e-3 + spacing / steps
+    rounded = float(steps[whole].max(initial=0.0))  # the largest of 10 ms, 1 ms, ... [s]
     rounding = rounded if rounded < _FINE * interval else 0.0
     return float(interval) if off <= max(_REGULAR * interval, _ROUNDED * rounding) else None
-
-
-def _resolution(time: Array) -> float:
-    """What time stamps (T,) are rounded to: the largest of 10 ms, 1 ms, ... [s]; 0 if finer."""
-    spacing = float(np.spacing(np.max(np.abs(time))))
-    for step in 10.0 ** -np.arange(2, 8):
-        counts = (time - time[0]) / step
-        if np.all(np.abs(counts - np.round(counts)) <= 1e-3 + spacing / step):
-            return float(step)
-    return 0.0
 
 
 def align_run(

@@ -86,8 +86,7 @@ class MotionLimits:
             return f"{motion.contacts[0][0]} and {motion.contacts[0][1]} would touch"
         low = np.minimum(motion.position, motion.desired).min(axis=0)
         high = np.maximum(motion.position, motion.desired).max(axis=0)
-        beyond = (low < self.low - _ROOM) | (high > self.high + _ROOM)
-        for k in np.flatnonzero(beyond):
+        for k in np.flatnonzero((low < self.low - _ROOM) | (high > self.high + _ROOM)):
             return (
                 f"{self.joints[k]} would move from {low[k]:.3g} to {high[k]:.3g}; it may from "
                 f"{self.low[k]:.3g} to {self.high[k]:.3g} ({self.sources[0]})"
@@ -172,12 +171,9 @@ def followed(
 
 def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
     """Pairs of bodies in contact."""
-    found = set()
-    for contact in map(data.contact.__getitem__, range(data.ncon)):
-        if contact.dist <= 0:
-            one, two = (model.body(int(model.geom_bodyid[g])).name for g in contact.geom)
-            found.add((min(one, two), max(one, two)))
-    return found
+    near = (c for c in map(data.contact.__getitem__, range(data.ncon)) if c.dist <= 0)
+    names = (sorted(model.body(int(model.geom_bodyid[g])).name for g in c.geom) for c in near)
+    return {(one, two) for one, two in names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,10 +245,8 @@ class ServoArm(Checked):
         for k, joint in enumerate(machine.joints):
             of_joint = (getattr(model, f"dof_{name}")[model.jnt_dofadr[k]] for name in JOINT)
             found += [(f, joint) for f, value in zip(JOINT, of_joint, strict=True) if value > 0]
-        for k, actuator in enumerate(machine.actuators):
-            found.append(("gain", actuator))
-            if model.actuator_biasprm[k, 2] != 0:
-                found.append(("velocity_gain", actuator))
+        for actuator, damping in zip(machine.actuators, model.actuator_biasprm[:, 2], strict=True):
+            found += [("gain", actuator), ("velocity_gain", actuator)][: 1 + bool(damping != 0)]
         return tuple(found)
 
     def off(self, factors: Array) -> mujoco.MjSpec:
@@ -334,8 +328,8 @@ class ServoArm(Checked):
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
         """Measured channels: positions, then torques of the driven joints."""
-        positions = [Channel(f"sensor.{name}_pos") for name in self.joints]
-        return (*positions, *(Channel(f"torque.{name}") for name in self.joints))
+        columns = [f"sensor.{name}_pos" for name in self.joints]
+        return tuple(map(Channel, (*columns, *(f"torque.{name}" for name in self.joints))))
 
     @cached_property
     def noise(self) -> Array:
@@ -351,10 +345,8 @@ class ServoArm(Checked):
     @cached_property
     def key(self) -> str:
         """Digest of model, sensors, tolerance and speed: what columns depend on."""
-        text = self._prepared.to_xml() + repr(
-            (RATE, _ENCODER_STEPS, _ENCODER_NOISE, _TORQUE_NOISE, self.tolerance)
-        )
-        text += repr((self.max_speed, mujoco.__version__))
+        sensors = RATE, _ENCODER_STEPS, _ENCODER_NOISE, _TORQUE_NOISE, self.tolerance
+        text = f"{self._prepared.to_xml()}{sensors!r}{(self.max_speed, mujoco.__version__)!r}"
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def controls(self, commands: Array) -> Array:
@@ -407,9 +399,8 @@ class ServoArm(Checked):
     def measured(self, readings: Array, rng: np.random.Generator) -> Array:
         """Add encoder noise, quantisation and torque noise to readings (n, 2 J)."""
         count = len(self.joints)
-        found = readings + rng.normal(size=readings.shape) * np.concatenate(
-            [np.full(count, _ENCODER_NOISE), self.noise[count:]]
-        )
+        noise = np.concatenate([np.full(count, _ENCODER_NOISE), self.noise[count:]])
+        found = readings + rng.normal(size=readings.shape) * noise
         found[:, :count] = self._quantum * np.round(found[:, :count] / self._quantum)
         return np.asarray(found)
 
@@ -440,12 +431,12 @@ def read_servo_arm(
 
 def _servos(model: mujoco.MjModel) -> tuple[IndexArray, IndexArray]:
     """Driven joints, in the model's order, and the servo of each."""
-    found = {}
-    for k in range(model.nu):
-        at_joint = model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT
-        closes = np.isclose(model.actuator_biasprm[k, 1], -model.actuator_gainprm[k, 0])
-        if at_joint and closes and model.actuator_gainprm[k, 0] > 0:
-            found[int(model.actuator_trnid[k, 0])] = k
+    gain, at_joint = (
+        model.actuator_gainprm[:, 0],
+        model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT,
+    )
+    closes = at_joint & (gain > 0) & np.isclose(model.actuator_biasprm[:, 1], -gain)
+    found = {int(model.actuator_trnid[k, 0]): int(k) for k in np.flatnonzero(closes)}
     return np.array(sorted(found), dtype=int), np.array([found[k] for k in sorted(found)], int)
 
 

@@ -156,8 +156,7 @@ class _Stepped:
 
 def _slice(at: IndexArray) -> IndexArray | slice:
     """Indices as a slice where they follow each other."""
-    first = int(at[0])
-    return slice(first, first + len(at)) if np.all(np.diff(at) == 1) else at
+    return slice(int(at[0]), int(at[-1]) + 1) if np.all(np.diff(at) == 1) else at
 
 
 def _expand(batch: Batch, models: Sequence[mujoco.MjModel]) -> None:

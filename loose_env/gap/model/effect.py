@@ -352,9 +352,8 @@ class Effect:
                 for p, a, b in zip(self.parameters, low, high, strict=True)
                 if p.name in ends
             }
-            if self.has_stops and "gap" in reached:
-                return bool(reached["gap"])
-            return bool(reached) and all(reached.values())
+            by_gap = self.has_stops and "gap" in reached
+            return bool(reached) and bool(reached["gap"] if by_gap else all(reached.values()))
         null = np.array(self.null_values)
         included = (low <= null) & (null <= high)
         # what shapes an effect of no size does not matter

@@ -87,17 +87,16 @@ class NominalModel:
     @cached_property
     def actuated_joint(self) -> dict[str, str]:
         """Joint driven by each actuator, of those that drive a joint."""
-        found = {}
-        for k, name in enumerate(self.actuators):
-            if int(self.model.actuator_trntype[k]) in AT_JOINT:
-                found[name] = self.model.joint(int(self.model.actuator_trnid[k, 0])).name
-        return found
+        of, at_joint = (
+            self.model.actuator_trnid[:, 0],
+            np.isin(self.model.actuator_trntype, AT_JOINT),
+        )
+        return {n: self.joints[of[k]] for k, n in enumerate(self.actuators) if at_joint[k]}
 
     @cached_property
     def encoders(self) -> dict[str, str]:
         """Joint that each position sensor reads."""
-        sensors = joint_sensors(self.model).items()
-        return {name: joint for joint, own in sensors for name in own.position}
+        return {n: joint for joint, own in joint_sensors(self.model).items() for n in own.position}
 
     @property
     def time_step(self) -> float:
@@ -360,12 +359,10 @@ def link_ends(machine: NominalModel, link: str) -> tuple[Array, Array]:
     model = machine.model
     body = model.body(link).id
     start = np.array(model.jnt_pos[int(model.body_jntadr[body])])
-    carrying: set[int] = set()
-    for ancestor in np.unique(model.jnt_bodyid).tolist():
-        while ancestor not in carrying:
-            carrying.add(ancestor)
-            ancestor = int(model.body_parentid[ancestor])
-    ends = [model.body_pos[b] for b in sorted(carrying - {0}) if model.body_parentid[b] == body]
+    carrying = set(model.jnt_bodyid.tolist())
+    for each in range(model.nbody - 1, 0, -1):  # parents come before their children
+        carrying |= {int(model.body_parentid[each])} if each in carrying else set()
+    ends = [model.body_pos[b] for b in sorted(carrying) if b and model.body_parentid[b] == body]
     if not ends:
         ends = [model.site_pos[s] for s in range(model.nsite) if model.site_bodyid[s] == body]
     if not ends:
