@@ -36,13 +36,7 @@ from loose_env.gap.runs import steady_activations
 from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed
 from loose_env.gap.simulator import sensed
 from loose_env.inference import log_determinant
-from loose_env.io import (
-    Checked,
-    NonNegative,
-    Positive,
-    json_text,
-    write_text,
-)
+from loose_env.io import Checked, NonNegative, Positive, json_text, write_text
 from loose_env.recording import Recording, Run, table_of, write_csv, write_parquet
 from loose_env.typing import Array, IndexArray
 

@@ -24,10 +24,7 @@ _HALVINGS = 3  # times that a step is halved, at most
 
 
 def corrected_spec(
-    machine: NominalModel,
-    hypothesis: Hypothesis,
-    *,
-    step: float | None = None,
+    machine: NominalModel, hypothesis: Hypothesis, *, step: float | None = None
 ) -> mujoco.MjSpec:
     """Build the nominal model with all effects that MJCF can express.
 

@@ -62,11 +62,7 @@ CATALOGUE: dict[str, type[Effect]] = {
 EFFECTS: Mapping[str, type[Effect]] = ChainMap(
     {
         effect.kind: effect
-        for effect in (
-            joints.TorqueOffset,
-            joints.FrictionBehindSlack,
-            drives.CommandInterpolation,
-        )
+        for effect in (joints.TorqueOffset, joints.FrictionBehindSlack, drives.CommandInterpolation)
     },
     CATALOGUE,
 )

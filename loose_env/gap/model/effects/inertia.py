@@ -14,13 +14,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.effect import (
-    AdditiveEffect,
-    Effect,
-    Mountings,
-    Parameter,
-    WeightedEffect,
-)
+from loose_env.gap.model.effect import AdditiveEffect, Effect, Mountings, Parameter, WeightedEffect
 from loose_env.gap.model.effects import mjcf
 from loose_env.gap.model.nominal_model import NominalModel, link_ends, normal_of, reach_of
 from loose_env.typing import Array

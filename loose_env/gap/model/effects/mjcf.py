@@ -14,12 +14,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.nominal_model import (
-    NominalModel,
-    mass_matrix,
-    unused,
-    write_inertial,
-)
+from loose_env.gap.model.nominal_model import NominalModel, mass_matrix, unused, write_inertial
 from loose_env.typing import Array
 
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
