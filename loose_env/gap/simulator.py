@@ -330,7 +330,7 @@ class Simulator:
                 readings[column] = sensed(slot.model, name, whole)
             else:
                 forces = whole[:, slot.model.nsensordata - len(self.machine.actuators) :]
-                readings[column] = forces @ self.machine.gears(name)
+                readings[column] = forces @ self.machine.moments[self.machine.joint_number(name)]
         for effect, own in hypothesis.pairs:
             readings = effect.read(slot.trial.time, readings, own)
         every = [(readings[c.column], c.axis) for c in self.channels]

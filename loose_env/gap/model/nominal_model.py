@@ -130,10 +130,6 @@ class NominalModel:
         of_joint = np.where(model.jnt_actfrclimited, of_joint, np.inf)
         return np.asarray(np.minimum(found, of_joint))
 
-    def gears(self, joint: str) -> Array:
-        """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
-        return np.asarray(self.moments[self.joint_number(joint)])
-
     @cached_property
     def at_zero(self) -> mujoco.MjData:
         """The evaluated model at its zero; not to be changed."""
@@ -201,18 +197,6 @@ class NominalModel:
         speeds = np.ones(len(self.joints)) if self.speeds is None else self.speeds
         return np.asarray(np.maximum(speeds, 1e-9), float)
 
-    def load(self, joint: str) -> float:
-        """Typical torque [N·m] or force [N] of one joint."""
-        return float(self.load_scales[self.joint_number(joint)])
-
-    def speed(self, joint: str) -> float:
-        """Typical speed of one joint [rad/s, m/s]."""
-        return float(self.speed_scales[self.joint_number(joint)])
-
-    def inertia(self, joint: str) -> float:
-        """Inertia on one joint [kg·m², kg]."""
-        return float(self.inertias[self.joint_number(joint)])
-
     @cached_property
     def hinges(self) -> NDArray[np.bool_]:
         """Mask of the joints that are hinges (joints,)."""
@@ -221,10 +205,6 @@ class NominalModel:
     def turns(self, joint: str) -> bool:
         """Return whether a joint is a hinge."""
         return bool(self.hinges[self.joint_number(joint)])
-
-    def units(self, joint: str) -> tuple[str, str]:
-        """Units of a joint's coordinate and of its driving force."""
-        return ("rad", "N·m") if self.turns(joint) else ("m", "N")
 
 
 def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from scipy.signal import lfilter
 
-from loose_env.gap.model.effect import DrivenEffect, Effect, Parameter
+from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
 from loose_env.gap.model.nominal_model import NominalModel, history_for, named
 from loose_env.typing import Array
 
@@ -94,7 +94,8 @@ class ActuatorGain(Effect):
         """
         machine = self.machine
         own = not self.variant and machine.actuated_joint.get(self.where) == joint
-        alone = own and np.count_nonzero(machine.gears(joint)) == 1
+        gears = machine.moments[machine.joint_number(joint)]
+        alone = own and np.count_nonzero(gears) == 1
         return torque / float(values[0]) if alone else torque
 
 
@@ -244,7 +245,7 @@ _LEAST_GIVEN = 0.05  # lowest limit that is sought in data, over the largest tor
 _GRID, _SPEED_GRID = 150, 16  # limits, 2 % apart, and no-load speeds that are tried on data
 
 
-class JointDriveEffect(Effect):
+class JointDriveEffect(JointEffect):
     """An effect of the drive of one joint, its force linear in command, position and speed."""
 
     acts_on = "actuator"
@@ -255,18 +256,19 @@ class JointDriveEffect(Effect):
         return tuple(n for n in ActuatorGain.locations(machine) if n in machine.actuated_joint)
 
     @property
-    def _number(self) -> int:
-        return self.machine.actuators.index(self.where)
-
-    @property
     def joint(self) -> str:
         """Joint that it drives."""
         return self.machine.actuated_joint[self.where]
 
     @property
+    def drive(self) -> int:
+        """Index of the drive."""
+        return self.machine.actuators.index(self.where)
+
+    @property
     def gear(self) -> float:
         """Torque on the joint per force of the drive, with its sign."""
-        return float(self.machine.model.actuator_gear[self._number, 0]) or 1.0
+        return float(self.machine.model.actuator_gear[self.drive, 0]) or 1.0
 
 
 class DriveLimit(JointDriveEffect):
@@ -275,12 +277,12 @@ class DriveLimit(JointDriveEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest force of the actuator, at most that of the model; times its gear on the joint."""
-        model, usual = self.machine.model, self.machine.load(self.joint) / abs(self.gear)
+        model, usual = self.machine.model, self.load / abs(self.gear)
         high = _HIGHEST * usual
-        if model.actuator_forcelimited[self._number]:
-            high = float(np.max(np.abs(model.actuator_forcerange[self._number])))
+        if model.actuator_forcelimited[self.drive]:
+            high = float(np.max(np.abs(model.actuator_forcerange[self.drive])))
         limit = Parameter(
-            name=self.limit[0][0], unit=self.machine.units(self.joint)[1],
+            name=self.limit[0][0], unit=self.torque_unit,
             low=min(_LOWEST * usual, 0.5 * high), high=high, scale=usual, log=True,
         )  # fmt: skip
         starts = (limit.clipped(min(s * usual, 0.8 * high)) for s in (0.4, 0.8, 1.5, 2.5))
@@ -339,12 +341,11 @@ class VoltageLimit(DriveLimit):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest force at standstill; speed of the actuator at which none is left."""
-        usual = self.machine.speed(self.joint) * abs(self.gear)
-        unit = f"{self.machine.units(self.joint)[0]}/s"
-        speed = Parameter.sized(
-            "no_load_speed", unit, usual, 0.2, 50, scale=1.0, starts=(1.5, 4.0), log=True
+        usual, unit, starts = self.speed * abs(self.gear), f"{self.angle_unit}/s", (1.5, 4.0)
+        free = Parameter.sized(
+            "no_load_speed", unit, usual, 0.2, 50, scale=1, starts=starts, log=True
         )
-        return (*super().parameters, speed)
+        return (*super().parameters, free)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Limit the force without back-EMF, which acts beyond the limit as the actuator's damping.
@@ -384,8 +385,7 @@ class DeadZone(DrivenEffect, JointDriveEffect):
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        model, number = machine.model, self._number
-        self._place = machine.joint_number(self.joint)
+        model, number = machine.model, self.drive
         self._servo = bool(model.actuator_biasprm[number, 1] != 0)
         limited = model.actuator_ctrllimited[number]
         self._limits = model.actuator_ctrlrange[number].tolist() if limited else None
@@ -393,27 +393,26 @@ class DeadZone(DrivenEffect, JointDriveEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Half width of the dead zone."""
-        machine, joint = self.machine, self.joint
-        gain = abs(float(machine.model.actuator_gainprm[self._number, 0])) or 1.0
-        usual = machine.load(joint) / (abs(self.gear) * gain)
-        unit = machine.units(joint)[0] if self._servo else ""
+        gain = abs(float(self.machine.model.actuator_gainprm[self.drive, 0])) or 1.0
+        usual = self.load / (abs(self.gear) * gain)
+        unit = self.angle_unit if self._servo else ""
         # errors of a thirtieth, a fifth and half of the typical torque
         return (Parameter.sized("width", unit, usual, 0, 5, starts=(0.03, 0.2, 0.5)),)
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Move the command towards the position by the dead zone, at most onto it."""
         found, width = command.copy(), values[0]
-        own = found[..., self._number]
+        own = found[..., self.drive]
         if self._limits:
             own = np.clip(own, *self._limits)
-        at = self.gear * position[..., self._place] if self._servo else np.zeros_like(own)
-        found[..., self._number] = own - np.clip(own - at, -width, width)
+        at = self.gear * position[..., self.number] if self._servo else np.zeros_like(own)
+        found[..., self.drive] = own - np.clip(own - at, -width, width)
         return found
 
     def feedback_code(self, values: Array) -> str:
         """Python lines: the command less the part of the error in the dead zone."""
-        own, width = f"command[{self._number}]", float(values[0])
-        at = f"{self.gear!r} * position[{self._place}]" if self._servo else "0.0"
+        own, width = f"command[{self.drive}]", float(values[0])
+        at = f"{self.gear!r} * position[{self.number}]" if self._servo else "0.0"
         lines = [f"# dead zone of {self.where}"]
         if self._limits:
             lines.append(f"{own} = np.clip({own}, {self._limits[0]!r}, {self._limits[1]!r})")

@@ -283,9 +283,9 @@ class _MovedLink(LinkEffect, AddedJoint):
         """Keep inertia on the drive's side of joints whose motion may be like the added one's."""
         machine = self.machine
         body = machine.model.body(self.where).id
-        for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
-            if owner == body and machine.turns(joint) == turns:
-                mjcf.keep_motor_side(machine, spec, joint, machine.inertia(joint))
+        alike = (machine.model.jnt_bodyid == body) & (machine.hinges == turns)
+        for k in np.flatnonzero(alike):
+            mjcf.keep_motor_side(machine, spec, machine.joints[k], float(machine.inertias[k]))
 
 
 _GRAVITY = 9.81  # usual load of a seat, over the mass on it [m/s²]

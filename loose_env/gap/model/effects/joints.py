@@ -129,10 +129,9 @@ class RotorInertia(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Added inertia; ten times what the joint moves is usual: the gear's ratio squared."""
-        moved, unit = self.machine.inertia(self.where), "kg·m²" if self.turns else "kg"
-        added = Parameter.sized("inertia", unit, moved, 0, 100, starts=(0.2, 1.0))
-        low = -float(self.machine.model.dof_armature[self.number])
-        return (replace(added, low=low, usual=10 * moved),)
+        unit, low = "kg·m²" if self.turns else "kg", self.machine.model.dof_armature[self.number]
+        added = Parameter.sized("inertia", unit, self.moved, 0, 100, starts=(0.2, 1.0))
+        return (replace(added, low=-float(low), usual=10 * self.moved),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's armature."""

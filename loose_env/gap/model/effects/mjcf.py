@@ -192,7 +192,9 @@ def keep_motor_side(machine: NominalModel, spec: mujoco.MjSpec, name: str, carri
         turn = machine.time_step / FASTEST
         affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
         terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)
-        stiffness, damping = np.maximum(-(machine.gears(name) ** 2 @ terms), 0.0)
+        stiffness, damping = np.maximum(
+            -(machine.moments[machine.joint_number(name)] ** 2 @ terms), 0.0
+        )
         least = float(max(least, stiffness * turn**2, damping * turn))
     joint.armature = least
 

@@ -43,12 +43,12 @@ def column_of(sensor: str) -> str:
 def _reading_scale(machine: NominalModel, sensor: str) -> tuple[float, str]:
     """Return the smallest change of a reading that matters, and its unit."""
     model, number = machine.model, machine.model.sensor(sensor).id
-    load, speed = float(machine.load_scales.max()), float(machine.speed_scales.max())
-    angle, torque = "rad", "N·m"
+    joint, angle, torque = slice(None), "rad", "N·m"
     if model.sensor_objtype[number] == mujoco.mjtObj.mjOBJ_JOINT:
-        joint = machine.joints[int(model.sensor_objid[number])]
-        load, speed = machine.load(joint), machine.speed(joint)
-        angle, torque = machine.units(joint)
+        at = int(model.sensor_objid[number])
+        joint = slice(at, at + 1)
+        angle, torque = ("rad", "N·m") if machine.hinges[at] else ("m", "N")
+    load, speed = (float(x[joint].max()) for x in (machine.load_scales, machine.speed_scales))
     scales = {
         _S.mjSENS_JOINTPOS: (0.01, angle),
         _S.mjSENS_JOINTVEL: (0.05 * speed, f"{angle}/s"),
