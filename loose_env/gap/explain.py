@@ -263,17 +263,16 @@ def write_gap(
     place, result = Path(folder), solution.result
     machine = solution.answer.selection.evidence.balance.machine
     # An earlier result must not stand beside a later model if this run is cut short.
-    place.joinpath("result.json").unlink(missing_ok=True)
-    for ending in ("json", "csv", "parquet"):
-        place.joinpath(f"{NEXT_MOTION}.{ending}").unlink(missing_ok=True)
+    endings = ("json", "csv", "parquet")
+    for earlier in ("result.json", *(f"{NEXT_MOTION}.{ending}" for ending in endings)):
+        place.joinpath(earlier).unlink(missing_ok=True)
     say("writing model, result and report")
-    models = write_model(
+    model, source, notes = (
         place / "model.xml",
-        machine,
-        solution.corrected,
-        source=solution.answer.recording.model_path,
-        notes=model_notes(result),
+        solution.answer.recording.model_path,
+        model_notes(result),
     )
+    models = write_model(model, machine, solution.corrected, source=source, notes=notes)
     page = report(place, solution)
     motions = [] if next_motion is None else write_next_motion(place, *next_motion)
     file = result.write(place / "result.json")
@@ -323,15 +322,10 @@ def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
     for number, own in enumerate(answer.decision.channels):
         before, after = gap.by_channel[own.channel]
         found.append(replace(own, before=before, after=after, advice=_advice(answer, number, own)))
-    found += [
-        ChannelVerdict(
-            channel=joint, verdict="cannot tell", before=nan, after=nan,
-            advice="it hardly moves, or its torque was not read: record runs in which it moves",
-        )
-        for joint in answer.selection.evidence.balance.machine.joints
-        if joint not in gap.by_channel
-    ]  # fmt: skip
-    return tuple(found)
+    advice = "it hardly moves, or its torque was not read: record runs in which it moves"
+    still = ChannelVerdict(channel="", verdict="cannot tell", before=nan, after=nan, advice=advice)
+    joints = answer.selection.evidence.balance.machine.joints
+    return *found, *(replace(still, channel=j) for j in joints if j not in gap.by_channel)
 
 
 def _advice(answer: Answer, number: int, own: ChannelVerdict) -> str:
@@ -343,17 +337,16 @@ def _advice(answer: Answer, number: int, own: ChannelVerdict) -> str:
         return how_to_see(own.effects[0].kind) if own.effects else "record more of its motion"
     if own.verdict == "not needed" or own.after <= LARGE:
         return ""
-    channel = answer.selection.evidence.channels[number]
-    runs = answer.selection.evidence.balance.motion.runs
-    excess = answer.decision.fit.powers[number] - channel.count
-    by_run = np.bincount(channel.run, excess)
-    turns, at = np.unique(channel.turn, return_inverse=True)
-    loudest = turns[int(np.argmax(np.bincount(at, excess)))] / (2 * np.pi)
     share = max(1 - (own.after / max(own.before, 1e-300)) ** 2, 0.0)
     said = [f"all that was tried explains {100 * share:.0f} %"] * (own.verdict == "unexplained")
     if not answer.decision.simulated:
-        run = runs[int(np.argmax(by_run))].name
-        said.append(f"most is left in {run}, around {loudest:.2g} Hz")
+        channel = answer.selection.evidence.channels[number]
+        excess = answer.decision.fit.powers[number] - channel.count
+        loudest = int(np.argmax(np.bincount(channel.run, excess)))
+        run = answer.selection.evidence.balance.motion.runs[loudest].name
+        turns, at = np.unique(channel.turn, return_inverse=True)
+        frequency = turns[int(np.argmax(np.bincount(at, excess)))] / (2 * np.pi)
+        said.append(f"most is left in {run}, around {frequency:.2g} Hz")
     return "; ".join(said)
 
 
