@@ -110,12 +110,11 @@ class Motion(Checked):
             off = unit[joint] * shape
             fastest = float(np.max(np.abs(np.diff(off)))) * rate
             excited[:, joint] += off * min(1.0, limits.speed[joint] / max(fastest, 1e-12))
-        rest = [np.tile(pose, (round(self.pause * rate), 1)) for pose in (limits.home, centre)]
-        there, back = [rest[0]], [rest[0]]
+        rest, held = (np.tile(x, (round(self.pause * rate), 1)) for x in (limits.home, centre))
+        there = [rest]
         if self.centre is not None:
-            way = _way(limits.home, centre, limits.speed, rate)
-            there, back = [rest[0], way, rest[1]], [rest[1], way[::-1], rest[0]]
-        found = np.concatenate([*there, excited, *back])
+            there += [_way(limits.home, centre, limits.speed, rate), held]
+        found = np.concatenate([*there, excited, *(own[::-1] for own in reversed(there))])
         for k, name in enumerate(limits.joints):
             if found[:, k].min() < limits.low[k] or found[:, k].max() > limits.high[k]:
                 raise InvalidSetting(
@@ -161,19 +160,13 @@ def _triangle(motion: Motion, time: Array, number: int, speed: float) -> Array:
 
 def _constant_speed(motion: Motion, time: Array, number: int, speed: float) -> Array:
     """There and back at a quarter, half and all of the speed, rests in between (n,)."""
-    shares = np.array([1.0, 0.5, 0.25])
-    lengths = 1 / shares / np.sum(1 / shares)
-    reach = min(motion.amplitude, 0.85 * speed * motion.seconds / np.sum(1 / shares) / 4)
-    found = np.zeros_like(time)
-    begin = 0.0
-    for length in lengths * motion.seconds:
-        share = np.clip((time - begin) / length, 0.0, 1.0)
-        # out, across and back: four ways of one speed with soft ends
-        knots = np.array([0.0, 0.22, 0.28, 0.72, 0.78, 1.0])
-        heights = np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
-        inside = (time >= begin) & (time < begin + length)
-        found[inside] = reach * np.interp(share[inside], knots, heights)
-        begin += length
+    slower = np.array([1.0, 2.0, 4.0])
+    lengths = motion.seconds * slower / slower.sum()
+    reach = min(motion.amplitude, 0.85 * speed * motion.seconds / slower.sum() / 4)
+    # out, across and back: four ways of one speed with soft ends
+    knots, heights = [0.0, 0.22, 0.28, 0.72, 0.78, 1.0], [0.0, 1.0, 1.0, -1.0, -1.0, 0.0]
+    at = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])[:, None] + np.outer(lengths, knots)
+    found = reach * np.interp(time, at.ravel(), 3 * heights)
     width = max(round(0.06 * len(time) / motion.seconds), 1)
     kernel = np.hanning(width + 2)[1:-1]
     return np.asarray(np.convolve(found, kernel / kernel.sum(), "same") * _faded(motion, time))
@@ -219,10 +212,8 @@ def _fitted(motion: Motion, wave: Array, time: Array, speed: float) -> Array:
 def _steps(motion: Motion, time: Array, number: int, speed: float) -> Array:
     """Steps to and fro, of two sizes, a rest after each (n,)."""
     count = max(round(motion.seconds / 0.5), 2)
-    heights = motion.amplitude * np.resize([1.0, -1.0, 0.4, -0.4, 0.0], count)
+    heights = (-1) ** number * motion.amplitude * np.resize([1.0, -1.0, 0.4, -0.4, 0.0], count)
     heights[-1] = 0.0
-    if number % 2:
-        heights[:-1] = -heights[:-1]
     way = max(_STEP_S, 1.875 * (motion.amplitude * 2) / speed)
     return _levels(motion, time, heights, np.full(count, way), late=0.02 * number)
 
@@ -308,19 +299,16 @@ def scaled_until(
 
     A check that cannot be made raises InvalidSetting.
     """
-    for left in reversed(range(tries)):
-        try:
-            found, reason = checked(motion)
-        except InvalidSetting as error:
-            found, reason = None, str(error)
-        if not reason:
-            return motion, found, ""
-        if not left:
-            break
-        too_far = any(words in reason for words in ("touch", "its range", "would move"))
-        slower = motion.speed if too_far else _SHRINK * motion.speed
-        motion = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
-    return motion, None, reason
+    try:
+        found, reason = checked(motion)
+    except InvalidSetting as error:
+        found, reason = None, str(error)
+    if not reason or tries < 2:
+        return motion, None if reason else found, reason
+    too_far = any(words in reason for words in ("touch", "its range", "would move"))
+    slower = motion.speed if too_far else _SHRINK * motion.speed
+    smaller = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
+    return scaled_until(smaller, checked, tries - 1)
 
 
 def loaded_poses(

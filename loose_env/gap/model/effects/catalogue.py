@@ -1,8 +1,4 @@
-"""Catalogue of effects: register one, read a file of custom ones, list candidates of a machine.
-
-A new effect is a subclass of `loose_env.gap.model.effect.Effect` in a file of its own; `register`
-adds it to the catalogue. Custom effects are read from a Python file.
-"""
+"""Catalogue of effects: register one, read a file of custom ones, list candidates of a machine."""
 
 from __future__ import annotations
 

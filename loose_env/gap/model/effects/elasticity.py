@@ -1,9 +1,4 @@
-"""Effects that add a degree of freedom: springs, play, and looseness in joints, links and base.
-
-A compliant drive is a spring and a damper between motor side and link side of a joint, backlash a
-clearance with stops there. A flexible link turns about a pivot along it; a loose one slides on its
-seat. A base on rubber feet, or not bolted down, rocks.
-"""
+"""Effects that add a degree of freedom: springs, play and looseness in joints, links and base."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Effects of mass and gravity: link mass and centre, payload, base tilt, gravity compensation.
-
-A tilted base changes the direction of gravity. A balancer or the drives carry the weight of links.
-"""
+"""Effects of mass and gravity: link mass and centre, payload, base tilt, gravity compensation."""
 
 from __future__ import annotations
 

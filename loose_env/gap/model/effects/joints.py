@@ -1,11 +1,4 @@
-"""Effects at a joint: frictions, drag, rotor inertia, torque ripple (cogging), and springs.
-
-Viscous friction is proportional to speed. Coulomb friction is a constant torque against the motion,
-which holds a joint at rest. Stribeck friction is larger near rest than in motion, so that a slow
-joint sticks and slips. Quadratic drag is proportional to the speed squared. Asymmetric friction is
-a Coulomb friction that differs by direction. Torque ripple is periodic in the joint's angle, from
-cogging or gear teeth. Springs across a joint are cables, hoses, balancers.
-"""
+"""Effects at a joint: frictions, drag, rotor inertia, torque ripple (cogging), and springs."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Edits of an MJCF spec that effects share.
-
-Names and units, actuators without input, dry friction that holds, mass and inertia of a body, extra
-joints with their stops.
-"""
+"""Edits of an MJCF spec that effects share: names, drives without input, inertias, joints."""
 
 from __future__ import annotations
 
