@@ -249,20 +249,17 @@ def _drive(model: mujoco.MjModel, joint: int, k: int) -> dict[str, Any]:
         ends.append(np.abs(model.jnt_actfrcrange[joint]))
     low, high = np.min(ends, axis=0).tolist()
     if low != high:
-        remarks.append(
-            f"the effort limits of {name} by direction ({low:.4g} and {high:.4g}): the smaller one "
-            "is exported"
-        )
-    scale = (
-        f"the torque of {name} per command, {gear * gain:.4g}; multiply the effort targets by it"
-    )
+        limits = f"the effort limits of {name} by direction ({low:.4g} and {high:.4g})"
+        remarks.append(f"{limits}: the smaller one is exported")
+    scale = f"the torque of {name} per command, {gear * gain:.4g}"
     scaled = mode == "effort" and abs(gear * gain - 1.0) > 1e-9
     return {
         "drive": name, "mode": mode, "stiffness": -(gear**2) * stiff + 0.0,
         "damping": (gear**2) * (float(model.actuator_damping[k]) - damped) + 0.0,
         "effort_limit": min(low, high) if len(ends) > 1 else None, "gear": gear,
         "effort_gain": gear * gain, "delay": float(model.actuator_delay[k]),
-        "remarks": tuple(remarks), "scale": (scale,) * scaled,
+        "remarks": tuple(remarks),
+        "scale": (f"{scale}; multiply the effort targets by it",) * scaled,
     }  # fmt: skip
 
 
@@ -358,12 +355,11 @@ def _sysid(source: _Source) -> Export:
     left, states, added = list[str](), dict[str, dict[str, Any]](), ""
     for p in _parameters(source):
         nominal = p.nominal if isfinite(p.nominal) else p.value
-        states[p.name] = plain(
-            {
-                "name": p.name, "nominal": [nominal], "min_value": [p.low], "max_value": [p.high],
-                "value": [p.value], "frozen": not p.attribute or not p.low < p.high,
-            }
-        )  # fmt: skip
+        state = {
+            "name": p.name, "nominal": [nominal], "min_value": [p.low], "max_value": [p.high],
+            "value": [p.value], "frozen": not p.attribute or not p.low < p.high,
+        }  # fmt: skip
+        states[p.name] = plain(state)
         given = [repr(value) for value in states[p.name].values()]
         if p.attribute == "gain":
             given.append(f"_scales({p.where!r}, {_scaled(source, p)})")
@@ -377,19 +373,16 @@ def _sysid(source: _Source) -> Export:
     listed = "".join(f"\n- {words}" for words in left) + "\n" * bool(left)
     # JSON is YAML, which needs a package to be written
     text = _SYSID.replace("{left}", listed).replace("{added}", added)
-    return Export(
-        files={"parameters.py": text, "parameters.yaml": json_text(states)},
-        not_expressed=tuple(left),
-        notes=("the parameters apply to model.xml beside result.json",),
-    )
+    files = {"parameters.py": text, "parameters.yaml": json_text(states)}
+    notes = ("the parameters apply to model.xml beside result.json",)
+    return Export(files=files, not_expressed=tuple(left), notes=notes)
 
 
 def _scaled(source: _Source, p: _Parameter) -> dict[str, list[float]]:
     """Attributes of an actuator that its gain scales, with their nominal values."""
-    actuator = source.model.actuator(p.where)
-    names = ["gainprm"]
-    names += ["biasprm"] * (p.effect.variant != "command")
-    names += ["forcerange"] * bool(not p.effect.variant and actuator.forcelimited[0])
+    actuator, variant = source.model.actuator(p.where), p.effect.variant
+    names = ["gainprm", *["biasprm"] * (variant != "command")]
+    names += ["forcerange"] * bool(not variant and actuator.forcelimited[0])
     return {n: plain((np.array(getattr(actuator, n)) / p.value).tolist()) for n in names}
 
 
@@ -418,13 +411,10 @@ def _ranges(source: _Source) -> Export:
         elif isfinite(p.nominal):
             found["without_effect"] = p.nominal
         ranges.append(found)
-    whole = {
-        "format": "loose-ranges/1",
-        "interval": "95 % confidence interval, to be drawn from uniformly",
-        "ranges": ranges,
-        "not_expressed": left,
-    }
-    return Export(files={"ranges.json": json_text(whole)}, not_expressed=tuple(left))
+    interval = "95 % confidence interval, to be drawn from uniformly"
+    whole = {"format": "loose-ranges/1", "interval": interval, "ranges": ranges}
+    text = json_text(whole | {"not_expressed": left})
+    return Export(files={"ranges.json": text}, not_expressed=tuple(left))
 
 
 # Actuator configurations: mjlab, Isaac Lab
@@ -543,9 +533,8 @@ def _motor(source: _Source, joint: _Joint) -> _Fields:
     """Torque-speed line of a joint's drive whose voltage limit was identified; empty if none."""
     for effect in source.effects:
         if effect.kind == "voltage_limit" and effect.where == joint.drive:
-            gear = abs(joint.gear)
-            stall = gear * effect.parameters["stall_torque"]
-            speed = effect.parameters["no_load_speed"] / gear
+            gear, own = abs(joint.gear), effect.parameters
+            stall, speed = gear * own["stall_torque"], own["no_load_speed"] / gear
             return {"effort_limit": stall, "saturation_effort": stall, "velocity_limit": speed}
     return {}
 
@@ -664,11 +653,9 @@ def _usd(source: _Source) -> Export:
         }  # fmt: skip
         if joint.drive:
             drive = f"drive:{axis}:physics:"
-            values |= {
-                f"uniform token {drive}type": '"force"',
-                f"float {drive}stiffness": joint.stiffness * per,
-                f"float {drive}damping": joint.damping * per,
-            }
+            values[f"uniform token {drive}type"] = '"force"'
+            values[f"float {drive}stiffness"] = joint.stiffness * per
+            values[f"float {drive}damping"] = joint.damping * per
             if joint.effort_limit is not None:
                 values[f"float {drive}maxForce"] = joint.effort_limit
             left += joint.remarks + joint.scale
@@ -727,16 +714,13 @@ def _bam(source: _Source) -> Export:
     for joint, own in _bam_hinges(source, left):
         name = "bam_" + re.sub(r"[^\w.-]", "_", joint.name) + ".json"
         files[name] = json_text(own | {"q_offset": 0.0, "actuator": servo})
-    return Export(
-        files=files,
-        not_expressed=tuple(left),
-        notes=(
-            f"torque constant and resistance (kt, R) are those of {servo} in BAM; they are not "
-            "identified",
-            "BAM computes back-EMF itself (kt² v / R): where the nominal model has none, "
-            "friction_viscous contains it and is too large by kt² / R",
-        ),
+    notes = (
+        f"torque constant and resistance (kt, R) are those of {servo} in BAM; they are not "
+        "identified",
+        "BAM computes back-EMF itself (kt² v / R): where the nominal model has none, "
+        "friction_viscous contains it and is too large by kt² / R",
     )
+    return Export(files=files, not_expressed=tuple(left), notes=notes)
 
 
 def _drivebam(source: _Source) -> Export:
@@ -764,11 +748,9 @@ def _drivebam(source: _Source) -> Export:
             "        ),",
         ]
     lines += ["Not expressed:", *(f"- {words}" for words in left)] if left else []
-    return Export(
-        files={"drivebam_actuators.py": "\n".join([*lines, '"""', "", *text, "    }", ""])},
-        not_expressed=tuple(left),
-        notes=("kt, resistance, error_gain and max_current are those of the fit given to it",),
-    )
+    files = {"drivebam_actuators.py": "\n".join([*lines, '"""', "", *text, "    }", ""])}
+    notes = ("kt, resistance, error_gain and max_current are those of the fit given to it",)
+    return Export(files=files, not_expressed=tuple(left), notes=notes)
 
 
 def _bam_hinges(source: _Source, left: list[str]) -> list[tuple[_Joint, dict[str, float | str]]]:
