@@ -63,10 +63,9 @@ def pieces_of(run: Run) -> list[Run]:
     cuts = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * median_step(run.time))) + 1
     if not len(cuts):
         return [run]
-    edges = [0, *map(int, cuts), run.samples]
     pieces = [
         replace(run.part(slice(first, last)), name=f"{run.name}, from {run.time[first]:.10g} s")
-        for first, last in pairwise(edges)
+        for first, last in pairwise([0, *map(int, cuts), run.samples])
         if last - first >= FEWEST_SAMPLES
     ]
     if not pieces:
@@ -91,10 +90,9 @@ def steady_activations(model: mujoco.MjModel, command: Array) -> Array:
         if int(model.actuator_dyntype[k]) not in _FILTERS or model.actuator_actnum[k] != 1:
             return np.zeros(model.na)
         value = command[k] if k < len(command) else 0.0
-        if model.actuator_ctrllimited[k]:
-            value = np.clip(value, *model.actuator_ctrlrange[k])
-        if model.actuator_actlimited[k]:
-            value = np.clip(value, *model.actuator_actrange[k])
+        for what in ("ctrl", "act"):
+            if getattr(model, f"actuator_{what}limited")[k]:
+                value = np.clip(value, *getattr(model, f"actuator_{what}range")[k])
         found[model.actuator_actadr[k]] = value
     return found
 
@@ -161,13 +159,14 @@ class Trial:
 
     def at_samples(self, values: Array) -> Array:
         """Interpolate values at the steps (..., steps, C) to the samples (..., T, C)."""
-        at = np.clip(self.time / self.step, 0, self.steps - 1)
-        low = np.minimum(np.floor(at + 1e-6).astype(int), self.steps - 1)
-        high = np.minimum(low + 1, self.steps - 1)
+        last = self.steps - 1
+        at = np.clip(self.time / self.step, 0, last)
+        low = np.minimum(np.floor(at + 1e-6).astype(int), last)
         share = np.clip(at - low, 0.0, 1.0)[:, None]
         if np.all(share < 1e-5):
             return np.asarray(values[..., low, :])
-        return np.asarray(values[..., low, :] * (1 - share) + values[..., high, :] * share)
+        high = values[..., np.minimum(low + 1, last), :]
+        return np.asarray(values[..., low, :] * (1 - share) + high * share)
 
 
 def channels_of(runs: list[Run]) -> tuple[Channel, ...]:

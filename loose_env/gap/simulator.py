@@ -16,7 +16,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from operator import attrgetter
 
 import mujoco
@@ -264,12 +263,9 @@ class Simulator:
 
     def _slots(self, hypothesis: Hypothesis) -> list[_Slot]:
         """Simulations of every run under a hypothesis."""
-
-        @cache
-        def model(step: float, released: bool) -> mujoco.MjModel:
-            return hypothesis.model(self.machine, step, released=released)
-
-        return [_Slot(hypothesis, t, model(t.step, t.form == "free")) for t in self.trials]
+        keys = [(trial.step, trial.form == "free") for trial in self.trials]
+        own = {k: hypothesis.model(self.machine, k[0], released=k[1]) for k in dict.fromkeys(keys)}
+        return [_Slot(hypothesis, t, own[k]) for t, k in zip(self.trials, keys, strict=True)]
 
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:

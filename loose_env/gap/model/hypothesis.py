@@ -86,12 +86,8 @@ class Hypothesis:
         self.edit(spec)
         for name in machine.actuators:
             # after a Runge-Kutta step actuator_force is the force at its end
-            spec.add_sensor(
-                name=_FORCE + name,
-                type=mujoco.mjtSensor.mjSENS_ACTUATORFRC,
-                objtype=mujoco.mjtObj.mjOBJ_ACTUATOR,
-                objname=name,
-            )
+            kind, drive = mujoco.mjtSensor.mjSENS_ACTUATORFRC, mujoco.mjtObj.mjOBJ_ACTUATOR
+            spec.add_sensor(name=_FORCE + name, type=kind, objtype=drive, objname=name)
         model = compiled(spec)
         if released:  # effects exported as actuators are none of its drives
             model.actuator_group[: len(machine.actuators)] = _OFF

@@ -165,10 +165,9 @@ class NominalModel:
             depth[body] = depth[model.body_parentid[body]] + model.body_jntnum[body]
         coupled = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
         fingers = np.concatenate([model.eq_obj1id[coupled], model.eq_obj2id[coupled]])
-        moved = model.body_jntnum > 0
-        alone = moved.copy()
+        alone = model.body_jntnum > 0
         alone[model.jnt_bodyid[fingers[fingers >= 0]]] = False
-        moved = alone if alone.any() else moved
+        moved = alone if alone.any() else model.body_jntnum > 0
         deepest = np.flatnonzero(moved & (depth == depth[moved].max()))
         return str(model.body(int(deepest[-1])).name)
 
@@ -306,9 +305,7 @@ def unused(name: str, taken: Container[str]) -> str:
 
 def normal_of(machine: NominalModel) -> Array | None:
     """Normal (3,) of the machine's plane of motion, world frame; None if not planar."""
-    data = machine.at_zero
-    turning = machine.model.jnt_type == MOVING[0]
-    hinges, slides = data.xaxis[turning], data.xaxis[~turning]
+    hinges, slides = (machine.at_zero.xaxis[own] for own in (machine.hinges, ~machine.hinges))
     if not len(hinges):
         return None
     normal = hinges[0] * np.sign(hinges[0][np.argmax(np.abs(hinges[0]))])
@@ -319,14 +316,11 @@ def normal_of(machine: NominalModel) -> Array | None:
 def reach_of(machine: NominalModel) -> float:
     """Length of the machine along its bodies, from its first joint on [m]."""
     model = machine.model
-    along = np.zeros(model.nbody)
+    along, beyond = np.zeros(model.nbody), np.linalg.norm(model.body_ipos, axis=1)
     first = int(model.jnt_bodyid[0])
     for body in range(first + 1, model.nbody):
         along[body] = along[model.body_parentid[body]] + np.linalg.norm(model.body_pos[body])
-    beyond = np.zeros(model.nbody)
-    if model.nsite:
-        np.maximum.at(beyond, model.site_bodyid, np.linalg.norm(model.site_pos, axis=1))
-    beyond = np.maximum(beyond, np.linalg.norm(model.body_ipos, axis=1))
+    np.maximum.at(beyond, model.site_bodyid, np.linalg.norm(model.site_pos, axis=1))
     return max(float((along + beyond)[first:].max()), 1e-3)
 
 
@@ -343,12 +337,9 @@ def link_ends(machine: NominalModel, link: str) -> tuple[Array, Array]:
     for each in range(model.nbody - 1, 0, -1):  # parents come before their children
         carrying |= {int(model.body_parentid[each])} if each in carrying else set()
     ends = [model.body_pos[b] for b in sorted(carrying) if b and model.body_parentid[b] == body]
-    if not ends:
-        ends = [model.site_pos[s] for s in range(model.nsite) if model.site_bodyid[s] == body]
-    if not ends:
-        ends = [start + 2 * (model.body_ipos[body] - start)]
-    far = max(ends, key=lambda end: float(np.linalg.norm(end - start)))
-    return start, np.array(far)
+    ends = ends or list(model.site_pos[model.site_bodyid == body])
+    ends = ends or [start + 2 * (model.body_ipos[body] - start)]
+    return start, np.array(max(ends, key=lambda end: float(np.linalg.norm(end - start))))
 
 
 def frame_about(axis: Array) -> Array:

@@ -16,6 +16,7 @@ from loose_env.gap.model.nominal_model import (
     NominalModel,
     frame_about,
     link_ends,
+    named,
     normal_of,
     reach_of,
 )
@@ -74,11 +75,9 @@ class SpringEffect(AddedJoint):
             name="stiffness", unit=self.unit, low=low, high=high, scale=sqrt(low * high), log=True
         )
         wanted = (carried * (2 * pi * hz) ** 2 for hz in _START_HZ)
-        starts = dict.fromkeys(stiffness.clipped(min(k, 0.5 * high)) for k in wanted)
-        return (
-            replace(stiffness, starts=tuple(starts)),
-            _ratio(1e-3, 2.0, _LIKELY_DAMPING, _START_DAMPING),
-        )
+        starts = tuple(dict.fromkeys(stiffness.clipped(min(k, 0.5 * high)) for k in wanted))
+        ratio = _ratio(1e-3, 2.0, _LIKELY_DAMPING, _START_DAMPING)
+        return replace(stiffness, starts=starts), ratio
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the joint with its spring and damper."""
@@ -151,10 +150,8 @@ class Backlash(SplitJoint):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Clearance, stiffness of the stops, and damping ratio on them."""
-        length = 1.0
-        if not self.turns:
-            # a lone slide has no reach, but it travels
-            length = max(reach_of(self.machine), _TRAVEL_S * self.speed)
+        # a lone slide has no reach, but it travels
+        length = 1.0 if self.turns else max(reach_of(self.machine), _TRAVEL_S * self.speed)
         gap = Parameter.sized(
             "gap", self.angle_unit, 0.01 * length, 1e-3, 50, scale=1, starts=_STARTS, log=True
         )
@@ -226,14 +223,10 @@ class BaseCompliance(SpringEffect):
         if machine.model.jnt_type[0] != mujoco.mjtJoint.mjJNT_HINGE:
             return axes
         away = data.xanchor[0] - _foot(machine)
-        kept = []
-        for axis in axes:
-            along = _axis(machine, axis)
-            parallel = abs(along @ data.xaxis[0]) > _SAME
-            apart = float(np.linalg.norm(away - along * (away @ along)))
-            if not parallel or apart > _APART * reach_of(machine):
-                kept.append(axis)
-        return tuple(kept)
+        along = np.array([_axis(machine, axis) for axis in axes])
+        apart = np.linalg.norm(away - along * (along @ away)[:, None], axis=1)
+        parallel = np.abs(along @ data.xaxis[0]) > _SAME
+        return named(axes, ~parallel | (apart > _APART * reach_of(machine)))
 
     def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
         """Insert the hinge before the first joint."""
@@ -270,9 +263,8 @@ class _MovedLink(LinkEffect, AddedJoint):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with room for another joint, and two more in a corrected model."""
-        count = machine.model.body_jntnum
-        room = _MOST_JOINTS - 3
-        return tuple(n for n in machine.links if count[machine.model.body(n).id] <= room)
+        most, model = _MOST_JOINTS - 3, machine.model
+        return tuple(n for n in machine.links if model.body(n).jntnum[0] <= most)
 
     def keep_driven_side(self, spec: mujoco.MjSpec, *, turns: bool) -> None:
         """Keep inertia on the drive's side of joints whose motion may be like the added one's."""
@@ -332,7 +324,7 @@ class StructuralLooseness(_MovedLink):
         """Unit vector (3,) of the slide, in the body's frame."""
         if self._plane is not None:
             return np.asarray(np.array([np.cos(values[0]), np.sin(values[0])]) @ self._plane)
-        azimuth, up = values[0], values[1]
+        azimuth, up = values[:2]
         flat = np.cos(up)
         return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(up)])
 
@@ -395,11 +387,9 @@ class LinkFlexibility(_MovedLink, SpringEffect):
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with mass and room for another joint that are not too short."""
         shortest, heavy = _SHORTEST * reach_of(machine), links_with_mass(machine)
-        return tuple(
-            link
-            for link in super().locations(machine)
-            if link in heavy and np.linalg.norm(np.subtract(*link_ends(machine, link))) > shortest
-        )
+        there = [link for link in super().locations(machine) if link in heavy]
+        lengths = [np.linalg.norm(np.subtract(*link_ends(machine, link))) for link in there]
+        return named(there, np.array(lengths) > shortest)
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
@@ -408,19 +398,16 @@ class LinkFlexibility(_MovedLink, SpringEffect):
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        start, end = link_ends(machine, where)
-        self._start, self._length = start, float(np.linalg.norm(end - start))
-        self._along = (end - start) / self._length
-        normal = normal_of(machine)
-        if normal is not None:
-            axis = self.in_link(normal)
-        else:
-            axis = machine.model.jnt_axis[int(machine.model.body(where).jntadr[0])]
-        axis = axis - self._along * (axis @ self._along)
+        self._start, end = link_ends(machine, where)
+        self._way = end - self._start
+        along, normal = self._way / float(np.linalg.norm(self._way)), normal_of(machine)
+        own = machine.model.jnt_axis[int(machine.model.body(where).jntadr[0])]
+        axis = own if normal is None else self.in_link(normal)
+        axis = axis - along * (axis @ along)
         if np.linalg.norm(axis) < _ALONG:
-            axis = frame_about(self._along)[1]
+            axis = frame_about(along)[1]
         axis = axis / np.linalg.norm(axis)
-        self._axis = np.cross(self._along, axis) if self.variant else axis
+        self._axis = np.cross(along, axis) if self.variant else axis
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -435,6 +422,6 @@ class LinkFlexibility(_MovedLink, SpringEffect):
         self.keep_driven_side(spec, turns=True)
         return mjcf.add_extra_joint(
             spec.body(self.where), mjcf.added_name(spec, self.where, self._name), turns=True,
-            axis=self._axis, pos=self._start + share * self._length * self._along,
+            axis=self._axis, pos=self._start + share * self._way,
             stiffness=stiffness, damping=damping,
         )  # fmt: skip

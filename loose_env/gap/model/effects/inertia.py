@@ -77,8 +77,8 @@ class LinkCom(AdditiveEffect, LinkEffect):
     @cached_property
     def _length(self) -> float:
         """Length of the link, or a twentieth of the machine's [m]."""
-        start, end = link_ends(self.machine, self.where)
-        return max(float(np.linalg.norm(end - start)), 0.05 * reach_of(self.machine))
+        length = float(np.linalg.norm(np.subtract(*link_ends(self.machine, self.where))))
+        return max(length, 0.05 * reach_of(self.machine))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -168,15 +168,15 @@ class Payload(WeightedEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add a body to the one that carries the tool."""
-        mass = float(values[0])
+        mass, machine = float(values[0]), self.machine
         if mass <= 0:
             return
         centre = np.array(values[1:]) if self.variant else np.zeros(3)
-        if self.machine.tool:
-            site = spec.site(self.machine.tool)
-            (place, _), carrier = mjcf.site_pose(self.machine, site), site.parent
+        if machine.tool:
+            carrier = spec.site(machine.tool).parent
+            place = mjcf.site_pose(machine, spec.site(machine.tool))[0]
         else:
-            name, place = _outermost(self.machine)
+            name, place = _outermost(machine)
             carrier = spec.body(name)
         body = carrier.add_body(name=mjcf.added_name(spec, "tool", self.kind), pos=place)
         tensor = mass * (_RADIUS * reach_of(self.machine)) ** 2 * np.eye(3)
@@ -276,9 +276,8 @@ class BaseTilt(AdditiveEffect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return the base, if there is gravity."""
-        off = machine.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-        weightless = off or not np.any(machine.model.opt.gravity)
-        return () if weightless else ("base",)
+        option, off = machine.model.opt, mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        return ("base",) if np.any(option.gravity) and not option.disableflags & off else ()
 
     @cached_property
     def _axes(self) -> Array:
@@ -288,7 +287,7 @@ class BaseTilt(AdditiveEffect):
         if normal is not None and abs(normal @ down) < 1e-6:
             return normal[None]
         # The two world axes farthest from gravity, made perpendicular to it and each other.
-        first, second = (np.eye(3)[k] for k in np.sort(np.argsort(np.abs(down))[:2]))
+        first, second = np.eye(3)[np.sort(np.argsort(np.abs(down))[:2])]
         first = first - down * (first @ down)
         first /= np.linalg.norm(first)
         across = np.cross(down, first)

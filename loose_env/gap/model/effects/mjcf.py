@@ -182,17 +182,13 @@ def keep_motor_side(machine: NominalModel, spec: mujoco.MjSpec, name: str, carri
     set by the servo's stiffness and damping, whatever the step of the spec is.
     """
     joint, least, model = spec.joint(name), MOTOR_SHARE * carried, machine.model
-    if joint.armature >= least:
-        return
-    if int(model.opt.integrator) in _EXPLICIT:
-        turn = machine.time_step / FASTEST
+    if joint.armature < least and int(model.opt.integrator) in _EXPLICIT:
+        turn, gears = machine.time_step / FASTEST, machine.moments[machine.joint_number(name)]
         affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
         terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)
-        stiffness, damping = np.maximum(
-            -(machine.moments[machine.joint_number(name)] ** 2 @ terms), 0.0
-        )
+        stiffness, damping = np.maximum(-(gears**2 @ terms), 0.0)
         least = float(max(least, stiffness * turn**2, damping * turn))
-    joint.armature = least
+    joint.armature = max(joint.armature, least)
 
 
 def joint_inertia(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
@@ -211,11 +207,10 @@ def site_pose(machine: NominalModel, site: mujoco.MjsSite) -> tuple[Array, Array
     """Position and quaternion of a site in its body, with frames and angles resolved."""
     model, place, turned = machine.model, np.array(site.pos), np.array(site.quat)
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site.name)
-    if number >= 0:
-        turned = model.site_quat[number]
-        if site.frame is not None or not np.isfinite(place).all():
-            place = model.site_pos[number]
-    return place, turned
+    if number < 0:
+        return place, turned
+    framed = site.frame is not None or not np.isfinite(place).all()
+    return model.site_pos[number] if framed else place, model.site_quat[number]
 
 
 def insert_first(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
@@ -223,9 +218,7 @@ def insert_first(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
 
     The others are copied behind it; references by name are kept.
     """
-    for old in list(body.joints):
-        if old.name == name:
-            continue
+    for old in [joint for joint in body.joints if joint.name != name]:
         new = body.add_joint()
         for field in dir(old):
             value = getattr(old, field)
