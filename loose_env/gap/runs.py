@@ -43,12 +43,12 @@ def measured_runs(
         pieces = pieces_of(clean)
         words += [each.words for each in corrupt]
         if pieces[0] is not clean:
-            lost = run.samples - sum(piece.samples for piece in pieces)
-            longest = float(np.max(np.diff(run.time)))
+            count, lost = len(pieces), run.samples - sum(piece.samples for piece in pieces)
             words.append(
-                f"{run.name}: no sample for up to {longest:.4g} s; compared as {len(pieces)} "
-                f"piece{'s' * (len(pieces) > 1)} between the pauses"
-                + (f", without {lost} samples of shorter ones" if lost else "")
+                f"{run.name}: no sample for up to {np.max(np.diff(run.time)):.4g} s; compared as "
+                f"{count} piece{'s' * (count > 1)} between the pauses"
+                + f", without {lost} samples of shorter ones"
+                * bool(lost)
             )
         found.append(pieces)
     return found, tuple(words)
@@ -306,9 +306,8 @@ def join_recordings(kept: Path, recordings: Sequence[Recording]) -> Recording:
     InvalidData
         If the models of two recordings differ.
     """
-    first = recordings[0]
-    text = first.spec().to_xml()
-    runs: list[Run] = list(first.runs)
+    first, folder = recordings[0], kept / _JOINED
+    text, runs = first.spec().to_xml(), list(first.runs)
     for number, own in enumerate(recordings[1:], start=2):
         if own.spec().to_xml() != text:
             raise InvalidData(
@@ -319,7 +318,6 @@ def join_recordings(kept: Path, recordings: Sequence[Recording]) -> Recording:
         while any(run.name.startswith(f"{stem}-") for run in runs):
             stem += "a"
         runs += [replace(run, name=f"{stem}-{run.name}") for run in own.runs]
-    folder = kept / _JOINED
     return write_recording(
         folder, model_xml=first.model_path, runs=runs, file_format="parquet",
         overwrite=folder.exists(),

@@ -87,24 +87,18 @@ class MotionLimits:
         low = np.minimum(motion.position, motion.desired).min(axis=0)
         high = np.maximum(motion.position, motion.desired).max(axis=0)
         for k in np.flatnonzero((low < self.low - _ROOM) | (high > self.high + _ROOM)):
-            return (
-                f"{self.joints[k]} would move from {low[k]:.3g} to {high[k]:.3g}; it may from "
-                f"{self.low[k]:.3g} to {self.high[k]:.3g} ({self.sources[0]})"
-            )
+            may = f"it may from {self.low[k]:.3g} to {self.high[k]:.3g} ({self.sources[0]})"
+            return f"{self.joints[k]} would move from {low[k]:.3g} to {high[k]:.3g}; {may}"
         if motion.saturated:
             return f"{motion.saturated[0]} would reach the range of its force"
         wanted = np.abs(np.gradient(motion.desired, motion.time, axis=0)).max(axis=0)
-        fastest = np.maximum(wanted, np.abs(motion.speed).max(axis=0) / _OVERSHOOT)
-        largest = np.abs(motion.torque).max(axis=0)
-        for name, found, limits, source in (
-            ("speed", fastest, self.speed, self.sources[1]),
-            ("torque", largest, self.torque, self.sources[2]),
-        ):
-            for k in np.flatnonzero(found > limits * (1 + _ROOM)):
-                return (
-                    f"{self.joints[k]} would need a {name} of {found[k]:.3g}; it may have "
-                    f"{limits[k]:.3g} ({source})"
-                )
+        speed = np.maximum(wanted, np.abs(motion.speed).max(axis=0) / _OVERSHOOT)
+        found = np.stack([speed, np.abs(motion.torque).max(axis=0)])
+        limits = np.stack([self.speed, self.torque])
+        for row, k in np.argwhere(found > limits * (1 + _ROOM)):
+            need = f"a {('speed', 'torque')[row]} of {found[row, k]:.3g}"
+            may = f"it may have {limits[row, k]:.3g} ({self.sources[1 + row]})"
+            return f"{self.joints[k]} would need {need}; {may}"
         return ""
 
     def notes(self, motion: PlannedMotion) -> tuple[str, ...]:
@@ -145,21 +139,18 @@ def followed(
     before = _touching(model, data)  # what touches at home may
     met, saturated = dict[tuple[str, str], None](), dict[str, None]()
     position, speed, torque = np.zeros((3, *desired.shape))
-    controls = np.zeros((len(desired), model.nu))
-    limited = np.flatnonzero(model.actuator_forcelimited)
-    readings = np.zeros((len(desired), model.nsensordata))
+    controls, readings = (np.zeros((len(desired), n)) for n in (model.nu, model.nsensordata))
+    limited, (low, high) = model.actuator_forcelimited.astype(bool), model.actuator_forcerange.T
     for row in range(len(desired)):
         for _ in range(round(interval / model.opt.timestep) if row else 0):
             mujoco.mj_step(model, data)
             met |= dict.fromkeys(sorted(_touching(model, data) - before))
         mujoco.mj_forward(model, data)
-        position[row], speed[row] = data.qpos[at], data.qvel[dofs]
+        position[row], speed[row], readings[row] = data.qpos[at], data.qvel[dofs], data.sensordata
         torque[row] = data.qfrc_actuator[dofs]
-        readings[row] = data.sensordata
-        for k in limited:
-            low, high = model.actuator_forcerange[k]
-            if not low < data.actuator_force[k] < high:
-                saturated[model.actuator(int(k)).name] = None
+        force = data.actuator_force
+        for k in np.flatnonzero(limited & ~((low < force) & (force < high))):
+            saturated[model.actuator(int(k)).name] = None
         command(row)
         controls[row] = data.ctrl
         torque[row] += data.qfrc_applied[dofs]
@@ -212,10 +203,9 @@ class ServoArm(Checked):
         II, IV.2), and the fastest rate is that of a drive whose rotor a compliance sets free.
         """
         spec = self.spec.copy()
-        model = spec.copy().compile()
+        model, interval = spec.copy().compile(), 1.0 / RATE
         for sensor in list(spec.sensors):
             spec.delete(sensor)
-        interval = 1.0 / RATE
         step = min(float(model.opt.timestep), _STABLE / max(_rotor_rate(model), 1e-9))
         spec.option.timestep = interval / np.ceil(interval / max(step, 5e-4) - 1e-9)
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -431,11 +421,9 @@ def read_servo_arm(
 
 def _servos(model: mujoco.MjModel) -> tuple[IndexArray, IndexArray]:
     """Driven joints, in the model's order, and the servo of each."""
-    gain, at_joint = (
-        model.actuator_gainprm[:, 0],
-        model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT,
-    )
-    closes = at_joint & (gain > 0) & np.isclose(model.actuator_biasprm[:, 1], -gain)
+    gain, kinds = model.actuator_gainprm[:, 0], model.actuator_trntype
+    closes = (kinds == mujoco.mjtTrn.mjTRN_JOINT) & (gain > 0)
+    closes &= np.isclose(model.actuator_biasprm[:, 1], -gain)
     found = {int(model.actuator_trnid[k, 0]): int(k) for k in np.flatnonzero(closes)}
     return np.array(sorted(found), dtype=int), np.array([found[k] for k in sorted(found)], int)
 
@@ -445,6 +433,5 @@ def _rotor_rate(model: mujoco.MjModel) -> float:
     joints, servos = _servos(model)
     dofs = model.jnt_dofadr[joints]
     servo = -model.actuator_biasprm[servos, 2] * model.actuator_gear[servos, 0] ** 2
-    inertia = model.dof_armature[dofs]
-    there = inertia > 0
-    return float(np.max(((model.dof_damping[dofs] + servo)[there] / inertia[there]), initial=0.0))
+    damping, inertia = model.dof_damping[dofs] + servo, model.dof_armature[dofs]
+    return float(np.max(damping[inertia > 0] / inertia[inertia > 0], initial=0.0))
