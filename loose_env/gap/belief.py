@@ -72,8 +72,7 @@ class Posterior:
 
     sets: tuple[HypothesisSet, ...]  # By decreasing probability
     marginal: Array  # Probability that each candidate is among the missing effects (names,)
-    log_evidence: Array
-    """Log evidence of each candidate alone against none, its best shape [nats] (names,)."""
+    log_evidence: Array  # Of the best shape of each candidate alone, against none [nats] (names,)
     size: Array  # Log10 of each candidate's visibility, alone (names,)
     size_sd: Array  # Its standard deviation (names,)
     misfit: float
@@ -426,9 +425,8 @@ def _prior_predictions(belief: Belief) -> tuple[Array, list[tuple[str, ...]], li
         own = [bank.shapes[h] for h in np.flatnonzero(bank.candidate == number)]
         seen = [bank.visibility(s, s.centre) if s.term.law else middle for s in own]
         shape = own[int(np.argmin(np.abs(np.log(seen) - np.log(middle))))]
-        mean = shape.centre
-        if not shape.term.law:
-            mean = middle * bank.unit(shape, 0) * np.eye(len(shape.at))[0]
+        sized = middle * bank.unit(shape, 0) * np.eye(len(shape.at))[0]
+        mean = shape.centre if shape.term.law else sized
         sds = np.append(np.ones(free), np.full(len(mean), 0.45 * np.abs(mean).max()))
         at = np.array([*range(free), *shape.at])
         fits.append(_Fit(at, np.append(np.zeros(free), mean), np.diag(sds**2), 0.0))

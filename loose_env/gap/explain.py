@@ -45,8 +45,7 @@ from loose_env.typing import Array
 
 PULLED = 2.0
 """Standard deviations from which the pull of a tolerance is told: 1 in 20 by chance."""
-FIGURES = 4
-"""Channels of which a report draws figures of one sort."""
+FIGURES = 4  # channels of which a report draws figures of one sort
 _RANKED = 20  # sets of effects that a result lists
 
 

@@ -295,10 +295,7 @@ def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, PlannedMotion]
 def scaled_until(
     motion: Motion, checked: Callable[[Motion], tuple[T | None, str]], tries: int = 8
 ) -> tuple[Motion, T | None, str]:
-    """Reduce a motion until a check has no reason against it; with what it found, or the reason.
-
-    A check that cannot be made raises InvalidSetting.
-    """
+    """Reduce a motion until a check has nothing against it; with what it found, or the reason."""
     try:
         found, reason = checked(motion)
     except InvalidSetting as error:
@@ -314,10 +311,7 @@ def scaled_until(
 def loaded_poses(
     model: mujoco.MjModel, rest: Array, driven: IndexArray, limits: MotionLimits, torque: Array
 ) -> tuple[Array, Array]:
-    """Poses of small and of large load by gravity over a torque of each joint, free of contact.
-
-    Of random poses in the middle 70 % of the ranges (J,) each.
-    """
+    """Poses (J,) without contact of small and of large gravity load over torques of the joints."""
     rng, home, low, high = np.random.default_rng(0), limits.home, limits.low, limits.high
     half = np.minimum(0.35 * (high - low), 1.2 * limits.unit)
     data = mujoco.MjData(model)
@@ -331,9 +325,7 @@ def loaded_poses(
         if data.ncon == 0:
             found.append(pose)
             loads.append(float(np.sum((data.qfrc_bias[driven] / torque) ** 2)))
-    if not found:
-        return home, home
-    return found[int(np.argmin(loads))], found[int(np.argmax(loads))]
+    return (found[np.argmin(loads)], found[np.argmax(loads)]) if found else (home, home)
 
 
 def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
@@ -343,12 +335,7 @@ def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
 
 
 def long_motions(small: Array, large: Array) -> list[Motion]:
-    """Motions of an arm, not yet reduced to its limits, about poses of small and large load.
-
-    For each joint: slow triangles under small and large load, several constant speeds, a chirp
-    and steps. For all joints together: multisines, chirps, random excitations,
-    steps, triangles and poses held, under small and large load.
-    """
+    """Motions of an arm, not yet reduced to its limits, about poses of small and large load."""
     every, poses = tuple(range(len(small))), [tuple(map(float, pose)) for pose in (small, large)]
     steps = partial(Motion, kind="steps", amplitude=0.06, speed=1.5, seconds=2.5)
     chirp = partial(Motion, kind="chirp", amplitude=0.2, speed=0.8, highest=20.0)
@@ -395,10 +382,8 @@ def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
 
 
 def _brief_motions(arm: ServoArm) -> tuple[Motion, ...]:
-    """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose.
-
-    A servo settles in a tenth of a second.
-    """
+    """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose."""
+    # a servo settles in a tenth of a second
     brief = partial(Motion, joints=tuple(range(len(arm.joints))), pause=0.1)
     noise = partial(brief, kind="random", speed=1.8)
     return (

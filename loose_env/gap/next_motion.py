@@ -44,10 +44,8 @@ CommandMode = Literal["position", "speed", "torque", "none"]
 """What commands of the recording's actuators are; "none" where runs have no commands."""
 NEXT_MOTION = "next_motion"
 """Name of the files, without the ending."""
-FORMAT = "loose-next-motion/1"
-"""Format of the JSON file."""
-NOTHING = "nothing"
-"""What an effect is told from that may not be there."""
+FORMAT = "loose-next-motion/1"  # of the JSON file
+NOTHING = "nothing"  # what an effect is told from that may not be there
 DECIDED = 5.0
 """Log evidence from which a pair is decided [nats]: very strong (Kass and Raftery 1995)."""
 _LEAST = 2.0  # gain of a pair below which no motion tells the two apart [nats]
@@ -171,10 +169,7 @@ class _Gains:
 
     @property
     def value(self) -> float:
-        """Worth of a motion: by open pairs, each by the logarithm of its gain over what decides it.
-
-        The logarithm prefers to decide one more pair to deciding one twice.
-        """
+        """Worth of a motion: to decide one more pair is better than to decide one twice."""
         return self.nats + sum(float(np.log1p(pair.nats / DECIDED)) for pair in self.pairs)
 
     @property

@@ -55,10 +55,7 @@ def measured_runs(
 
 
 def pieces_of(run: Run) -> list[Run]:
-    """Cut a run where its recorder paused or its clock jumped.
-
-    Pieces of fewer than `FEWEST_SAMPLES` are left out.
-    """
+    """Cut a run where its recorder paused or its clock jumped; short pieces are left out."""
     steps = np.diff(run.time)
     cuts = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * median_step(run.time))) + 1
     if not len(cuts):
@@ -143,10 +140,7 @@ class Trial:
         return (len(self.time) - 1) / float(self.time[-1])
 
     def between(self, first: int, last: int) -> Trial:
-        """Window of the run, from one sample to before another; its initial state is not known.
-
-        It keeps that of the run, for its caller to replace.
-        """
+        """Window of the run, from one sample to before another; its caller sets the state."""
         if first <= 0 and last >= len(self.time):
             return self
         begun = round(float(self.time[first]) / self.step)

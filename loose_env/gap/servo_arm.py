@@ -23,10 +23,8 @@ from loose_env.gap.simulator import Simulator
 from loose_env.io import Checked, Positive, Rule
 from loose_env.typing import Array, IndexArray
 
-SLIDE = 0.2
-"""Limits of slides over those of hinges: metres for radians."""
-RATE = 250.0
-"""Rate at which its sensors are read [1/s]."""
+SLIDE = 0.2  # limits of slides over those of hinges: metres for radians
+RATE = 250.0  # rate at which its sensors are read [1/s]
 _ENCODER_STEPS = 2**14  # steps of an encoder per turn; of a slide, per metre
 _ENCODER_NOISE = 1.5e-4  # standard deviation of its noise before quantisation [rad, m]
 _TORQUE_NOISE = 0.005  # standard deviation of the measured torque over the torque limit

@@ -188,8 +188,7 @@ class Effect:
                 f"{self.kind} cannot be at {where!r}; its locations are {list(locations)}"
             )
         forms = self.variants_at(machine, where)
-        if variant is None:
-            variant = forms[0]
+        variant = forms[0] if variant is None else variant
         if variant not in forms:
             raise UnknownName(
                 f"{self.kind} at {where!r} has no variant {variant!r}; it has {list(forms)}"

@@ -139,10 +139,7 @@ class NominalModel:
 
     @cached_property
     def tool(self) -> str:
-        """Site of the tool: "tool", else the last of the last link, else the last moving.
-
-        "" if no site moves.
-        """
+        """Site of the tool: "tool", else the last of the last link, else the last moving, or ""."""
         model, last = self.model, self.model.body(self.last_link).id
         # Bodies without a joint between them and the last link are part of it.
         ranked = [
@@ -269,10 +266,7 @@ def write_inertial(
 
 
 def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Copy a spec so that every body, site and actuator has a name.
-
-    A link, the body that a joint moves, is named after its first joint; others by their index.
-    """
+    """Copy a spec with all bodies, sites and actuators named: links after their first joint."""
     spec = given.copy()
     for noun in ("body", "site", "actuator"):
         every = spec.bodies if noun == "body" else getattr(spec, f"{noun}s")

@@ -87,11 +87,8 @@ class ActuatorGain(Effect):
             actuator.forcerange = gain * np.array(actuator.forcerange)
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
-        """Convert torque to measured torque: a stronger motor shows less for the same.
-
-        Not where it is one of several at the joint: a joint torque alone does not give each one's
-        share. Gains of a servo and of its command do not change what a current means.
-        """
+        """Convert torque to measured torque: a stronger motor, alone at its joint, shows less."""
+        # gains of a servo and of its command do not change what a current means
         machine = self.machine
         own = not self.variant and machine.actuated_joint.get(self.where) == joint
         gears = machine.moments[machine.joint_number(joint)]
@@ -291,10 +288,7 @@ class DriveLimit(JointDriveEffect):
     def propose_limit(
         self, speed: Array, asked: Array, needed: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Start at the limit that turns what was asked into what was given, by least deviations.
-
-        Without such a limit that is the largest torque given.
-        """
+        """Start at the limit that turns what was asked into what was given, by least deviations."""
         gear = abs(self.gear)
         rate, asked, needed = speed * gear, asked / gear, needed / gear
         limit, *more = self.parameters

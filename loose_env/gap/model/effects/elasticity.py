@@ -64,10 +64,7 @@ class SpringEffect(AddedJoint):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness, up to the largest stable one, and damping ratio with all else locked.
-
-        Fits start at springs with modes from slow to fast, at most half the largest stiffness.
-        """
+        """Stiffness, up to the largest stable one, and damping ratio with all else locked."""
         carried, weight = self.inertia
         low = carried * (2 * pi * _SLOWEST_HZ) ** 2
         high = max((mjcf.FASTEST / self.machine.time_step) ** 2 / weight, 10 * low)
@@ -172,10 +169,7 @@ class Backlash(SplitJoint):
 
 
 def _stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]:
-    """Stiffness of stops and damping ratio of the mode on them.
-
-    The stiffness is about a quarter of the largest that is stable at the step [s].
-    """
+    """Stiffness of stops, about a quarter of the largest stable one at the step [s]; damping."""
     high = (_FASTEST / step) ** 2 / weight
     return (
         Parameter.sized("stiffness", unit, high, 1e-3, 1, scale=0.25, starts=(0.25,), log=True),
@@ -207,10 +201,8 @@ class BaseCompliance(SpringEffect):
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return the base, if its first link has room for another joint and is not the only one.
-
-        Under a single joint a base that gives way is not told from a compliant drive.
-        """
+        """Return the base, if its first link has room for another joint and is not the only one."""
+        # under a single joint it is not told from a compliant drive
         first = int(machine.model.jnt_bodyid[0])
         room = machine.model.body_jntnum[first] < _MOST_JOINTS and len(machine.joints) > 1
         return ("base",) if room and cls.variants_at(machine, "base") else ()

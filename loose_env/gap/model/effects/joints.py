@@ -56,19 +56,13 @@ class ViscousFriction(_Resistance):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: 5 % and 30 % of typical torque at typical speed, and half the nominal.
-
-        The damping of a model is often set for a stable simulation, ten times the machine's:
-        removing half of it shows that, where it matters.
-        """
+        """Starts: 5 % and 30 % of typical torque at typical speed, and half the nominal."""
+        # a model's damping is often set for a stable simulation, ten times the machine's
         starts, much = super().starts, 0.5 * self.nominal
         return (*starts, (-much,)) if much > starts[-1][0] else starts
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Add to the joint's damping, or remove a share of the model's.
-
-        A share keeps the sensitivity of a joint that has no damping at all.
-        """
+        """Add to the joint's damping, or remove a share of the model's, which may have none."""
         joint, added = spec.joint(self.where), float(values[0])
         damping = np.array(joint.damping)
         damping[0] *= max(1.0 + added / self.nominal, 0.0) if added < 0 else 1.0

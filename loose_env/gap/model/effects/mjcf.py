@@ -37,11 +37,7 @@ def angle_unit(joint: mujoco.MjsJoint) -> float:
 
 
 def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
-    """Return an unused name for an element that an effect adds to a model.
-
-    A corrected model that is compared again has elements added before, and an effect may occur
-    twice.
-    """
+    """Return an unused name for an element: a corrected model has such already."""
     several = (spec.bodies, spec.joints, spec.sites, spec.actuators)
     taken = {element.name for elements in several for element in elements}
     return unused(f"{where}_{kind}", taken)
@@ -192,10 +188,7 @@ def keep_motor_side(machine: NominalModel, spec: mujoco.MjSpec, name: str, carri
 
 
 def joint_inertia(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
-    """Inertia that a joint moves with all others locked [kg·m², kg], and its inverse weight.
-
-    The inverse weight is MuJoCo's, with all joints free.
-    """
+    """Inertia on a joint, all others locked [kg·m², kg], and its inverse weight, all free."""
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -214,10 +207,7 @@ def site_pose(machine: NominalModel, site: mujoco.MjsSite) -> tuple[Array, Array
 
 
 def insert_first(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
-    """Move a joint of a body before its others, which MuJoCo's order of creation does not allow.
-
-    The others are copied behind it; references by name are kept.
-    """
+    """Move a joint of a body before its others: these are copied behind it, under their names."""
     for old in [joint for joint in body.joints if joint.name != name]:
         new = body.add_joint()
         for field in dir(old):

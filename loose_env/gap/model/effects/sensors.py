@@ -1,8 +1,4 @@
-"""Effects of sensors: bias, gain, quantisation, delay, misalignment, offset, eccentricity.
-
-An encoder offset shifts the zero of a joint's reading and of its servo. An eccentric gear makes an
-error of the measured angle once a turn. A torque constant scales a drive's measured torque.
-"""
+"""Effects of sensors: bias, gain, quantisation, delay, misalignment, offset, eccentricity."""
 
 from __future__ import annotations
 
@@ -161,10 +157,7 @@ class SensorQuantisation(SensorEffect):
 
 
 class SensorDelay(SensorEffect):
-    """Delay of a sensor; servos see the joint itself, undelayed.
-
-    Exported as MuJoCo's own sensor delay.
-    """
+    """Delay of a sensor, exported as MuJoCo's own; servos see the joint itself, undelayed."""
 
     kind = "sensor_delay"
     in_model = True
@@ -336,10 +329,7 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
         )
 
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """Add the error to the encoder's reading, its rate to that of the speed.
-
-        A speed is shown by its own slope of the error where the position is shown too.
-        """
+        """Add the error to the encoder's reading, its rate to that of a speed beside it."""
         found, (sine, cosine) = dict(readings), values
         shown = [c for name in self._encoders if (c := column_of(name)) in readings]
         for column in shown:
