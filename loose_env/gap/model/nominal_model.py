@@ -283,13 +283,9 @@ def naming_notes(given: mujoco.MjSpec) -> list[str]:
     """Describe links of a model without a name of their own; none if all have one."""
     before, after = given.bodies[1:], with_names(given).bodies[1:]
     links = [new.name for old, new in zip(before, after, strict=True) if not old.name if new.joints]
-    if not links:
-        return []
-    shown = ", ".join(links[:_LISTED]) + (" and others" if len(links) > _LISTED else "")
-    return [
-        f"links of the model without a name are called after their joint, {shown}, here and in "
-        "model.xml; give their bodies names to see your own"
-    ]
+    shown = ", ".join(links[:_LISTED]) + " and others" * (len(links) > _LISTED)
+    note = f"links of the model without a name are called after their joint, {shown}, here and in "
+    return [f"{note}model.xml; give their bodies names to see your own"] if links else []
 
 
 def unused(name: str, taken: Container[str]) -> str:

@@ -63,10 +63,8 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:
     model = spec.copy().compile()
     places, dofs = addresses(model, machine.joints)
     for k, key in enumerate(spec.keys):
-        position, speed = model.qpos0.copy(), np.zeros(model.nv)
+        position, speed, state = model.qpos0.copy(), np.zeros(model.nv), np.zeros(model.na)
         position[places], speed[dofs] = nominal.key_qpos[k], nominal.key_qvel[k]
-        key.qpos, key.qvel = position, speed
-        state = np.zeros(model.na)
         for number in range(nominal.nu):  # actuators keep their order
             at, before = model.actuator_actadr[number], nominal.actuator_actadr[number]
             own = slice(at, at + model.actuator_actnum[number])
@@ -74,7 +72,7 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:
                 state[own] = nominal.key_act[k, before : before + own.stop - at]
             elif at >= 0:  # a filter that was added has its command
                 state[own] = nominal.key_ctrl[k, number]
-        key.act = state
+        key.qpos, key.qvel, key.act = position, speed, state
 
 
 def correction_code(hypothesis: Hypothesis) -> str:

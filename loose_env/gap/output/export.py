@@ -149,9 +149,8 @@ class _Source:
     @cached_property
     def joints(self) -> tuple[_Joint, ...]:
         """Hinges and slides."""
-        model = self.model
-        single = np.flatnonzero(np.isin(model.jnt_type, MOVING)).tolist()
-        return tuple(_joint(model, k) for k in single)
+        single = np.flatnonzero(np.isin(self.model.jnt_type, MOVING)).tolist()
+        return tuple(_joint(self.model, k) for k in single)
 
     @property
     def step(self) -> float:

@@ -236,18 +236,15 @@ class MountedPayload(Payload):
 
 def payload_notes(machine: NominalModel) -> list[str]:
     """Describe the payload's location in a model without a tool site; else none."""
-    model = machine.model
-    if machine.tool:
-        carrier = model.site(machine.tool).bodyid[0]
-        link = str(model.body(int(model.body_weldid[carrier])).name)
-        if machine.tool == "tool" or link == machine.last_link:
+    model, tool = machine.model, machine.tool
+    if tool:
+        link = str(model.body(int(model.body_weldid[model.site(tool).bodyid[0]])).name)
+        lacking = "the model has no site at the end of its last link: a payload is tried at "
+        if tool == "tool" or link == machine.last_link:
             return []
-        return [
-            f"the model has no site at the end of its last link: a payload is tried at "
-            f'{machine.tool} of {link}; add <site name="tool"/> where it hangs'
-        ]
+        return [f'{lacking}{tool} of {link}; add <site name="tool"/> where it hangs']
     name, place = _outermost(machine)
-    where = "the origin" if not place.any() else "the far end"
+    where = "the far end" if place.any() else "the origin"
     return [
         f"the model has no site at its tool: a payload is tried at {where} of {name}, and its mass "
         'stands for that place; add <site name="tool"/> where it hangs'
