@@ -16,49 +16,50 @@ from loose_env.gap.model.nominal_model import NominalModel
 
 Kind = TypeVar("Kind", bound=type[Effect])
 
-
-def _by_kind(*effects: type[Effect]) -> dict[str, type[Effect]]:
-    return {effect.kind: effect for effect in effects}
-
-
-CATALOGUE = _by_kind(
-    joints.ViscousFriction,
-    joints.CoulombFriction,
-    joints.StribeckFriction,
-    joints.QuadraticDrag,
-    elasticity.JointCompliance,
-    elasticity.Backlash,
-    elasticity.StructuralLooseness,
-    elasticity.LinkFlexibility,
-    inertia.LinkMass,
-    inertia.LinkCom,
-    inertia.Payload,
-    joints.RotorInertia,
-    drives.ActuatorGain,
-    drives.ActuatorLag,
-    drives.CommandDelay,
-    sensors.EncoderOffset,
-    sensors.SensorMisalignment,
-    sensors.SensorGain,
-    sensors.SensorBias,
-    sensors.SensorDelay,
-    inertia.BaseTilt,
-    joints.TorqueRipple,
-    joints.JointSpring,
-    joints.LoadFriction,
-    joints.AsymmetricFriction,
-    drives.TorqueLimit,
-    drives.VoltageLimit,
-    drives.DeadZone,
-    inertia.GravityCompensation,
-    sensors.TorqueConstant,
-    elasticity.BaseCompliance,
-    sensors.GearEccentricity,
-    sensors.SensorQuantisation,
-)
+CATALOGUE: dict[str, type[Effect]] = {
+    effect.kind: effect
+    for effect in (
+        joints.ViscousFriction,
+        joints.CoulombFriction,
+        joints.StribeckFriction,
+        joints.QuadraticDrag,
+        elasticity.JointCompliance,
+        elasticity.Backlash,
+        elasticity.StructuralLooseness,
+        elasticity.LinkFlexibility,
+        inertia.LinkMass,
+        inertia.LinkCom,
+        inertia.Payload,
+        joints.RotorInertia,
+        drives.ActuatorGain,
+        drives.ActuatorLag,
+        drives.CommandDelay,
+        sensors.EncoderOffset,
+        sensors.SensorMisalignment,
+        sensors.SensorGain,
+        sensors.SensorBias,
+        sensors.SensorDelay,
+        inertia.BaseTilt,
+        joints.TorqueRipple,
+        joints.JointSpring,
+        joints.LoadFriction,
+        joints.AsymmetricFriction,
+        drives.TorqueLimit,
+        drives.VoltageLimit,
+        drives.DeadZone,
+        inertia.GravityCompensation,
+        sensors.TorqueConstant,
+        elasticity.BaseCompliance,
+        sensors.GearEccentricity,
+        sensors.SensorQuantisation,
+    )
+}
 """Identifier, as in the result file -> class."""
 EFFECTS: Mapping[str, type[Effect]] = ChainMap(
-    _by_kind(joints.TorqueOffset, joints.FrictionBehindSlack, drives.CommandInterpolation),
+    {
+        effect.kind: effect
+        for effect in (joints.TorqueOffset, joints.FrictionBehindSlack, drives.CommandInterpolation)
+    },
     CATALOGUE,
 )
 """The same with what logs of machines ask for, and simulations do without; those that users

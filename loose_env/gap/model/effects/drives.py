@@ -258,14 +258,14 @@ class JointDriveEffect(JointEffect):
         return self.machine.actuated_joint[self.where]
 
     @property
-    def drive(self) -> int:
+    def _number(self) -> int:
         """Index of the drive."""
         return self.machine.actuators.index(self.where)
 
     @property
     def gear(self) -> float:
         """Torque on the joint per force of the drive, with its sign."""
-        return float(self.machine.model.actuator_gear[self.drive, 0]) or 1.0
+        return float(self.machine.model.actuator_gear[self._number, 0]) or 1.0
 
 
 class DriveLimit(JointDriveEffect):
@@ -276,8 +276,8 @@ class DriveLimit(JointDriveEffect):
         """Largest force of the actuator, at most that of the model; times its gear on the joint."""
         model, usual = self.machine.model, self.load / abs(self.gear)
         high = _HIGHEST * usual
-        if model.actuator_forcelimited[self.drive]:
-            high = float(np.max(np.abs(model.actuator_forcerange[self.drive])))
+        if model.actuator_forcelimited[self._number]:
+            high = float(np.max(np.abs(model.actuator_forcerange[self._number])))
         limit = Parameter(
             name=self.limit[0][0], unit=self.torque_unit,
             low=min(_LOWEST * usual, 0.5 * high), high=high, scale=usual, log=True,
@@ -379,7 +379,7 @@ class DeadZone(DrivenEffect, JointDriveEffect):
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        model, number = machine.model, self.drive
+        model, number = machine.model, self._number
         self._servo = bool(model.actuator_biasprm[number, 1] != 0)
         limited = model.actuator_ctrllimited[number]
         self._limits = model.actuator_ctrlrange[number].tolist() if limited else None
@@ -387,7 +387,7 @@ class DeadZone(DrivenEffect, JointDriveEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Half width of the dead zone."""
-        gain = abs(float(self.machine.model.actuator_gainprm[self.drive, 0])) or 1.0
+        gain = abs(float(self.machine.model.actuator_gainprm[self._number, 0])) or 1.0
         usual = self.load / (abs(self.gear) * gain)
         unit = self.angle_unit if self._servo else ""
         # errors of a thirtieth, a fifth and half of the typical torque
@@ -396,16 +396,16 @@ class DeadZone(DrivenEffect, JointDriveEffect):
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Move the command towards the position by the dead zone, at most onto it."""
         found, width = command.copy(), values[0]
-        own = found[..., self.drive]
+        own = found[..., self._number]
         if self._limits:
             own = np.clip(own, *self._limits)
         at = self.gear * position[..., self.number] if self._servo else np.zeros_like(own)
-        found[..., self.drive] = own - np.clip(own - at, -width, width)
+        found[..., self._number] = own - np.clip(own - at, -width, width)
         return found
 
     def feedback_code(self, values: Array) -> str:
         """Python lines: the command less the part of the error in the dead zone."""
-        own, width = f"command[{self.drive}]", float(values[0])
+        own, width = f"command[{self._number}]", float(values[0])
         at = f"{self.gear!r} * position[{self.number}]" if self._servo else "0.0"
         lines = [f"# dead zone of {self.where}"]
         if self._limits:
