@@ -115,13 +115,12 @@ class Motion(Checked):
         if self.centre is not None:
             there += [_way(limits.home, centre, limits.speed, rate), held]
         found = np.concatenate([*there, excited, *(own[::-1] for own in reversed(there))])
-        for k, name in enumerate(limits.joints):
-            if found[:, k].min() < limits.low[k] or found[:, k].max() > limits.high[k]:
-                raise InvalidSetting(
-                    f"{self.description} takes {name} to {found[:, k].min():.2f} and "
-                    f"{found[:, k].max():.2f}; its range is {limits.low[k]:.2f} to "
-                    f"{limits.high[k]:.2f}"
-                )
+        low, high = found.min(axis=0), found.max(axis=0)
+        for k in np.flatnonzero((low < limits.low) | (high > limits.high)):
+            raise InvalidSetting(
+                f"{self.description} takes {limits.joints[k]} to {low[k]:.2f} and {high[k]:.2f}; "
+                f"its range is {limits.low[k]:.2f} to {limits.high[k]:.2f}"
+            )
         return found
 
 
@@ -147,10 +146,8 @@ def _faded(motion: Motion, time: Array) -> Array:
 
 def _triangle(motion: Motion, time: Array, number: int, speed: float) -> Array:
     """Reversals at one speed, with corners rounded over a twentieth of a period (n,)."""
-    period = 4 * motion.amplitude / speed
-    turns = max(round((motion.seconds - 2 * _RAMP) / period), 1)
-    phase = time / motion.seconds * turns
-    period = motion.seconds / turns
+    turns = max(round((motion.seconds - 2 * _RAMP) * speed / (4 * motion.amplitude)), 1)
+    phase, period = time / motion.seconds * turns, motion.seconds / turns
     height = min(motion.amplitude, speed * period / 4)
     raw = np.abs((phase + 0.25 + 0.13 * number) % 1.0 - 0.5) * 4 - 1
     width = max(round(0.04 * period * (len(time) / motion.seconds)), 1)

@@ -146,10 +146,8 @@ class Trial:
         begun = round(float(self.time[first]) / self.step)
         time = self.time[first:last] - begun * self.step
         controls = self.controls[begun : begun + ceil(float(time[-1]) / self.step - 1e-6) + 1]
-        return replace(
-            self, time=time, measured=self.measured[first:last], steps=len(controls),
-            controls=controls,
-        )  # fmt: skip
+        part = replace(self, time=time, measured=self.measured[first:last])
+        return replace(part, controls=controls, steps=len(controls))
 
     def at_samples(self, values: Array) -> Array:
         """Interpolate values at the steps (..., steps, C) to the samples (..., T, C)."""
