@@ -105,12 +105,11 @@ class GapSession:
         with silent():
             self.selection = evidence_of(recording, settings or GapSettings(), say)
             self.fit = self.selection.solve(())
+            self.held_out = self._left(self.fit)
+            """Residual on held-out data with what was added [noise standard deviations]."""
         self.balance = self.selection.evidence.balance
         self.tried: tuple[TriedEffect, ...] = ()
         """Effects that were added."""
-
-        self.held_out = self._left(self.fit)
-        """Residual on held-out data with what was added [noise standard deviations]."""
 
     @property
     def added(self) -> tuple[Effect, ...]:
