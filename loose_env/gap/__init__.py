@@ -9,13 +9,7 @@ from loose_env.gap.belief import Belief, HypothesisSet, Outlook, outlook
 from loose_env.gap.core.find import Answer, find_gap
 from loose_env.gap.core.residual import Correlation, Overlay, Played
 from loose_env.gap.core.tolerances import GapSettings, Tolerances
-from loose_env.gap.explain import (
-    GapSolution,
-    check_gap,
-    explain_gap,
-    solve_gap,
-    write_gap,
-)
+from loose_env.gap.explain import GapSolution, check_gap, explain_gap, solve_gap, write_gap
 from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
 from loose_env.gap.model.effects.catalogue import effect_class, read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
@@ -36,13 +30,7 @@ from loose_env.gap.next_motion import (
     write_next_motion,
 )
 from loose_env.gap.output.corrected_model import write_model
-from loose_env.gap.output.export import (
-    TARGETS,
-    Export,
-    ExportSettings,
-    export_result,
-    write_export,
-)
+from loose_env.gap.output.export import TARGETS, Export, ExportSettings, export_result, write_export
 from loose_env.gap.output.result import (
     ChannelVerdict,
     EffectLocation,

@@ -171,40 +171,24 @@ class MotionBank:
         return len(self.arm.uncertain)
 
     @cached_property
-    def _coefficients(self) -> Array:
+    def priors(self) -> Array:
         """Precision, centre, low and high of each coefficient, and of none (4, V + 1)."""
         columns = [column for shape in self.shapes for column in shape.term.columns]
         known = [(c.spread**-2, c.centre, c.low, c.high) for c in columns]
         none = (1.0, 0.0, -np.inf, np.inf)
         return np.array([none] * self.nuisances + known + [none]).T
 
-    @property
-    def precision(self) -> Array:
-        """Prior precisions of all coefficients (V,)."""
-        return np.asarray(self._coefficients[0, :-1])
-
-    @property
-    def centre(self) -> Array:
-        """Prior means of all coefficients (V,)."""
-        return np.asarray(self._coefficients[1, :-1])
-
     @cached_property
     def padded(self) -> IndexArray:
         """Columns of every shape, those of narrower ones filled up by none (H, Q)."""
         width = max(len(shape.at) for shape in self.shapes)
-        none = self._coefficients.shape[1] - 1
+        none = self.priors.shape[1] - 1
         return np.array([[*s.at, *[none] * (width - len(s.at))] for s in self.shapes])
-
-    @cached_property
-    def priors(self) -> Array:
-        """Precision, centre, low and high of the coefficients of every shape (4, H, Q)."""
-        return np.asarray(self._coefficients[:, self.padded])
 
     @cached_property
     def beyond(self) -> Array:
         """Products on the motions of reference that no nominal parameter explains (V, V)."""
-        grams = [self.evidence[k].gram for k in self.reference]
-        return beyond(np.sum(grams, axis=0), self.nuisances)
+        return beyond(np.sum([self.evidence[k].gram for k in self.reference], 0), self.nuisances)
 
     def visibility(self, shape: Shape, coefficients: Array) -> float:
         """Length of the signature on the motions of reference [noise standard deviations]."""
@@ -279,7 +263,7 @@ def motion_bank(
     """
     import joblib  # its start takes a quarter of a second
 
-    on = battery(arm) if reference is None else tuple(reference)
+    on = battery(arm) if reference is None else reference
     at = tuple(k for k, motion in enumerate(library) if motion in on) or (0,)
     memory = joblib.Memory(cache, verbose=0)
     along = memory.cache(_evidence, ignore=["arm", "shaped", "say", "words"])
@@ -348,14 +332,12 @@ def _shapes_of(arm: ServoArm, motions: Sequence[Motion], kinds: Sequence[str]) -
     wanted = kinds or [kind for kind in CATALOGUE if kind not in EXCLUDED]
     for effect in candidates(balance.machine, wanted):
         first = type(effect).variants_at(balance.machine, effect.where)[0]
-        if effect.variant != first and effect.kind not in _AXES:
-            continue
-        if effect.part == "actuator" and effect.where not in driven:
-            continue
-        for axes, law in _axes_of(balance, effect):
-            for term in terms_of(balance, effect, axes, law, _CONTACTS):
-                found.append(Shape(term, tuple(range(at, at + len(term.columns)))))
-                at = found[-1].at[-1] + 1
+        plain = effect.variant == first or effect.kind in _AXES
+        if plain and (effect.part != "actuator" or effect.where in driven):
+            for axes, law in _axes_of(balance, effect):
+                for term in terms_of(balance, effect, axes, law, _CONTACTS):
+                    found.append(Shape(term, tuple(range(at, at + len(term.columns)))))
+                    at = found[-1].at[-1] + 1
     return found
 
 
@@ -447,17 +429,15 @@ def _evidence(
 
 def _seen(bank: MotionBank) -> set[int]:
     """Shapes that show on the motions of reference, of candidates that are clearly visible."""
-    found = set()
+    found = {}
     for k, shape in enumerate(bank.shapes):
-        sizes = [shape.centre]
-        if not shape.term.law:
-            ends = ((min(abs(c.low), 1e9), min(abs(c.high), 1e9)) for c in shape.term.columns)
-            sizes = list(np.diag([max(own) for own in ends]))
+        ends = np.minimum(np.abs([(c.low, c.high) for c in shape.term.columns]), 1e9).max(axis=1)
+        sizes = [shape.centre] if shape.term.law else np.diag(ends)
         seen = max(bank.visibility(shape, own) for own in sizes)
         if seen > VISIBLE[0] / 4 and not (shape.term.law and seen >= 4 * VISIBLE[1]):
-            found.add((k, shape.name, seen > VISIBLE[0]))
-    clear = {name for _, name, clearly in found if clearly}
-    return {k for k, name, _ in found if name in clear}
+            found[k] = seen
+    clear = {bank.shapes[k].name for k, seen in found.items() if seen > VISIBLE[0]}
+    return {k for k in found if bank.shapes[k].name in clear}
 
 
 def _only(bank: MotionBank, kept: set[int]) -> MotionBank:

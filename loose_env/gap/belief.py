@@ -72,8 +72,7 @@ class Posterior:
 
     sets: tuple[HypothesisSet, ...]  # By decreasing probability
     marginal: Array  # Probability that each candidate is among the missing effects (names,)
-    log_evidence: Array
-    """Log evidence of each candidate alone against none, its best shape [nats] (names,)."""
+    log_evidence: Array  # Of the best shape of each candidate alone, against none [nats] (names,)
     size: Array  # Log10 of each candidate's visibility, alone (names,)
     size_sd: Array  # Its standard deviation (names,)
     misfit: float
@@ -148,7 +147,7 @@ class Belief:
     @cached_property
     def products(self) -> Products:
         """Products of all columns and residuals, motions weighted by their errors."""
-        count = len(self.bank.precision)
+        count = self.bank.priors.shape[1] - 1
         gram, right, power, dof = np.zeros((count, count)), np.zeros(count), 0.0, 0
         for motion, total in self.sums.items():
             own, repeated = self.bank.evidence[motion], self.counts[motion]
@@ -181,7 +180,7 @@ class Products:
         """Nominal parameters, then the columns of some shapes."""
         bank = self.bank
         at = np.array([*range(bank.nuisances), *(k for h in own for k in bank.shapes[h].at)])
-        precision, centre = bank.precision[at], bank.centre[at]
+        precision, centre = bank.priors[:2, at]
         covariance = np.asarray(np.linalg.inv(self.gram[np.ix_(at, at)] + np.diag(precision)))
         slope = self.right[at] + precision * centre
         values = covariance @ slope
@@ -215,7 +214,8 @@ class Products:
 
     def _solved(self, gram: Array, right: Array, total: float) -> tuple[Array, Array, Array, Array]:
         """Every shape in products that others are eliminated from; none beyond its bounds."""
-        (prior, centre, low, high), at = self.bank.priors, self.bank.padded
+        at = self.bank.padded
+        prior, centre, low, high = self.bank.priors[:, at]
         precision = gram[at[:, :, None], at[:, None, :]] + prior[:, :, None] * np.eye(at.shape[1])
         # columns of very different size: determinants of the scaled matrix
         scale = 1 / np.sqrt(np.diagonal(precision, axis1=1, axis2=2))
@@ -231,19 +231,12 @@ class Products:
 
     def estimates(self, own: Sequence[int], misfit: float) -> tuple[EffectEstimate, ...]:
         """Estimates of the effects of some shapes."""
-        bank, fit, found = self.bank, self.fit(own), []
-        first = bank.nuisances
-        for h in own:
-            shape = bank.shapes[h]
-            at = slice(first, first + len(shape.at))
-            first = at.stop
+        fit, found = self.fit(own), []
+        for shape in (self.bank.shapes[h] for h in own):
+            at = np.searchsorted(fit.at, shape.at)
             means, sds = fit.values[at], np.sqrt(np.diag(fit.covariance)[at] * misfit)
-            spread = 1.96 * np.hypot(sds, _MISSED * means)
-            moved = [
-                shape.values(means + sign * spread * unit)
-                for unit in np.eye(len(means))
-                for sign in (-1, 1)
-            ]
+            spread, units = 1.96 * np.hypot(sds, _MISSED * means), np.eye(len(means))
+            moved = [shape.values(means + spread * unit) for unit in (*-units, *units)]
             values = shape.values(means)
             off = np.sqrt(np.sum((np.array(moved) - values) ** 2, axis=0) / 2)
             ends = (tuple(map(float, each)) for each in (values, values - off, values + off))
@@ -287,10 +280,7 @@ def _posterior(products: Products) -> Posterior:
     members: dict[tuple[int, ...], list[frozenset[int]]] = {}
     for shaped in ranked[:_CANDIDATES]:
         members.setdefault(tuple(sorted(candidate[list(shaped)].tolist())), []).append(shaped)
-    totals = {
-        which: float(np.logaddexp.reduce([scores[own] for own in shapes]))
-        for which, shapes in members.items()
-    }
+    totals = {w: float(np.logaddexp.reduce([scores[o] for o in own])) for w, own in members.items()}
     whole, marginal = np.logaddexp.reduce(list(totals.values())), np.zeros(count)
     sets: list[HypothesisSet] = []
     for which in sorted(totals, key=lambda which: -totals[which]):
@@ -364,7 +354,7 @@ def outlook(belief: Belief, reward: Callable[[tuple[str, ...], tuple[str, ...]],
     """
     weights, names, fits = _predictions(belief)
     rewards = np.array([[reward(named, truth) for truth in names] for named in names])
-    means = np.zeros((len(belief.bank.precision), len(fits)))
+    means = np.zeros((belief.bank.priors.shape[1] - 1, len(fits)))
     for k, fit in enumerate(fits):
         means[fit.at, k] = fit.values
     precisions = [np.asarray(np.linalg.inv(fit.covariance), float) for fit in fits]
@@ -435,9 +425,8 @@ def _prior_predictions(belief: Belief) -> tuple[Array, list[tuple[str, ...]], li
         own = [bank.shapes[h] for h in np.flatnonzero(bank.candidate == number)]
         seen = [bank.visibility(s, s.centre) if s.term.law else middle for s in own]
         shape = own[int(np.argmin(np.abs(np.log(seen) - np.log(middle))))]
-        mean = shape.centre
-        if not shape.term.law:
-            mean = middle * bank.unit(shape, 0) * np.eye(len(shape.at))[0]
+        sized = middle * bank.unit(shape, 0) * np.eye(len(shape.at))[0]
+        mean = shape.centre if shape.term.law else sized
         sds = np.append(np.ones(free), np.full(len(mean), 0.45 * np.abs(mean).max()))
         at = np.array([*range(free), *shape.at])
         fits.append(_Fit(at, np.append(np.zeros(free), mean), np.diag(sds**2), 0.0))

@@ -12,24 +12,13 @@ import numpy as np
 from scipy.special import softmax
 
 from loose_env.doctor import Finding as Preflight
+from loose_env.gap.core import residual
 from loose_env.gap.core.decision import Finding, held_out_rms
 from loose_env.gap.core.evidence import weight_of
 from loose_env.gap.core.exact import LARGE
 from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
-from loose_env.gap.core.residual import (
-    Correlation,
-    Overlay,
-    Played,
-    Response,
-    force_errors,
-    left_by,
-    overlays,
-    parameter_correlation,
-    residual_tests,
-    responses,
-    simulated,
-)
+from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
 from loose_env.gap.core.selection import Selection
 from loose_env.gap.core.tolerances import GapSettings
 from loose_env.gap.model.effects.inertia import payload_notes
@@ -56,8 +45,7 @@ from loose_env.typing import Array
 
 PULLED = 2.0
 """Standard deviations from which the pull of a tolerance is told: 1 in 20 by chance."""
-FIGURES = 4
-"""Channels of which a report draws figures of one sort."""
+FIGURES = 4  # channels of which a report draws figures of one sort
 _RANKED = 20  # sets of effects that a result lists
 
 
@@ -163,31 +151,31 @@ def solve_gap(
     answer = find_gap(recording, settings, say=say)
     say("residuals on held-out data")
     with silent():
-        selection, fit = answer.selection, answer.decision.fit
-        findings = sorted(answer.decision.findings, key=lambda f: f.term.name)
+        selection, decision, fit = answer.selection, answer.decision, answer.decision.fit
+        findings = sorted(decision.findings, key=lambda f: f.term.name)
         named = [f for f in findings if f.named]
-        corrected = Hypothesis(
-            effects=tuple(f.term.effect for f in named), values=tuple(f.values for f in named)
-        )
+        corrected = Hypothesis().with_effects([(f.term.effect, f.values) for f in named])
         # of what is in model.xml or the code, not of what was fitted and is not named
         terms = tuple(t for t in fit.terms if t.name in {f.term.name for f in named})
-        corrected_fit = fit if terms == fit.terms else selection.solve(terms, fit.powers)
-        nominal = selection.solve(())
-        before, after = left_by(selection, nominal), left_by(selection, corrected_fit)
-        tests, correlations = residual_tests(selection, after)
-        errors, played = simulated(answer, corrected)
-        evidence, machine = selection.evidence, selection.evidence.balance.machine
-        own = answer.decision.channels
-        sides = np.stack([held_out_rms(selection, each)[1] for each in (nominal, corrected_fit)])
-        if by_simulation := answer.decision.simulated:  # what a balance leaves says little there
-            of = [k for k, c in enumerate(evidence.channels) if c.joint < len(machine.joints)]
+        fitted = fit if terms == fit.terms else selection.solve(terms, fit.powers)
+        both = selection.solve(()), fitted
+        before, after = (residual.left_by(selection, each) for each in both)
+        tests, correlations = residual.residual_tests(selection, after)
+        errors, played = residual.simulated(answer, corrected)
+        evidence, own = selection.evidence, decision.channels
+        sides = np.stack([held_out_rms(selection, each)[1] for each in both])
+        if decision.simulated:  # what a balance leaves says little there
+            count = len(evidence.balance.machine.joints)
+            of = [k for k, c in enumerate(evidence.channels) if c.joint < count]
             sides[:, of] = np.transpose([(own[k].before, own[k].after) for k in of])
+        else:
+            errors = residual.force_errors(answer, before, after) | errors
         pairs = map(tuple, sides.T.tolist())
         gap = Gap(
             before=pooled_rms(selection, sides[0]),
             after=pooled_rms(selection, sides[1]),
             by_channel=dict(zip((each.channel for each in own), pairs, strict=True)),
-            by_quantity=errors if by_simulation else force_errors(answer, before, after) | errors,
+            by_quantity=errors,
         )
         result = GapResult(
             verdict=_verdict(answer),
@@ -210,10 +198,11 @@ def solve_gap(
         for channel in evidence.channels:
             shown[weight_of(evidence.balance, channel.joint) < 0.5, channel.joint] = nan
     return GapSolution(
-        answer=answer, corrected=corrected, overlays=overlays(selection, before, shown, FIGURES),
+        answer=answer, corrected=corrected,
+        overlays=residual.overlays(selection, before, shown, FIGURES),
         correlations=tuple(correlations[k] for k in largest), played=played,
-        parameters=parameter_correlation(selection, fit),
-        responses=() if played is None else responses(played, evidence.balance.motion.band),
+        parameters=residual.parameter_correlation(selection, fit),
+        responses=residual.responses(played, evidence.balance.motion.band) if played else (),
         result=result, seconds=time.monotonic() - begun,
     )  # fmt: skip
 
@@ -273,17 +262,16 @@ def write_gap(
     place, result = Path(folder), solution.result
     machine = solution.answer.selection.evidence.balance.machine
     # An earlier result must not stand beside a later model if this run is cut short.
-    place.joinpath("result.json").unlink(missing_ok=True)
-    for ending in ("json", "csv", "parquet"):
-        place.joinpath(f"{NEXT_MOTION}.{ending}").unlink(missing_ok=True)
+    endings = ("json", "csv", "parquet")
+    for earlier in ("result.json", *(f"{NEXT_MOTION}.{ending}" for ending in endings)):
+        place.joinpath(earlier).unlink(missing_ok=True)
     say("writing model, result and report")
-    models = write_model(
+    model, source, notes = (
         place / "model.xml",
-        machine,
-        solution.corrected,
-        source=solution.answer.recording.model_path,
-        notes=model_notes(result),
+        solution.answer.recording.model_path,
+        model_notes(result),
     )
+    models = write_model(model, machine, solution.corrected, source=source, notes=notes)
     page = report(place, solution)
     motions = [] if next_motion is None else write_next_motion(place, *next_motion)
     file = result.write(place / "result.json")
@@ -333,15 +321,10 @@ def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
     for number, own in enumerate(answer.decision.channels):
         before, after = gap.by_channel[own.channel]
         found.append(replace(own, before=before, after=after, advice=_advice(answer, number, own)))
-    found += [
-        ChannelVerdict(
-            channel=joint, verdict="cannot tell", before=nan, after=nan,
-            advice="it hardly moves, or its torque was not read: record runs in which it moves",
-        )
-        for joint in answer.selection.evidence.balance.machine.joints
-        if joint not in gap.by_channel
-    ]  # fmt: skip
-    return tuple(found)
+    advice = "it hardly moves, or its torque was not read: record runs in which it moves"
+    still = ChannelVerdict(channel="", verdict="cannot tell", before=nan, after=nan, advice=advice)
+    joints = answer.selection.evidence.balance.machine.joints
+    return *found, *(replace(still, channel=j) for j in joints if j not in gap.by_channel)
 
 
 def _advice(answer: Answer, number: int, own: ChannelVerdict) -> str:
@@ -353,17 +336,16 @@ def _advice(answer: Answer, number: int, own: ChannelVerdict) -> str:
         return how_to_see(own.effects[0].kind) if own.effects else "record more of its motion"
     if own.verdict == "not needed" or own.after <= LARGE:
         return ""
-    channel = answer.selection.evidence.channels[number]
-    runs = answer.selection.evidence.balance.motion.runs
-    excess = answer.decision.fit.powers[number] - channel.count
-    by_run = np.bincount(channel.run, excess)
-    turns, at = np.unique(channel.turn, return_inverse=True)
-    loudest = turns[int(np.argmax(np.bincount(at, excess)))] / (2 * np.pi)
     share = max(1 - (own.after / max(own.before, 1e-300)) ** 2, 0.0)
     said = [f"all that was tried explains {100 * share:.0f} %"] * (own.verdict == "unexplained")
     if not answer.decision.simulated:
-        run = runs[int(np.argmax(by_run))].name
-        said.append(f"most is left in {run}, around {loudest:.2g} Hz")
+        channel = answer.selection.evidence.channels[number]
+        excess = answer.decision.fit.powers[number] - channel.count
+        loudest = int(np.argmax(np.bincount(channel.run, excess)))
+        run = answer.selection.evidence.balance.motion.runs[loudest].name
+        turns, at = np.unique(channel.turn, return_inverse=True)
+        frequency = turns[int(np.argmax(np.bincount(at, excess)))] / (2 * np.pi)
+        said.append(f"most is left in {run}, around {frequency:.2g} Hz")
     return "; ".join(said)
 
 

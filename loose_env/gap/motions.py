@@ -110,19 +110,17 @@ class Motion(Checked):
             off = unit[joint] * shape
             fastest = float(np.max(np.abs(np.diff(off)))) * rate
             excited[:, joint] += off * min(1.0, limits.speed[joint] / max(fastest, 1e-12))
-        rest = [np.tile(pose, (round(self.pause * rate), 1)) for pose in (limits.home, centre)]
-        there, back = [rest[0]], [rest[0]]
+        rest, held = (np.tile(x, (round(self.pause * rate), 1)) for x in (limits.home, centre))
+        there = [rest]
         if self.centre is not None:
-            way = _way(limits.home, centre, limits.speed, rate)
-            there, back = [rest[0], way, rest[1]], [rest[1], way[::-1], rest[0]]
-        found = np.concatenate([*there, excited, *back])
-        for k, name in enumerate(limits.joints):
-            if found[:, k].min() < limits.low[k] or found[:, k].max() > limits.high[k]:
-                raise InvalidSetting(
-                    f"{self.description} takes {name} to {found[:, k].min():.2f} and "
-                    f"{found[:, k].max():.2f}; its range is {limits.low[k]:.2f} to "
-                    f"{limits.high[k]:.2f}"
-                )
+            there += [_way(limits.home, centre, limits.speed, rate), held]
+        found = np.concatenate([*there, excited, *(own[::-1] for own in reversed(there))])
+        low, high = found.min(axis=0), found.max(axis=0)
+        for k in np.flatnonzero((low < limits.low) | (high > limits.high)):
+            raise InvalidSetting(
+                f"{self.description} takes {limits.joints[k]} to {low[k]:.2f} and {high[k]:.2f}; "
+                f"its range is {limits.low[k]:.2f} to {limits.high[k]:.2f}"
+            )
         return found
 
 
@@ -148,10 +146,8 @@ def _faded(motion: Motion, time: Array) -> Array:
 
 def _triangle(motion: Motion, time: Array, number: int, speed: float) -> Array:
     """Reversals at one speed, with corners rounded over a twentieth of a period (n,)."""
-    period = 4 * motion.amplitude / speed
-    turns = max(round((motion.seconds - 2 * _RAMP) / period), 1)
-    phase = time / motion.seconds * turns
-    period = motion.seconds / turns
+    turns = max(round((motion.seconds - 2 * _RAMP) * speed / (4 * motion.amplitude)), 1)
+    phase, period = time / motion.seconds * turns, motion.seconds / turns
     height = min(motion.amplitude, speed * period / 4)
     raw = np.abs((phase + 0.25 + 0.13 * number) % 1.0 - 0.5) * 4 - 1
     width = max(round(0.04 * period * (len(time) / motion.seconds)), 1)
@@ -161,19 +157,13 @@ def _triangle(motion: Motion, time: Array, number: int, speed: float) -> Array:
 
 def _constant_speed(motion: Motion, time: Array, number: int, speed: float) -> Array:
     """There and back at a quarter, half and all of the speed, rests in between (n,)."""
-    shares = np.array([1.0, 0.5, 0.25])
-    lengths = 1 / shares / np.sum(1 / shares)
-    reach = min(motion.amplitude, 0.85 * speed * motion.seconds / np.sum(1 / shares) / 4)
-    found = np.zeros_like(time)
-    begin = 0.0
-    for length in lengths * motion.seconds:
-        share = np.clip((time - begin) / length, 0.0, 1.0)
-        # out, across and back: four ways of one speed with soft ends
-        knots = np.array([0.0, 0.22, 0.28, 0.72, 0.78, 1.0])
-        heights = np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
-        inside = (time >= begin) & (time < begin + length)
-        found[inside] = reach * np.interp(share[inside], knots, heights)
-        begin += length
+    slower = np.array([1.0, 2.0, 4.0])
+    lengths = motion.seconds * slower / slower.sum()
+    reach = min(motion.amplitude, 0.85 * speed * motion.seconds / slower.sum() / 4)
+    # out, across and back: four ways of one speed with soft ends
+    knots, heights = [0.0, 0.22, 0.28, 0.72, 0.78, 1.0], [0.0, 1.0, 1.0, -1.0, -1.0, 0.0]
+    at = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])[:, None] + np.outer(lengths, knots)
+    found = reach * np.interp(time, at.ravel(), 3 * heights)
     width = max(round(0.06 * len(time) / motion.seconds), 1)
     kernel = np.hanning(width + 2)[1:-1]
     return np.asarray(np.convolve(found, kernel / kernel.sum(), "same") * _faded(motion, time))
@@ -219,10 +209,8 @@ def _fitted(motion: Motion, wave: Array, time: Array, speed: float) -> Array:
 def _steps(motion: Motion, time: Array, number: int, speed: float) -> Array:
     """Steps to and fro, of two sizes, a rest after each (n,)."""
     count = max(round(motion.seconds / 0.5), 2)
-    heights = motion.amplitude * np.resize([1.0, -1.0, 0.4, -0.4, 0.0], count)
+    heights = (-1) ** number * motion.amplitude * np.resize([1.0, -1.0, 0.4, -0.4, 0.0], count)
     heights[-1] = 0.0
-    if number % 2:
-        heights[:-1] = -heights[:-1]
     way = max(_STEP_S, 1.875 * (motion.amplitude * 2) / speed)
     return _levels(motion, time, heights, np.full(count, way), late=0.02 * number)
 
@@ -304,32 +292,23 @@ def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, PlannedMotion]
 def scaled_until(
     motion: Motion, checked: Callable[[Motion], tuple[T | None, str]], tries: int = 8
 ) -> tuple[Motion, T | None, str]:
-    """Reduce a motion until a check has no reason against it; with what it found, or the reason.
-
-    A check that cannot be made raises InvalidSetting.
-    """
-    for left in reversed(range(tries)):
-        try:
-            found, reason = checked(motion)
-        except InvalidSetting as error:
-            found, reason = None, str(error)
-        if not reason:
-            return motion, found, ""
-        if not left:
-            break
-        too_far = any(words in reason for words in ("touch", "its range", "would move"))
-        slower = motion.speed if too_far else _SHRINK * motion.speed
-        motion = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
-    return motion, None, reason
+    """Reduce a motion until a check has nothing against it; with what it found, or the reason."""
+    try:
+        found, reason = checked(motion)
+    except InvalidSetting as error:
+        found, reason = None, str(error)
+    if not reason or tries < 2:
+        return motion, None if reason else found, reason
+    too_far = any(words in reason for words in ("touch", "its range", "would move"))
+    slower = motion.speed if too_far else _SHRINK * motion.speed
+    smaller = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
+    return scaled_until(smaller, checked, tries - 1)
 
 
 def loaded_poses(
     model: mujoco.MjModel, rest: Array, driven: IndexArray, limits: MotionLimits, torque: Array
 ) -> tuple[Array, Array]:
-    """Poses of small and of large load by gravity over a torque of each joint, free of contact.
-
-    Of random poses in the middle 70 % of the ranges (J,) each.
-    """
+    """Poses (J,) without contact of small and of large gravity load over torques of the joints."""
     rng, home, low, high = np.random.default_rng(0), limits.home, limits.low, limits.high
     half = np.minimum(0.35 * (high - low), 1.2 * limits.unit)
     data = mujoco.MjData(model)
@@ -343,9 +322,7 @@ def loaded_poses(
         if data.ncon == 0:
             found.append(pose)
             loads.append(float(np.sum((data.qfrc_bias[driven] / torque) ** 2)))
-    if not found:
-        return home, home
-    return found[int(np.argmin(loads))], found[int(np.argmax(loads))]
+    return (found[np.argmin(loads)], found[np.argmax(loads)]) if found else (home, home)
 
 
 def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
@@ -355,12 +332,7 @@ def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
 
 
 def long_motions(small: Array, large: Array) -> list[Motion]:
-    """Motions of an arm, not yet reduced to its limits, about poses of small and large load.
-
-    For each joint: slow triangles under small and large load, several constant speeds, a chirp
-    and steps. For all joints together: multisines, chirps, random excitations,
-    steps, triangles and poses held, under small and large load.
-    """
+    """Motions of an arm, not yet reduced to its limits, about poses of small and large load."""
     every, poses = tuple(range(len(small))), [tuple(map(float, pose)) for pose in (small, large)]
     steps = partial(Motion, kind="steps", amplitude=0.06, speed=1.5, seconds=2.5)
     chirp = partial(Motion, kind="chirp", amplitude=0.2, speed=0.8, highest=20.0)
@@ -407,10 +379,8 @@ def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
 
 
 def _brief_motions(arm: ServoArm) -> tuple[Motion, ...]:
-    """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose.
-
-    A servo settles in a tenth of a second.
-    """
+    """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose."""
+    # a servo settles in a tenth of a second
     brief = partial(Motion, joints=tuple(range(len(arm.joints))), pause=0.1)
     noise = partial(brief, kind="random", speed=1.8)
     return (

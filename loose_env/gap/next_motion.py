@@ -7,7 +7,7 @@ the predictions of two sets of effects apart, with all tolerances fitted.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import ceil
 from pathlib import Path
@@ -26,7 +26,7 @@ from loose_env.gap.core.find import Answer, Say, silent
 from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.motion import Motion as Measured
 from loose_env.gap.core.motion import smooth
-from loose_env.gap.core.selection import Form, Selection, Set, SetFit, neighbours
+from loose_env.gap.core.selection import Form, Set, SetFit, neighbours
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, addresses
@@ -36,13 +36,7 @@ from loose_env.gap.runs import steady_activations
 from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed
 from loose_env.gap.simulator import sensed
 from loose_env.inference import log_determinant
-from loose_env.io import (
-    Checked,
-    NonNegative,
-    Positive,
-    json_text,
-    write_text,
-)
+from loose_env.io import Checked, NonNegative, Positive, json_text, write_text
 from loose_env.recording import Recording, Run, table_of, write_csv, write_parquet
 from loose_env.typing import Array, IndexArray
 
@@ -50,10 +44,8 @@ CommandMode = Literal["position", "speed", "torque", "none"]
 """What commands of the recording's actuators are; "none" where runs have no commands."""
 NEXT_MOTION = "next_motion"
 """Name of the files, without the ending."""
-FORMAT = "loose-next-motion/1"
-"""Format of the JSON file."""
-NOTHING = "nothing"
-"""What an effect is told from that may not be there."""
+FORMAT = "loose-next-motion/1"  # of the JSON file
+NOTHING = "nothing"  # what an effect is told from that may not be there
 DECIDED = 5.0
 """Log evidence from which a pair is decided [nats]: very strong (Kass and Raftery 1995)."""
 _LEAST = 2.0  # gain of a pair below which no motion tells the two apart [nats]
@@ -177,10 +169,7 @@ class _Gains:
 
     @property
     def value(self) -> float:
-        """Worth of a motion: by open pairs, each by the logarithm of its gain over what decides it.
-
-        The logarithm prefers to decide one more pair to deciding one twice.
-        """
+        """Worth of a motion: to decide one more pair is better than to decide one twice."""
         return self.nats + sum(float(np.log1p(pair.nats / DECIDED)) for pair in self.pairs)
 
     @property
@@ -220,51 +209,38 @@ def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
     An effect and those that explain the data nearly as well in its place; an effect that is not
     named, or not by much, and nothing; an effect that may be beside the answer.
     """
-    selection, decision = answer.selection, answer.decision
-    fit = decision.fit
-    machine, form = selection.evidence.balance.machine, Form(selection, fit.powers, fit)
-    found, beside = [], {(kind, where) for _, kind, where in decision.rivals}
-    rests = {t: tuple(o for o in fit.terms if o is not t) for t in fit.terms}
-    sides = {f.term: _side(selection, fit, f.term, (f.term,)) for f in decision.findings}
+    selection, decision, fit = answer.selection, answer.decision, answer.decision.fit
+    evidence, form = selection.evidence, Form(selection, fit.powers, fit)
+    found, beside = list[OpenPair](), {(kind, where) for _, kind, where in decision.rivals}
+
+    def side(own: SetFit, term: Term, shapes: Set) -> Side:
+        return Side(term, own.values[own.places(evidence.columns_of(term))], shapes)
+
+    def against(effect: Side | None, rest: Set, names: Iterable[tuple[str, str]]) -> None:
+        """Add pairs of an effect and those of some names, in their best shapes, beside others."""
+        for name in sorted(names):
+            forms = [t for t in evidence.terms if t.name == name]
+            shapes = tuple(t for _, t in selection.screened(form, rest, forms)[:_SHAPES])
+            fits = [(selection.solve((*rest, t), fit.powers), t) for t in shapes]
+            if allowed := [pair for pair in fits if pair[0].allowed]:
+                best, term = min(allowed, key=lambda pair: pair[0].total)
+                nats = 0.5 * (best.total - fit.total)
+                found.append(OpenPair(effect, side(best, term, shapes), rest, nats))
+
     for own in decision.findings:
-        near = neighbours(machine, own.term.effect.where)
+        rest = tuple(term for term in fit.terms if term is not own.term)
+        near = neighbours(evidence.balance.machine, own.term.effect.where)
         likely = {name for name in beside if name[1] in near} | set(own.confusable)
-        for name in sorted(likely - {t.name for t in fit.terms}):
-            rival = _fitted(selection, form, rests[own.term], name, fit)
-            if rival is not None:
-                nats = 0.5 * (rival[1].total - fit.total)
-                found.append(OpenPair(sides[own.term], rival[0], rests[own.term], nats))
-        nats = 0.5 * (fit.total - selection.solve(rests[own.term], fit.powers).total)
+        effect = side(fit, own.term, (own.term,))
+        against(effect, rest, likely - {t.name for t in fit.terms})
+        nats = 0.5 * (fit.total - selection.solve(rest, fit.powers).total)
         if not own.named or nats > -DECIDED:
-            found.append(OpenPair(None, sides[own.term], rests[own.term], nats))
-    for name in sorted(beside):
-        more = _fitted(selection, form, fit.terms, name, fit)
-        if more is not None:
-            nats = 0.5 * (more[1].total - fit.total)
-            found.append(OpenPair(None, more[0], fit.terms, nats))
+            found.append(OpenPair(None, effect, rest, nats))
+    against(None, fit.terms, beside)
     closest: dict[tuple[str, str], OpenPair] = {}
     for pair in sorted((p for p in found if p.nats < DECIDED), key=lambda p: abs(p.nats)):
         closest.setdefault(pair.rival.term.name, pair)
     return tuple(closest.values())
-
-
-def _fitted(
-    selection: Selection, form: Form, rest: Set, name: tuple[str, str], fit: SetFit
-) -> tuple[Side, SetFit] | None:
-    """Effect of a name beside others, in its best shapes; None if none is allowed."""
-    forms = [t for t in selection.evidence.terms if t.name == name]
-    shapes = tuple(t for _, t in selection.screened(form, rest, forms)[:_SHAPES])
-    fits = [(selection.solve((*rest, t), fit.powers), t) for t in shapes]
-    fits = [(own, t) for own, t in fits if own.allowed]
-    if not fits:
-        return None
-    best, term = min(fits, key=lambda pair: pair[0].total)
-    return _side(selection, best, term, shapes), best
-
-
-def _side(selection: Selection, fit: SetFit, term: Term, shapes: Set) -> Side:
-    """Effect of a fitted set."""
-    return Side(term, fit.values[fit.places(selection.evidence.columns_of(term))], shapes)
 
 
 class Questions:
@@ -353,10 +329,8 @@ class Questions:
             return True
         if not balance.seen[:, channel].any() or not grid_of(balance, channel).pieces:
             return False
-        speeds = [
-            own.speed[:, channel] for own in (balance, self.answer.selection.evidence.balance)
-        ]
-        usual = [float(np.percentile(np.abs(own), 95)) for own in speeds]
+        both = balance, self.answer.selection.evidence.balance
+        usual = [float(np.percentile(np.abs(own.speed[:, channel]), 95)) for own in both]
         return usual[0] > _STANDS * max(usual)
 
     def _weight(self, channel: int, turn: Array) -> Array:
@@ -406,12 +380,9 @@ class Questions:
             np.linalg.inv(gram[np.ix_(numbers, numbers)] + prior) for gram in (self.recorded, joint)
         )
         shares = np.sqrt(np.diag(after) / np.diag(before))
-        found = [
-            Narrowing(
-                effect="{} at {}".format(*t.name), share=float(np.exp(np.log(shares[at]).mean()))
-            )
-            for t, at in zip(named, of, strict=True)
-        ]
+        means = (float(np.exp(np.log(shares[at]).mean())) for at in of)
+        words = ("{} at {}".format(*term.name) for term in named)
+        found = [Narrowing(effect=w, share=s) for w, s in zip(words, means, strict=True)]
         fall = [log_determinant(np.asarray(w[np.ix_(inner, inner)])) for w in (before, after)]
         return _Gains(narrowed=tuple(found), nats=0.5 * (fall[0] - fall[1]))
 
@@ -518,14 +489,13 @@ class Player:
         rates = np.gradient(desired, self._interval, axis=0)
         turn, inertias = 2 * np.pi * _CONTROL_HZ, self.machine.inertias
         data.qpos[at] = desired[0]
-        controls = None
-        if self.drive in ("position", "speed"):
-            controls = (desired if self.drive == "position" else rates) @ gears
-            data.act[:] = steady_activations(model, controls[0])
+        given = {"position": desired, "speed": rates}.get(self.drive)
+        if given is not None:
+            data.act[:] = steady_activations(model, given[0] @ gears)
 
         def command(row: int) -> None:
-            if controls is not None:
-                data.ctrl[:count] = controls[row]
+            if given is not None:
+                data.ctrl[:count] = given[row] @ gears
                 return
             # without servos a controller follows the motion
             off, late = desired[row] - data.qpos[at], rates[row] - data.qvel[dofs]
@@ -536,8 +506,8 @@ class Player:
             else:
                 data.qfrc_applied[dofs] = effort
 
-        where, held = (at, dofs), controls is not None
-        return followed(model, data, desired, self._interval, where, command, held=held)
+        held = given is not None
+        return followed(model, data, desired, self._interval, (at, dofs), command, held=held)
 
     def run(self, name: str, motion: PlannedMotion) -> Run:
         """Motion in the recording's columns."""
@@ -609,8 +579,7 @@ def choose_next(
         narrowed=gains.narrowed, checked=limits.notes(planned), motion=asdict(motion),
         limits={
             "joints": list(limits.joints), "first_pose": limits.home.tolist(),
-            "low": limits.low.tolist(), "high": limits.high.tolist(),
-            "speed": limits.speed.tolist(), "torque": limits.torque.tolist(),
+            **{name: getattr(limits, name).tolist() for name in ("low", "high", "speed", "torque")},
             "sources": dict(zip(("position", "speed", "torque"), limits.sources, strict=True)),
         },
         settings=asdict(settings), considered=len(fitting), refused=refused,
@@ -636,10 +605,9 @@ def _played(
         planned = player.play(desired)
         return planned, limits.refusal(planned)
 
-    tries = 1
+    tries, machine = 1, player.machine
     if wanted is None:
         tries, least = _TRIES, min(_SHORTEST_S, settings.next_seconds)
-        machine = player.machine
         torque = np.where(np.isfinite(limits.torque), limits.torque, machine.load_scales)
         driven = np.arange(len(limits.joints))
         poses = loaded_poses(machine.model, limits.home, driven, limits, torque)

@@ -43,30 +43,26 @@ def measured_runs(
         pieces = pieces_of(clean)
         words += [each.words for each in corrupt]
         if pieces[0] is not clean:
-            lost = run.samples - sum(piece.samples for piece in pieces)
-            longest = float(np.max(np.diff(run.time)))
+            count, lost = len(pieces), run.samples - sum(piece.samples for piece in pieces)
             words.append(
-                f"{run.name}: no sample for up to {longest:.4g} s; compared as {len(pieces)} "
-                f"piece{'s' * (len(pieces) > 1)} between the pauses"
-                + (f", without {lost} samples of shorter ones" if lost else "")
+                f"{run.name}: no sample for up to {np.max(np.diff(run.time)):.4g} s; compared as "
+                f"{count} piece{'s' * (count > 1)} between the pauses"
+                + f", without {lost} samples of shorter ones"
+                * bool(lost)
             )
         found.append(pieces)
     return found, tuple(words)
 
 
 def pieces_of(run: Run) -> list[Run]:
-    """Cut a run where its recorder paused or its clock jumped.
-
-    Pieces of fewer than `FEWEST_SAMPLES` are left out.
-    """
+    """Cut a run where its recorder paused or its clock jumped; short pieces are left out."""
     steps = np.diff(run.time)
     cuts = np.flatnonzero(steps > max(_PAUSE_S, _PAUSE_STEPS * median_step(run.time))) + 1
     if not len(cuts):
         return [run]
-    edges = [0, *map(int, cuts), run.samples]
     pieces = [
         replace(run.part(slice(first, last)), name=f"{run.name}, from {run.time[first]:.10g} s")
-        for first, last in pairwise(edges)
+        for first, last in pairwise([0, *map(int, cuts), run.samples])
         if last - first >= FEWEST_SAMPLES
     ]
     if not pieces:
@@ -91,10 +87,9 @@ def steady_activations(model: mujoco.MjModel, command: Array) -> Array:
         if int(model.actuator_dyntype[k]) not in _FILTERS or model.actuator_actnum[k] != 1:
             return np.zeros(model.na)
         value = command[k] if k < len(command) else 0.0
-        if model.actuator_ctrllimited[k]:
-            value = np.clip(value, *model.actuator_ctrlrange[k])
-        if model.actuator_actlimited[k]:
-            value = np.clip(value, *model.actuator_actrange[k])
+        for what in ("ctrl", "act"):
+            if getattr(model, f"actuator_{what}limited")[k]:
+                value = np.clip(value, *getattr(model, f"actuator_{what}range")[k])
         found[model.actuator_actadr[k]] = value
     return found
 
@@ -145,29 +140,25 @@ class Trial:
         return (len(self.time) - 1) / float(self.time[-1])
 
     def between(self, first: int, last: int) -> Trial:
-        """Window of the run, from one sample to before another; its initial state is not known.
-
-        It keeps that of the run, for its caller to replace.
-        """
+        """Window of the run, from one sample to before another; its caller sets the state."""
         if first <= 0 and last >= len(self.time):
             return self
         begun = round(float(self.time[first]) / self.step)
         time = self.time[first:last] - begun * self.step
         controls = self.controls[begun : begun + ceil(float(time[-1]) / self.step - 1e-6) + 1]
-        return replace(
-            self, time=time, measured=self.measured[first:last], steps=len(controls),
-            controls=controls,
-        )  # fmt: skip
+        part = replace(self, time=time, measured=self.measured[first:last])
+        return replace(part, controls=controls, steps=len(controls))
 
     def at_samples(self, values: Array) -> Array:
         """Interpolate values at the steps (..., steps, C) to the samples (..., T, C)."""
-        at = np.clip(self.time / self.step, 0, self.steps - 1)
-        low = np.minimum(np.floor(at + 1e-6).astype(int), self.steps - 1)
-        high = np.minimum(low + 1, self.steps - 1)
+        last = self.steps - 1
+        at = np.clip(self.time / self.step, 0, last)
+        low = np.minimum(np.floor(at + 1e-6).astype(int), last)
         share = np.clip(at - low, 0.0, 1.0)[:, None]
         if np.all(share < 1e-5):
             return np.asarray(values[..., low, :])
-        return np.asarray(values[..., low, :] * (1 - share) + values[..., high, :] * share)
+        high = values[..., np.minimum(low + 1, last), :]
+        return np.asarray(values[..., low, :] * (1 - share) + high * share)
 
 
 def channels_of(runs: list[Run]) -> tuple[Channel, ...]:
@@ -184,22 +175,15 @@ def channels_of(runs: list[Run]) -> tuple[Channel, ...]:
 
 def _even_interval(time: Array) -> float | None:
     """Sample interval [s] of stamps (T,) that are even but for rounding; None if they are not."""
-    number = np.arange(len(time))
-    interval, first = np.polyfit(number, time - time[0], 1)
-    off = float(np.max(np.abs(time - time[0] - first - interval * number)))
-    rounded = _resolution(time)
+    number, since = np.arange(len(time)), time - time[0]
+    interval, first = np.polyfit(number, since, 1)
+    off = float(np.max(np.abs(since - first - interval * number)))
+    spacing, steps = float(np.spacing(np.max(np.abs(time)))), 10.0 ** -np.arange(2, 8)
+    counts = since / steps[:, None]
+    whole = np.abs(counts - np.round(counts)).max(axis=1) <= 1e-3 + spacing / steps
+    rounded = float(steps[whole].max(initial=0.0))  # the largest of 10 ms, 1 ms, ... [s]
     rounding = rounded if rounded < _FINE * interval else 0.0
     return float(interval) if off <= max(_REGULAR * interval, _ROUNDED * rounding) else None
-
-
-def _resolution(time: Array) -> float:
-    """What time stamps (T,) are rounded to: the largest of 10 ms, 1 ms, ... [s]; 0 if finer."""
-    spacing = float(np.spacing(np.max(np.abs(time))))
-    for step in 10.0 ** -np.arange(2, 8):
-        counts = (time - time[0]) / step
-        if np.all(np.abs(counts - np.round(counts)) <= 1e-3 + spacing / step):
-            return float(step)
-    return 0.0
 
 
 def align_run(
@@ -314,9 +298,8 @@ def join_recordings(kept: Path, recordings: Sequence[Recording]) -> Recording:
     InvalidData
         If the models of two recordings differ.
     """
-    first = recordings[0]
-    text = first.spec().to_xml()
-    runs: list[Run] = list(first.runs)
+    first, folder = recordings[0], kept / _JOINED
+    text, runs = first.spec().to_xml(), list(first.runs)
     for number, own in enumerate(recordings[1:], start=2):
         if own.spec().to_xml() != text:
             raise InvalidData(
@@ -327,7 +310,6 @@ def join_recordings(kept: Path, recordings: Sequence[Recording]) -> Recording:
         while any(run.name.startswith(f"{stem}-") for run in runs):
             stem += "a"
         runs += [replace(run, name=f"{stem}-{run.name}") for run in own.runs]
-    folder = kept / _JOINED
     return write_recording(
         folder, model_xml=first.model_path, runs=runs, file_format="parquet",
         overwrite=folder.exists(),

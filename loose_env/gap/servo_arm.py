@@ -23,10 +23,8 @@ from loose_env.gap.simulator import Simulator
 from loose_env.io import Checked, Positive, Rule
 from loose_env.typing import Array, IndexArray
 
-SLIDE = 0.2
-"""Limits of slides over those of hinges: metres for radians."""
-RATE = 250.0
-"""Rate at which its sensors are read [1/s]."""
+SLIDE = 0.2  # limits of slides over those of hinges: metres for radians
+RATE = 250.0  # rate at which its sensors are read [1/s]
 _ENCODER_STEPS = 2**14  # steps of an encoder per turn; of a slide, per metre
 _ENCODER_NOISE = 1.5e-4  # standard deviation of its noise before quantisation [rad, m]
 _TORQUE_NOISE = 0.005  # standard deviation of the measured torque over the torque limit
@@ -86,26 +84,19 @@ class MotionLimits:
             return f"{motion.contacts[0][0]} and {motion.contacts[0][1]} would touch"
         low = np.minimum(motion.position, motion.desired).min(axis=0)
         high = np.maximum(motion.position, motion.desired).max(axis=0)
-        beyond = (low < self.low - _ROOM) | (high > self.high + _ROOM)
-        for k in np.flatnonzero(beyond):
-            return (
-                f"{self.joints[k]} would move from {low[k]:.3g} to {high[k]:.3g}; it may from "
-                f"{self.low[k]:.3g} to {self.high[k]:.3g} ({self.sources[0]})"
-            )
+        for k in np.flatnonzero((low < self.low - _ROOM) | (high > self.high + _ROOM)):
+            may = f"it may from {self.low[k]:.3g} to {self.high[k]:.3g} ({self.sources[0]})"
+            return f"{self.joints[k]} would move from {low[k]:.3g} to {high[k]:.3g}; {may}"
         if motion.saturated:
             return f"{motion.saturated[0]} would reach the range of its force"
         wanted = np.abs(np.gradient(motion.desired, motion.time, axis=0)).max(axis=0)
-        fastest = np.maximum(wanted, np.abs(motion.speed).max(axis=0) / _OVERSHOOT)
-        largest = np.abs(motion.torque).max(axis=0)
-        for name, found, limits, source in (
-            ("speed", fastest, self.speed, self.sources[1]),
-            ("torque", largest, self.torque, self.sources[2]),
-        ):
-            for k in np.flatnonzero(found > limits * (1 + _ROOM)):
-                return (
-                    f"{self.joints[k]} would need a {name} of {found[k]:.3g}; it may have "
-                    f"{limits[k]:.3g} ({source})"
-                )
+        speed = np.maximum(wanted, np.abs(motion.speed).max(axis=0) / _OVERSHOOT)
+        found = np.stack([speed, np.abs(motion.torque).max(axis=0)])
+        limits = np.stack([self.speed, self.torque])
+        for row, k in np.argwhere(found > limits * (1 + _ROOM)):
+            need = f"a {('speed', 'torque')[row]} of {found[row, k]:.3g}"
+            may = f"it may have {limits[row, k]:.3g} ({self.sources[1 + row]})"
+            return f"{self.joints[k]} would need {need}; {may}"
         return ""
 
     def notes(self, motion: PlannedMotion) -> tuple[str, ...]:
@@ -146,21 +137,18 @@ def followed(
     before = _touching(model, data)  # what touches at home may
     met, saturated = dict[tuple[str, str], None](), dict[str, None]()
     position, speed, torque = np.zeros((3, *desired.shape))
-    controls = np.zeros((len(desired), model.nu))
-    limited = np.flatnonzero(model.actuator_forcelimited)
-    readings = np.zeros((len(desired), model.nsensordata))
+    controls, readings = (np.zeros((len(desired), n)) for n in (model.nu, model.nsensordata))
+    limited, (low, high) = model.actuator_forcelimited.astype(bool), model.actuator_forcerange.T
     for row in range(len(desired)):
         for _ in range(round(interval / model.opt.timestep) if row else 0):
             mujoco.mj_step(model, data)
             met |= dict.fromkeys(sorted(_touching(model, data) - before))
         mujoco.mj_forward(model, data)
-        position[row], speed[row] = data.qpos[at], data.qvel[dofs]
+        position[row], speed[row], readings[row] = data.qpos[at], data.qvel[dofs], data.sensordata
         torque[row] = data.qfrc_actuator[dofs]
-        readings[row] = data.sensordata
-        for k in limited:
-            low, high = model.actuator_forcerange[k]
-            if not low < data.actuator_force[k] < high:
-                saturated[model.actuator(int(k)).name] = None
+        force = data.actuator_force
+        for k in np.flatnonzero(limited & ~((low < force) & (force < high))):
+            saturated[model.actuator(int(k)).name] = None
         command(row)
         controls[row] = data.ctrl
         torque[row] += data.qfrc_applied[dofs]
@@ -172,12 +160,9 @@ def followed(
 
 def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[str, str]]:
     """Pairs of bodies in contact."""
-    found = set()
-    for contact in map(data.contact.__getitem__, range(data.ncon)):
-        if contact.dist <= 0:
-            one, two = (model.body(int(model.geom_bodyid[g])).name for g in contact.geom)
-            found.add((min(one, two), max(one, two)))
-    return found
+    near = (c for c in map(data.contact.__getitem__, range(data.ncon)) if c.dist <= 0)
+    names = (sorted(model.body(int(model.geom_bodyid[g])).name for g in c.geom) for c in near)
+    return {(one, two) for one, two in names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,10 +201,9 @@ class ServoArm(Checked):
         II, IV.2), and the fastest rate is that of a drive whose rotor a compliance sets free.
         """
         spec = self.spec.copy()
-        model = spec.copy().compile()
+        model, interval = spec.copy().compile(), 1.0 / RATE
         for sensor in list(spec.sensors):
             spec.delete(sensor)
-        interval = 1.0 / RATE
         step = min(float(model.opt.timestep), _STABLE / max(_rotor_rate(model), 1e-9))
         spec.option.timestep = interval / np.ceil(interval / max(step, 5e-4) - 1e-9)
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
@@ -249,10 +233,8 @@ class ServoArm(Checked):
         for k, joint in enumerate(machine.joints):
             of_joint = (getattr(model, f"dof_{name}")[model.jnt_dofadr[k]] for name in JOINT)
             found += [(f, joint) for f, value in zip(JOINT, of_joint, strict=True) if value > 0]
-        for k, actuator in enumerate(machine.actuators):
-            found.append(("gain", actuator))
-            if model.actuator_biasprm[k, 2] != 0:
-                found.append(("velocity_gain", actuator))
+        for actuator, damping in zip(machine.actuators, model.actuator_biasprm[:, 2], strict=True):
+            found += [("gain", actuator), ("velocity_gain", actuator)][: 1 + bool(damping != 0)]
         return tuple(found)
 
     def off(self, factors: Array) -> mujoco.MjSpec:
@@ -334,8 +316,8 @@ class ServoArm(Checked):
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
         """Measured channels: positions, then torques of the driven joints."""
-        positions = [Channel(f"sensor.{name}_pos") for name in self.joints]
-        return (*positions, *(Channel(f"torque.{name}") for name in self.joints))
+        columns = [f"sensor.{name}_pos" for name in self.joints]
+        return tuple(map(Channel, (*columns, *(f"torque.{name}" for name in self.joints))))
 
     @cached_property
     def noise(self) -> Array:
@@ -351,10 +333,8 @@ class ServoArm(Checked):
     @cached_property
     def key(self) -> str:
         """Digest of model, sensors, tolerance and speed: what columns depend on."""
-        text = self._prepared.to_xml() + repr(
-            (RATE, _ENCODER_STEPS, _ENCODER_NOISE, _TORQUE_NOISE, self.tolerance)
-        )
-        text += repr((self.max_speed, mujoco.__version__))
+        sensors = RATE, _ENCODER_STEPS, _ENCODER_NOISE, _TORQUE_NOISE, self.tolerance
+        text = f"{self._prepared.to_xml()}{sensors!r}{(self.max_speed, mujoco.__version__)!r}"
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def controls(self, commands: Array) -> Array:
@@ -407,9 +387,8 @@ class ServoArm(Checked):
     def measured(self, readings: Array, rng: np.random.Generator) -> Array:
         """Add encoder noise, quantisation and torque noise to readings (n, 2 J)."""
         count = len(self.joints)
-        found = readings + rng.normal(size=readings.shape) * np.concatenate(
-            [np.full(count, _ENCODER_NOISE), self.noise[count:]]
-        )
+        noise = np.concatenate([np.full(count, _ENCODER_NOISE), self.noise[count:]])
+        found = readings + rng.normal(size=readings.shape) * noise
         found[:, :count] = self._quantum * np.round(found[:, :count] / self._quantum)
         return np.asarray(found)
 
@@ -440,12 +419,10 @@ def read_servo_arm(
 
 def _servos(model: mujoco.MjModel) -> tuple[IndexArray, IndexArray]:
     """Driven joints, in the model's order, and the servo of each."""
-    found = {}
-    for k in range(model.nu):
-        at_joint = model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT
-        closes = np.isclose(model.actuator_biasprm[k, 1], -model.actuator_gainprm[k, 0])
-        if at_joint and closes and model.actuator_gainprm[k, 0] > 0:
-            found[int(model.actuator_trnid[k, 0])] = k
+    gain, kinds = model.actuator_gainprm[:, 0], model.actuator_trntype
+    closes = (kinds == mujoco.mjtTrn.mjTRN_JOINT) & (gain > 0)
+    closes &= np.isclose(model.actuator_biasprm[:, 1], -gain)
+    found = {int(model.actuator_trnid[k, 0]): int(k) for k in np.flatnonzero(closes)}
     return np.array(sorted(found), dtype=int), np.array([found[k] for k in sorted(found)], int)
 
 
@@ -454,6 +431,5 @@ def _rotor_rate(model: mujoco.MjModel) -> float:
     joints, servos = _servos(model)
     dofs = model.jnt_dofadr[joints]
     servo = -model.actuator_biasprm[servos, 2] * model.actuator_gear[servos, 0] ** 2
-    inertia = model.dof_armature[dofs]
-    there = inertia > 0
-    return float(np.max(((model.dof_damping[dofs] + servo)[there] / inertia[there]), initial=0.0))
+    damping, inertia = model.dof_damping[dofs] + servo, model.dof_armature[dofs]
+    return float(np.max(damping[inertia > 0] / inertia[inertia > 0], initial=0.0))

@@ -66,7 +66,6 @@ class TriedEffect:
         return f"{self.effect!r}: {'; '.join(words)}"
 
     def _repr_html_(self) -> str:
-        """Return it for notebooks."""
         return f"<p>{escape(str(self))}</p>"
 
 
@@ -106,14 +105,11 @@ class GapSession:
         with silent():
             self.selection = evidence_of(recording, settings or GapSettings(), say)
             self.fit = self.selection.solve(())
+            self.held_out = self._left(self.fit)
+            """Residual on held-out data with what was added [noise standard deviations]."""
         self.balance = self.selection.evidence.balance
         self.tried: tuple[TriedEffect, ...] = ()
         """Effects that were added."""
-
-    @property
-    def held_out(self) -> float:
-        """Residual on held-out data with what was added [noise standard deviations]."""
-        return self._left(self.fit)
 
     @property
     def added(self) -> tuple[Effect, ...]:
@@ -139,18 +135,19 @@ class GapSession:
         InvalidSetting
             If a location is missing, or the recording does not show the effect at all.
         """
-        terms = [term for each in self._forms(effect, where) for term in self._terms(each)]
-        if not terms:
-            raise InvalidSetting(
-                f"these motions do not show {effect!r}; record a motion in which it acts"
-            )
         with silent():
+            terms = [term for each in self._forms(effect, where) for term in self._terms(each)]
+            if not terms:
+                raise InvalidSetting(
+                    f"these motions do not show {effect!r}; record a motion in which it acts"
+                )
             fits = [self.selection.solve((*self.fit.terms, term)) for term in terms]
             best = min(fits, key=lambda f: (not f.allowed, f.total))
             found = decide(self.selection, best).findings
-            finding = next(f for f in found if f.term not in self.fit.terms)
-            after = self._left(best)
-            return TriedEffect(finding=finding, before=self.held_out, after=after, fit=best)
+            return TriedEffect(
+                finding=next(f for f in found if f.term not in self.fit.terms),
+                before=self.held_out, after=self._left(best), fit=best,
+            )  # fmt: skip
 
     def add(self, tried: TriedEffect) -> None:
         """Add an effect that was tried.
@@ -164,7 +161,7 @@ class GapSession:
             raise InvalidSetting(
                 f"{tried.effect!r} was tried before {self.added[-1]!r} was added; try it again"
             )
-        self.fit, self.tried = tried.fit, (*self.tried, tried)
+        self.fit, self.held_out, self.tried = tried.fit, tried.after, (*self.tried, tried)
         self.say(f"{tried.effect!r} added: {tried.after:.2f} on held-out data")
 
     def residual_force(self, joint: str) -> Array:
@@ -186,8 +183,9 @@ class GapSession:
     def hypothesis(self) -> Hypothesis:
         """The effects that were added, at their values in the last fit."""
         fit, columns = self.fit, self.selection.evidence.columns_of
-        values = (term.values(fit.values[fit.places(columns(term))]) for term in fit.terms)
-        return Hypothesis(effects=self.added, values=tuple(values))
+        return Hypothesis().with_effects(
+            [(t.effect, t.values(fit.values[fit.places(columns(t))])) for t in fit.terms]
+        )
 
     @property
     def code(self) -> str:
@@ -216,13 +214,12 @@ class GapSession:
 
     def _terms(self, effect: Effect) -> list[Term]:
         """Terms of one effect: those of the evidence, else new ones."""
-        evidence = self.selection.evidence
+        evidence, balance, own = self.selection.evidence, self.balance, type(effect)
         known = [t for t in evidence.terms if t.name == (effect.kind, effect.where)]
-        known = [t for t in known if type(t.effect) is type(effect)]
-        if known or not shows(self.balance, effect):
+        known = [t for t in known if type(t.effect) is own]
+        if known or not shows(balance, effect):
             return known
-        forms = shapes(self.balance, effect)
-        found = [t for axes, law in forms for t in terms_of(self.balance, effect, axes, law)]
+        found = [t for form in shapes(balance, effect) for t in terms_of(balance, effect, *form)]
         append(evidence, *found)
         for name in ("_places", "_shapes"):  # counted anew with what was added
             self.selection.__dict__.pop(name, None)

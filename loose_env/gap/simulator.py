@@ -16,8 +16,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from operator import attrgetter
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -44,18 +44,32 @@ _AT_ONCE = 4_000_000
 would have no simulation."""
 
 
-_Driven = list[tuple[DrivenEffect, Array]]
-"""Driven effects in the order in which they act, with values (P,) or by simulation (P, sims)."""
+_TERMS = ("torque", "feedback", "dry_friction")  # what effects do step by step
+_Own = IndexArray | slice  # simulations that have a term
+_Term = TypeVar("_Term", bound=Effect)
 
 
-def _driven(hypothesis: Hypothesis) -> _Driven:
-    """Driven effects of a hypothesis."""
-    return [(e, values) for e, values in hypothesis.pairs if isinstance(e, DrivenEffect)]
-
-
-def _has_terms(hypothesis: Hypothesis) -> bool:
-    """Return whether any effect of a hypothesis has to be applied step by step."""
-    return any(isinstance(e, DrivenEffect) or e.overrides("torque") for e in hypothesis.effects)
+def _rows(
+    each: Sequence[Hypothesis], kind: type[_Term], method: str, *, stacked: bool
+) -> list[tuple[_Term, Array, _Own]]:
+    """Effects that have a method, in their order: values, of all simulations if stacked; which."""
+    found: dict[tuple[int, int, bytes], tuple[_Term, list[Array], list[int]]] = {}
+    for k, hypothesis in enumerate(each):
+        for place, (effect, values) in enumerate(hypothesis.pairs):
+            if isinstance(effect, kind) and effect.overrides(method):
+                key = place, id(effect), b"" if stacked else values.tobytes()
+                _, own, those = found.setdefault(key, (effect, [], []))
+                own.append(values)
+                those.append(k)
+    every = (found[key] for key in sorted(found, key=lambda key: key[0]))
+    return [
+        (
+            effect,
+            np.stack(own, axis=-1) if stacked else own[0],
+            slice(None) if len(those) == len(each) else np.array(those),
+        )
+        for effect, own, those in every
+    ]
 
 
 class _Stepped:
@@ -64,11 +78,10 @@ class _Stepped:
     def __init__(self, batch: Batch, joints: Sequence[str], slots: Sequence[_Slot]) -> None:
         self.batch, hypotheses = batch, [slot.hypothesis for slot in slots]
         self._places, self._dofs = map(_slice, addresses(slots[0].model, joints))
-        self._rows, self._groups = _rows(hypotheses), _groups(hypotheses)
+        self._rows = _rows(hypotheses, Effect, "torque", stacked=False)
+        self._feeds = _rows(hypotheses, DrivenEffect, "feedback", stacked=True)
+        self._rubs = _rows(hypotheses, DrivenEffect, "dry_friction", stacked=True)
         self._option = slots[0].model.opt
-        driven = [effect for own, _ in self._groups for effect, _ in own]
-        self._feeds = any(effect.overrides("feedback") for effect in driven)
-        self._rubs = any(effect.overrides("dry_friction") for effect in driven)
         if self._rubs:
             # each simulation has its own friction
             _expand(batch, [slot.model for slot in slots])
@@ -133,31 +146,24 @@ class _Stepped:
 
     def _commands(self, command: Array, state: State) -> Array:
         """Commands (sims, actuators) that reach the actuators in a state."""
-        if not self._feeds:
-            return command
         found, (position, speed) = command.copy(), state
-        for driven, own in self._groups:
-            count = len(driven[0][0].machine.actuators)
-            given = found[own, :count]
-            for effect, values in driven:
-                given = effect.feedback(given, position[own], speed[own], values)
-            found[own, :count] = given
+        for effect, values, own in self._feeds:
+            at = own, slice(len(effect.machine.actuators))
+            found[at] = effect.feedback(found[at], position[own], speed[own], values)
         return found
 
     def _set_friction(self, forces: Sequence[Array], speed: Array) -> None:
         """Set the dry friction by the forces of `_LOADS` and the speed (sims, joints)."""
         drive, bias = forces
         friction = self._base.copy()
-        for driven, own in self._groups:
-            for effect, values in driven:
-                friction[own] += effect.dry_friction(drive[own], -bias[own], speed[own], values)
+        for effect, values, own in self._rubs:
+            friction[own] += effect.dry_friction(drive[own], -bias[own], speed[own], values)
         self._friction[:, self._dofs] = friction
 
 
 def _slice(at: IndexArray) -> IndexArray | slice:
     """Indices as a slice where they follow each other."""
-    first = int(at[0])
-    return slice(first, first + len(at)) if np.all(np.diff(at) == 1) else at
+    return slice(int(at[0]), int(at[-1]) + 1) if np.all(np.diff(at) == 1) else at
 
 
 def _expand(batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
@@ -170,41 +176,7 @@ def _expand(batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
             batch.expand(name)[:] = np.stack([own[id(model)] for model in models])
 
 
-_Own = NDArray[np.bool_] | slice  # which simulations have a term
-_Rows = Sequence[tuple[Effect, Array, _Own]]  # torque terms
-_Groups = Sequence[tuple[_Driven, _Own]]  # driven effects
-
-
-def _rows(each: Sequence[Hypothesis]) -> _Rows:
-    """Torque terms of hypotheses with their values, and their simulations."""
-    return [
-        (effect, values, _those([other is own for other in each]))
-        for own in {id(hypothesis): hypothesis for hypothesis in each}.values()
-        for effect, values in own.pairs
-        if effect.overrides("torque")
-    ]
-
-
-def _groups(each: Sequence[Hypothesis]) -> _Groups:
-    """Driven effects with the values of all simulations that have them."""
-    keys = [tuple(id(effect) for effect, _ in _driven(hypothesis)) for hypothesis in each]
-    found = []
-    for key in dict.fromkeys(key for key in keys if key):
-        own = [other == key for other in keys]
-        members = zip(
-            *(_driven(h) for h, with_it in zip(each, own, strict=True) if with_it), strict=True
-        )
-        stacked = [(m[0][0], np.stack([values for _, values in m], axis=-1)) for m in members]
-        found.append((stacked, _those(own)))
-    return found
-
-
-def _those(own: Sequence[bool]) -> _Own:
-    """Mask of simulations, or a slice of all of them."""
-    return slice(None) if all(own) else np.array(own)
-
-
-def _terms(rows: _Rows, state: State) -> Array:
+def _terms(rows: Sequence[tuple[Effect, Array, _Own]], state: State) -> Array:
     """Sum of the torque terms in a state (sims, joints) [N·m, N]."""
     position, speed = state
     found = np.zeros(position.shape)
@@ -265,12 +237,9 @@ class Simulator:
 
     def _slots(self, hypothesis: Hypothesis) -> list[_Slot]:
         """Simulations of every run under a hypothesis."""
-
-        @cache
-        def model(step: float, released: bool) -> mujoco.MjModel:
-            return hypothesis.model(self.machine, step, released=released)
-
-        return [_Slot(hypothesis, t, model(t.step, t.form == "free")) for t in self.trials]
+        keys = [(trial.step, trial.form == "free") for trial in self.trials]
+        own = {k: hypothesis.model(self.machine, k[0], released=k[1]) for k in dict.fromkeys(keys)}
+        return [_Slot(hypothesis, t, own[k]) for t, k in zip(self.trials, keys, strict=True)]
 
     @staticmethod
     def _motion(hypothesis: Hypothesis) -> object:
@@ -279,7 +248,7 @@ class Simulator:
 
     def _layout(self, slot: _Slot) -> object:
         """What simulations of one batch share; those stepped from Python cost by their steps."""
-        terms, trial = _has_terms(slot.hypothesis), slot.trial
+        terms, trial = any(x.overrides(*_TERMS) for x in slot.hypothesis.effects), slot.trial
         joints = slot.model.jnt_bodyid.tobytes(), slot.model.body_parentid.tobytes()
         sizes = tuple(getattr(slot.model, name, 0) for name in _SIZES)
         steps = trial.step, terms or trial.steps
@@ -295,7 +264,7 @@ class Simulator:
         """Simulate the sensors at the samples (T, sensors), by slot."""
         batch = Batch(slots[0].model, len(slots), self.threads)
         batch.set_models([slot.model for slot in slots])
-        terms = any(_has_terms(slot.hypothesis) for slot in slots)
+        terms = any(x.overrides(*_TERMS) for slot in slots for x in slot.hypothesis.effects)
         moved = _Stepped(batch, self.machine.joints, slots) if terms else batch
         first = max((slot.trial for slot in slots), key=lambda trial: trial.steps)
         steps, settle = first.steps, round(SETTLE / first.step)
@@ -331,7 +300,7 @@ class Simulator:
                 readings[column] = sensed(slot.model, name, whole)
             else:
                 forces = whole[:, slot.model.nsensordata - len(self.machine.actuators) :]
-                readings[column] = forces @ self.machine.gears(name)
+                readings[column] = forces @ self.machine.moments[self.machine.joint_number(name)]
         for effect, own in hypothesis.pairs:
             readings = effect.read(slot.trial.time, readings, own)
         every = [(readings[c.column], c.axis) for c in self.channels]

@@ -518,7 +518,7 @@ def _played_overlays(played: Played) -> list[Overlay]:
     found = []
     for joint in played.machine.joints:
         own = next(k for k, c in enumerate(columns) if c[7:] in sensors[joint].position)
-        pieces = []
+        unit, pieces = "rad" if played.machine.turns(joint) else "m", []
         for trial, *models in zip(played.trials, played.nominal, played.corrected, strict=True):
             length = max(int(_STRETCH_S * trial.rate), 1)
             for first in range(0, len(trial.time), length):
@@ -526,7 +526,7 @@ def _played_overlays(played: Played) -> list[Overlay]:
                 measured, nominal, corrected = (x[rows, own] for x in (trial.measured, *models))
                 pieces.append(
                     Overlay(
-                        channel=joint, run=trial.name, unit=played.machine.units(joint)[0],
+                        channel=joint, run=trial.name, unit=unit,
                         time=trial.time[rows] - trial.time[first], measured=measured,
                         nominal=nominal, corrected=corrected,
                     )

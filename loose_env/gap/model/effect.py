@@ -188,8 +188,7 @@ class Effect:
                 f"{self.kind} cannot be at {where!r}; its locations are {list(locations)}"
             )
         forms = self.variants_at(machine, where)
-        if variant is None:
-            variant = forms[0]
+        variant = forms[0] if variant is None else variant
         if variant not in forms:
             raise UnknownName(
                 f"{self.kind} at {where!r} has no variant {variant!r}; it has {list(forms)}"
@@ -352,9 +351,8 @@ class Effect:
                 for p, a, b in zip(self.parameters, low, high, strict=True)
                 if p.name in ends
             }
-            if self.has_stops and "gap" in reached:
-                return bool(reached["gap"])
-            return bool(reached) and all(reached.values())
+            by_gap = self.has_stops and "gap" in reached
+            return bool(reached) and bool(reached["gap"] if by_gap else all(reached.values()))
         null = np.array(self.null_values)
         included = (low <= null) & (null <= high)
         # what shapes an effect of no size does not matter
@@ -482,37 +480,46 @@ class JointEffect(Effect):
         return machine.joints
 
     @property
-    def load(self) -> float:
-        """Typical torque [N·m] or force [N] of the joint."""
-        return self.machine.load(self.where)
-
-    @property
-    def speed(self) -> float:
-        """Typical speed of the joint [rad/s or m/s]."""
-        return self.machine.speed(self.where)
-
-    @property
-    def carried(self) -> float:
-        """Inertia that the joint moves without its own rotor [kg·m² or kg]."""
-        rotor = float(self.machine.model.dof_armature[self.number])
-        return max(self.machine.inertia(self.where) - rotor, 1e-9)
+    def joint(self) -> str:
+        """Name of the joint."""
+        return self.where
 
     @property
     def number(self) -> int:
         """Index of the joint, and of its degree of freedom."""
-        return self.machine.joint_number(self.where)
+        return self.machine.joint_number(self.joint)
+
+    @property
+    def load(self) -> float:
+        """Typical torque [N·m] or force [N] of the joint."""
+        return float(self.machine.load_scales[self.number])
+
+    @property
+    def speed(self) -> float:
+        """Typical speed of the joint [rad/s or m/s]."""
+        return float(self.machine.speed_scales[self.number])
+
+    @property
+    def moved(self) -> float:
+        """Inertia on the joint, with its rotor [kg·m² or kg]."""
+        return float(self.machine.inertias[self.number])
+
+    @property
+    def carried(self) -> float:
+        """Inertia that the joint moves without its own rotor [kg·m² or kg]."""
+        return max(self.moved - float(self.machine.model.dof_armature[self.number]), 1e-9)
 
     @property
     def turns(self) -> bool:
         """Whether the joint is a hinge; else a slide."""
-        return self.machine.turns(self.where)
+        return self.machine.turns(self.joint)
 
     @property
     def torque_unit(self) -> str:
         """Unit of the joint's driving force."""
-        return self.machine.units(self.where)[1]
+        return "N·m" if self.turns else "N"
 
     @property
     def angle_unit(self) -> str:
         """Unit of the joint's coordinate."""
-        return self.machine.units(self.where)[0]
+        return "rad" if self.turns else "m"

@@ -15,10 +15,7 @@ from loose_env.typing import Array
 
 _FORCE = "loose_env force of "
 _OFF = 30  # group of actuators that are switched off
-JOINT = ("damping", "armature", "frictionloss")
-"""Attributes of joints that can be scaled."""
-
-
+JOINT = ("damping", "armature", "frictionloss")  # attributes of joints that can be scaled
 _GAINS = {
     "gain": (slice(1), slice(2)),
     "velocity_gain": (slice(0), slice(2, 3)),
@@ -86,12 +83,8 @@ class Hypothesis:
         self.edit(spec)
         for name in machine.actuators:
             # after a Runge-Kutta step actuator_force is the force at its end
-            spec.add_sensor(
-                name=_FORCE + name,
-                type=mujoco.mjtSensor.mjSENS_ACTUATORFRC,
-                objtype=mujoco.mjtObj.mjOBJ_ACTUATOR,
-                objname=name,
-            )
+            kind, drive = mujoco.mjtSensor.mjSENS_ACTUATORFRC, mujoco.mjtObj.mjOBJ_ACTUATOR
+            spec.add_sensor(name=_FORCE + name, type=kind, objtype=drive, objname=name)
         model = compiled(spec)
         if released:  # effects exported as actuators are none of its drives
             model.actuator_group[: len(machine.actuators)] = _OFF
@@ -102,11 +95,7 @@ class Hypothesis:
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a model during a fit, without MuJoCo's warnings on inertias.
-
-    A fit may evaluate masses so different that MuJoCo warns of them. Such a model is simulated
-    inaccurately, fits badly, and is not kept, so that a user needs no warning.
-    """
+    """Compile a model during a fit: one of whose inertias MuJoCo warns fits badly by itself."""
     with warnings.catch_warnings():
         warnings.filterwarnings(
             "ignore", message="Inertia matrix is too close to singular", category=UserWarning

@@ -87,17 +87,16 @@ class NominalModel:
     @cached_property
     def actuated_joint(self) -> dict[str, str]:
         """Joint driven by each actuator, of those that drive a joint."""
-        found = {}
-        for k, name in enumerate(self.actuators):
-            if int(self.model.actuator_trntype[k]) in AT_JOINT:
-                found[name] = self.model.joint(int(self.model.actuator_trnid[k, 0])).name
-        return found
+        of, at_joint = (
+            self.model.actuator_trnid[:, 0],
+            np.isin(self.model.actuator_trntype, AT_JOINT),
+        )
+        return {n: self.joints[of[k]] for k, n in enumerate(self.actuators) if at_joint[k]}
 
     @cached_property
     def encoders(self) -> dict[str, str]:
         """Joint that each position sensor reads."""
-        sensors = joint_sensors(self.model).items()
-        return {name: joint for joint, own in sensors for name in own.position}
+        return {n: joint for joint, own in joint_sensors(self.model).items() for n in own.position}
 
     @property
     def time_step(self) -> float:
@@ -131,10 +130,6 @@ class NominalModel:
         of_joint = np.where(model.jnt_actfrclimited, of_joint, np.inf)
         return np.asarray(np.minimum(found, of_joint))
 
-    def gears(self, joint: str) -> Array:
-        """Torque on a joint per force of each actuator, at the model's zero (actuators,)."""
-        return np.asarray(self.moments[self.joint_number(joint)])
-
     @cached_property
     def at_zero(self) -> mujoco.MjData:
         """The evaluated model at its zero; not to be changed."""
@@ -144,10 +139,7 @@ class NominalModel:
 
     @cached_property
     def tool(self) -> str:
-        """Site of the tool: "tool", else the last of the last link, else the last moving.
-
-        "" if no site moves.
-        """
+        """Site of the tool: "tool", else the last of the last link, else the last moving, or ""."""
         model, last = self.model, self.model.body(self.last_link).id
         # Bodies without a joint between them and the last link are part of it.
         ranked = [
@@ -170,10 +162,9 @@ class NominalModel:
             depth[body] = depth[model.body_parentid[body]] + model.body_jntnum[body]
         coupled = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
         fingers = np.concatenate([model.eq_obj1id[coupled], model.eq_obj2id[coupled]])
-        moved = model.body_jntnum > 0
-        alone = moved.copy()
+        alone = model.body_jntnum > 0
         alone[model.jnt_bodyid[fingers[fingers >= 0]]] = False
-        moved = alone if alone.any() else moved
+        moved = alone if alone.any() else model.body_jntnum > 0
         deepest = np.flatnonzero(moved & (depth == depth[moved].max()))
         return str(model.body(int(deepest[-1])).name)
 
@@ -202,18 +193,6 @@ class NominalModel:
         speeds = np.ones(len(self.joints)) if self.speeds is None else self.speeds
         return np.asarray(np.maximum(speeds, 1e-9), float)
 
-    def load(self, joint: str) -> float:
-        """Typical torque [N·m] or force [N] of one joint."""
-        return float(self.load_scales[self.joint_number(joint)])
-
-    def speed(self, joint: str) -> float:
-        """Typical speed of one joint [rad/s, m/s]."""
-        return float(self.speed_scales[self.joint_number(joint)])
-
-    def inertia(self, joint: str) -> float:
-        """Inertia on one joint [kg·m², kg]."""
-        return float(self.inertias[self.joint_number(joint)])
-
     @cached_property
     def hinges(self) -> NDArray[np.bool_]:
         """Mask of the joints that are hinges (joints,)."""
@@ -222,10 +201,6 @@ class NominalModel:
     def turns(self, joint: str) -> bool:
         """Return whether a joint is a hinge."""
         return bool(self.hinges[self.joint_number(joint)])
-
-    def units(self, joint: str) -> tuple[str, str]:
-        """Units of a joint's coordinate and of its driving force."""
-        return ("rad", "N·m") if self.turns(joint) else ("m", "N")
 
 
 def affine_actuators(model: mujoco.MjModel) -> NDArray[np.bool_]:
@@ -291,10 +266,7 @@ def write_inertial(
 
 
 def with_names(given: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Copy a spec so that every body, site and actuator has a name.
-
-    A link, the body that a joint moves, is named after its first joint; others by their index.
-    """
+    """Copy a spec with all bodies, sites and actuators named: links after their first joint."""
     spec = given.copy()
     for noun in ("body", "site", "actuator"):
         every = spec.bodies if noun == "body" else getattr(spec, f"{noun}s")
@@ -311,13 +283,9 @@ def naming_notes(given: mujoco.MjSpec) -> list[str]:
     """Describe links of a model without a name of their own; none if all have one."""
     before, after = given.bodies[1:], with_names(given).bodies[1:]
     links = [new.name for old, new in zip(before, after, strict=True) if not old.name if new.joints]
-    if not links:
-        return []
-    shown = ", ".join(links[:_LISTED]) + (" and others" if len(links) > _LISTED else "")
-    return [
-        f"links of the model without a name are called after their joint, {shown}, here and in "
-        "model.xml; give their bodies names to see your own"
-    ]
+    shown = ", ".join(links[:_LISTED]) + " and others" * (len(links) > _LISTED)
+    note = f"links of the model without a name are called after their joint, {shown}, here and in "
+    return [f"{note}model.xml; give their bodies names to see your own"] if links else []
 
 
 def unused(name: str, taken: Container[str]) -> str:
@@ -327,9 +295,7 @@ def unused(name: str, taken: Container[str]) -> str:
 
 def normal_of(machine: NominalModel) -> Array | None:
     """Normal (3,) of the machine's plane of motion, world frame; None if not planar."""
-    data = machine.at_zero
-    turning = machine.model.jnt_type == MOVING[0]
-    hinges, slides = data.xaxis[turning], data.xaxis[~turning]
+    hinges, slides = (machine.at_zero.xaxis[own] for own in (machine.hinges, ~machine.hinges))
     if not len(hinges):
         return None
     normal = hinges[0] * np.sign(hinges[0][np.argmax(np.abs(hinges[0]))])
@@ -340,14 +306,11 @@ def normal_of(machine: NominalModel) -> Array | None:
 def reach_of(machine: NominalModel) -> float:
     """Length of the machine along its bodies, from its first joint on [m]."""
     model = machine.model
-    along = np.zeros(model.nbody)
+    along, beyond = np.zeros(model.nbody), np.linalg.norm(model.body_ipos, axis=1)
     first = int(model.jnt_bodyid[0])
     for body in range(first + 1, model.nbody):
         along[body] = along[model.body_parentid[body]] + np.linalg.norm(model.body_pos[body])
-    beyond = np.zeros(model.nbody)
-    if model.nsite:
-        np.maximum.at(beyond, model.site_bodyid, np.linalg.norm(model.site_pos, axis=1))
-    beyond = np.maximum(beyond, np.linalg.norm(model.body_ipos, axis=1))
+    np.maximum.at(beyond, model.site_bodyid, np.linalg.norm(model.site_pos, axis=1))
     return max(float((along + beyond)[first:].max()), 1e-3)
 
 
@@ -360,18 +323,13 @@ def link_ends(machine: NominalModel, link: str) -> tuple[Array, Array]:
     model = machine.model
     body = model.body(link).id
     start = np.array(model.jnt_pos[int(model.body_jntadr[body])])
-    carrying: set[int] = set()
-    for ancestor in np.unique(model.jnt_bodyid).tolist():
-        while ancestor not in carrying:
-            carrying.add(ancestor)
-            ancestor = int(model.body_parentid[ancestor])
-    ends = [model.body_pos[b] for b in sorted(carrying - {0}) if model.body_parentid[b] == body]
-    if not ends:
-        ends = [model.site_pos[s] for s in range(model.nsite) if model.site_bodyid[s] == body]
-    if not ends:
-        ends = [start + 2 * (model.body_ipos[body] - start)]
-    far = max(ends, key=lambda end: float(np.linalg.norm(end - start)))
-    return start, np.array(far)
+    carrying = set(model.jnt_bodyid.tolist())
+    for each in range(model.nbody - 1, 0, -1):  # parents come before their children
+        carrying |= {int(model.body_parentid[each])} if each in carrying else set()
+    ends = [model.body_pos[b] for b in sorted(carrying) if b and model.body_parentid[b] == body]
+    ends = ends or list(model.site_pos[model.site_bodyid == body])
+    ends = ends or [start + 2 * (model.body_ipos[body] - start)]
+    return start, np.array(max(ends, key=lambda end: float(np.linalg.norm(end - start))))
 
 
 def frame_about(axis: Array) -> Array:

@@ -24,10 +24,7 @@ _HALVINGS = 3  # times that a step is halved, at most
 
 
 def corrected_spec(
-    machine: NominalModel,
-    hypothesis: Hypothesis,
-    *,
-    step: float | None = None,
+    machine: NominalModel, hypothesis: Hypothesis, *, step: float | None = None
 ) -> mujoco.MjSpec:
     """Build the nominal model with all effects that MJCF can express.
 
@@ -49,12 +46,9 @@ def step_for(machine: NominalModel, hypothesis: Hypothesis) -> float:
     commands from step to step.
     """
     step = machine.time_step
-    late = [
-        float(value)
-        for effect, values in hypothesis.pairs
-        for parameter, value in zip(effect.parameters, values, strict=True)
-        if effect.drives and parameter.unit == "s" and value > 0
-    ]
+    driven = ((e.parameters, values) for e, values in hypothesis.pairs if e.drives)
+    each = (pair for own in driven for pair in zip(*own, strict=True))
+    late = [float(value) for parameter, value in each if parameter.unit == "s" and value > 0]
     halvings = np.clip(np.ceil(np.log2(step / min(late, default=step))), 0, _HALVINGS)
     return float(step / 2**halvings)
 
@@ -69,10 +63,8 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:
     model = spec.copy().compile()
     places, dofs = addresses(model, machine.joints)
     for k, key in enumerate(spec.keys):
-        position, speed = model.qpos0.copy(), np.zeros(model.nv)
+        position, speed, state = model.qpos0.copy(), np.zeros(model.nv), np.zeros(model.na)
         position[places], speed[dofs] = nominal.key_qpos[k], nominal.key_qvel[k]
-        key.qpos, key.qvel = position, speed
-        state = np.zeros(model.na)
         for number in range(nominal.nu):  # actuators keep their order
             at, before = model.actuator_actadr[number], nominal.actuator_actadr[number]
             own = slice(at, at + model.actuator_actnum[number])
@@ -80,7 +72,7 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:
                 state[own] = nominal.key_act[k, before : before + own.stop - at]
             elif at >= 0:  # a filter that was added has its command
                 state[own] = nominal.key_ctrl[k, number]
-        key.act = state
+        key.qpos, key.qvel, key.act = position, speed, state
 
 
 def correction_code(hypothesis: Hypothesis) -> str:
@@ -175,7 +167,15 @@ def write_model(
     if notes:  # -- ends a comment of an XML file
         said = "\n".join(f"  {' '.join(note.split()).replace('--', '−−')}" for note in notes)
         xml = f"<!--\n{said}\n-->\n{xml}"
-    copied = [] if source is None else _copy_assets(source.resolve(), path.parent, xml)
+    copied: list[Path] = []
+    if source is not None:  # of files that it includes, those that the new model still has
+        home = source.resolve()
+        needed = (
+            file
+            for file in files_of(home) - {home}
+            if file.suffix.lower() not in (".xml", ".mjcf") or file.name in xml
+        )
+        copied = copy_files(needed, home.parent, path.parent)
 
     def write(beside: Path) -> None:
         beside.write_text(xml, encoding="utf-8")
@@ -191,16 +191,6 @@ def write_model(
             )
 
     return [written_beside(path, write), *copied]
-
-
-def _copy_assets(source: Path, folder: Path, xml: str) -> list[Path]:
-    """Copy files a model refers to; includes only if the new model still has them."""
-    needed = {
-        file
-        for file in files_of(source) - {source}
-        if file.suffix.lower() not in (".xml", ".mjcf") or file.name in xml
-    }
-    return copy_files(needed, source.parent, folder)
 
 
 def model_notes(result: GapResult) -> list[str]:

@@ -149,9 +149,8 @@ class _Source:
     @cached_property
     def joints(self) -> tuple[_Joint, ...]:
         """Hinges and slides."""
-        model = self.model
-        single = np.flatnonzero(np.isin(model.jnt_type, MOVING)).tolist()
-        return tuple(_joint(model, k) for k in single)
+        single = np.flatnonzero(np.isin(self.model.jnt_type, MOVING)).tolist()
+        return tuple(_joint(self.model, k) for k in single)
 
     @property
     def step(self) -> float:
@@ -249,20 +248,17 @@ def _drive(model: mujoco.MjModel, joint: int, k: int) -> dict[str, Any]:
         ends.append(np.abs(model.jnt_actfrcrange[joint]))
     low, high = np.min(ends, axis=0).tolist()
     if low != high:
-        remarks.append(
-            f"the effort limits of {name} by direction ({low:.4g} and {high:.4g}): the smaller one "
-            "is exported"
-        )
-    scale = (
-        f"the torque of {name} per command, {gear * gain:.4g}; multiply the effort targets by it"
-    )
+        limits = f"the effort limits of {name} by direction ({low:.4g} and {high:.4g})"
+        remarks.append(f"{limits}: the smaller one is exported")
+    scale = f"the torque of {name} per command, {gear * gain:.4g}"
     scaled = mode == "effort" and abs(gear * gain - 1.0) > 1e-9
     return {
         "drive": name, "mode": mode, "stiffness": -(gear**2) * stiff + 0.0,
         "damping": (gear**2) * (float(model.actuator_damping[k]) - damped) + 0.0,
         "effort_limit": min(low, high) if len(ends) > 1 else None, "gear": gear,
         "effort_gain": gear * gain, "delay": float(model.actuator_delay[k]),
-        "remarks": tuple(remarks), "scale": (scale,) * scaled,
+        "remarks": tuple(remarks),
+        "scale": (f"{scale}; multiply the effort targets by it",) * scaled,
     }  # fmt: skip
 
 
@@ -337,11 +333,10 @@ def _parameters(source: _Source) -> Iterator[_Parameter]:
 
 def _places(source: _Source, effect: NamedEffect, element: str) -> dict[str, Any]:
     """Elements of the model that an effect acts on; those with a command where it is on all."""
-    wanted = {effect.where}
+    wanted, model = {effect.where}, source.model
     if effect.where == "all":
-        commanded = np.flatnonzero(source.model.actuator_ctrlnum)
-        wanted = {source.model.actuator(int(k)).name for k in commanded} - {""}
-    return {e.name: e for e in getattr(source.spec, f"{element}s") if e.name in wanted}
+        wanted = {model.actuator(k).name for k in range(model.nu) if model.actuator_ctrlnum[k]}
+    return {e.name: e for e in getattr(source.spec, f"{element}s") if e.name in wanted - {""}}
 
 
 _SYSID = resources.files("loose_env.gap.output").joinpath("parameters.py.txt").read_text("utf-8")
@@ -359,12 +354,11 @@ def _sysid(source: _Source) -> Export:
     left, states, added = list[str](), dict[str, dict[str, Any]](), ""
     for p in _parameters(source):
         nominal = p.nominal if isfinite(p.nominal) else p.value
-        states[p.name] = plain(
-            {
-                "name": p.name, "nominal": [nominal], "min_value": [p.low], "max_value": [p.high],
-                "value": [p.value], "frozen": not p.attribute or not p.low < p.high,
-            }
-        )  # fmt: skip
+        state = {
+            "name": p.name, "nominal": [nominal], "min_value": [p.low], "max_value": [p.high],
+            "value": [p.value], "frozen": not p.attribute or not p.low < p.high,
+        }  # fmt: skip
+        states[p.name] = plain(state)
         given = [repr(value) for value in states[p.name].values()]
         if p.attribute == "gain":
             given.append(f"_scales({p.where!r}, {_scaled(source, p)})")
@@ -378,19 +372,16 @@ def _sysid(source: _Source) -> Export:
     listed = "".join(f"\n- {words}" for words in left) + "\n" * bool(left)
     # JSON is YAML, which needs a package to be written
     text = _SYSID.replace("{left}", listed).replace("{added}", added)
-    return Export(
-        files={"parameters.py": text, "parameters.yaml": json_text(states)},
-        not_expressed=tuple(left),
-        notes=("the parameters apply to model.xml beside result.json",),
-    )
+    files = {"parameters.py": text, "parameters.yaml": json_text(states)}
+    notes = ("the parameters apply to model.xml beside result.json",)
+    return Export(files=files, not_expressed=tuple(left), notes=notes)
 
 
 def _scaled(source: _Source, p: _Parameter) -> dict[str, list[float]]:
     """Attributes of an actuator that its gain scales, with their nominal values."""
-    actuator = source.model.actuator(p.where)
-    names = ["gainprm"]
-    names += ["biasprm"] * (p.effect.variant != "command")
-    names += ["forcerange"] * bool(not p.effect.variant and actuator.forcelimited[0])
+    actuator, variant = source.model.actuator(p.where), p.effect.variant
+    names = ["gainprm", *["biasprm"] * (variant != "command")]
+    names += ["forcerange"] * bool(not variant and actuator.forcelimited[0])
     return {n: plain((np.array(getattr(actuator, n)) / p.value).tolist()) for n in names}
 
 
@@ -419,13 +410,10 @@ def _ranges(source: _Source) -> Export:
         elif isfinite(p.nominal):
             found["without_effect"] = p.nominal
         ranges.append(found)
-    whole = {
-        "format": "loose-ranges/1",
-        "interval": "95 % confidence interval, to be drawn from uniformly",
-        "ranges": ranges,
-        "not_expressed": left,
-    }
-    return Export(files={"ranges.json": json_text(whole)}, not_expressed=tuple(left))
+    interval = "95 % confidence interval, to be drawn from uniformly"
+    whole = {"format": "loose-ranges/1", "interval": interval, "ranges": ranges}
+    text = json_text(whole | {"not_expressed": left})
+    return Export(files={"ranges.json": text}, not_expressed=tuple(left))
 
 
 # Actuator configurations: mjlab, Isaac Lab
@@ -446,12 +434,11 @@ def _mjlab(source: _Source) -> Export:
     Fields are those of ``mjlab.actuator`` 1.6 (``ActuatorCfg``, ``DcMotorActuatorCfg`` and the
     classes ``Builtin...Cfg``), as their docstrings define them; delays are whole physics steps.
     """
-    configs: dict[str, tuple[str, _Fields]] = {}
-    left: list[str] = []
-    for joint in source.joints:
+
+    def configured(joint: _Joint, left: list[str]) -> tuple[str, _Fields] | None:
         if not joint.drive:
             left += _undriven(source, joint)
-            continue
+            return None
         low, high = _lags(source, joint, left)
         kind, motor = f"Builtin{joint.mode.capitalize()}ActuatorCfg", _motor(source, joint)
         effort, limit = joint.mode == "effort", joint.effort_limit
@@ -466,21 +453,16 @@ def _mjlab(source: _Source) -> Export:
         elif joint.mode == "velocity":
             own["stiffness"] = None
         left += joint.remarks + (joint.scale if motor else ())
-        own |= {
+        return kind, own | {
             "armature": joint.armature, "frictionloss": joint.frictionloss,
             "viscous_damping": joint.viscous, "delay_min_lag": low, "delay_max_lag": high,
         }  # fmt: skip
-        configs[joint.name] = kind, own
-    left = [*source.not_carried(_CARRIED), *left]
-    return Export(
-        files={"mjlab_actuators.py": _module(source, "mjlab", "mjlab.actuator", configs, left)},
-        not_expressed=tuple(left),
-        notes=(
-            "armature, frictionloss and viscous_damping replace those of the joints; the other "
-            "effects are those of the MJCF file that the entity loads: load model.xml without its "
-            "actuators",
-        ),
+
+    note = (
+        "armature, frictionloss and viscous_damping replace those of the joints; the other effects "
+        "are those of the MJCF file that the entity loads: load model.xml without its actuators"
     )
+    return _module(source, "mjlab", "mjlab.actuator", configured, _CARRIED, note)
 
 
 def _isaaclab(source: _Source) -> Export:
@@ -490,12 +472,9 @@ def _isaaclab(source: _Source) -> Export:
     ``DCMotorCfg``, ``DelayedPDActuatorCfg``, ``ImplicitActuatorCfg``), as their docstrings define
     them; delays are whole physics steps.
     """
-    configs: dict[str, tuple[str, _Fields]] = {}
-    left: list[str] = []
-    for joint in source.joints:
+
+    def configured(joint: _Joint, left: list[str]) -> tuple[str, _Fields]:
         low, high = _lags(source, joint, left)
-        # a joint that nothing drives has friction and inertia too
-        kind = "IdealPDActuatorCfg" if joint.drive else "ImplicitActuatorCfg"
         left += joint.remarks + joint.scale
         left += [] if joint.drive or joint.undriven == _NO_DRIVE else _undriven(source, joint)
         there = (e for e in source.effects if e.where == joint.name)
@@ -508,24 +487,21 @@ def _isaaclab(source: _Source) -> Export:
             "viscous_friction": joint.viscous,
         }  # fmt: skip
         if motor := _motor(source, joint):
-            kind, own = "DCMotorCfg", own | motor
             left += [f"the delay of {joint.name}: DCMotorCfg has none"] if high else []
-        elif high:
-            kind, own = "DelayedPDActuatorCfg", own | {"min_delay": low, "max_delay": high}
-        configs[joint.name] = kind, own
-    carried = _CARRIED | {"stribeck_friction": ("torque", "static_ratio")}
-    remedy = "change the USD asset or the environment accordingly"
-    left = [*source.not_carried(carried, remedy=remedy), *left]
-    text = _module(source, "Isaac Lab", "isaaclab.actuators", configs, left, keyed=True)
-    return Export(
-        files={"isaaclab_actuators.py": text},
-        not_expressed=tuple(left),
-        notes=(
-            "friction and dynamic_friction are torques or forces, as from Isaac Sim 5.0 on; in "
-            "Isaac Sim 4.5 they are coefficients",
-            "velocity_limit is that of the USD asset where none is written",
-        ),
-    )
+            return "DCMotorCfg", own | motor
+        if high:
+            return "DelayedPDActuatorCfg", own | {"min_delay": low, "max_delay": high}
+        # a joint that nothing drives has friction and inertia too
+        return "IdealPDActuatorCfg" if joint.drive else "ImplicitActuatorCfg", own
+
+    return _module(
+        source, "Isaac Lab", "isaaclab.actuators", configured,
+        _CARRIED | {"stribeck_friction": ("torque", "static_ratio")},
+        "friction and dynamic_friction are torques or forces, as from Isaac Sim 5.0 on; in Isaac "
+        "Sim 4.5 they are coefficients",
+        "velocity_limit is that of the USD asset where none is written",
+        remedy="change the USD asset or the environment accordingly", keyed=True,
+    )  # fmt: skip
 
 
 def _lags(source: _Source, joint: _Joint, left: list[str]) -> tuple[int, int] | tuple[None, None]:
@@ -556,9 +532,8 @@ def _motor(source: _Source, joint: _Joint) -> _Fields:
     """Torque-speed line of a joint's drive whose voltage limit was identified; empty if none."""
     for effect in source.effects:
         if effect.kind == "voltage_limit" and effect.where == joint.drive:
-            gear = abs(joint.gear)
-            stall = gear * effect.parameters["stall_torque"]
-            speed = effect.parameters["no_load_speed"] / gear
+            gear, own = abs(joint.gear), effect.parameters
+            stall, speed = gear * own["stall_torque"], own["no_load_speed"] / gear
             return {"effort_limit": stall, "saturation_effort": stall, "velocity_limit": speed}
     return {}
 
@@ -569,10 +544,15 @@ def _number(value: float | str) -> str:
 
 
 def _module(
-    source: _Source, target: str, package: str, configs: Mapping[str, tuple[str, _Fields]],
-    left: Sequence[str], *, keyed: bool = False,
-) -> str:  # fmt: skip
+    source: _Source, target: str, package: str,
+    configured: Callable[[_Joint, list[str]], tuple[str, _Fields] | None],
+    carried: Mapping[str, Sequence[str]], *notes: str, remedy: str = "", keyed: bool = False,
+) -> Export:  # fmt: skip
     """Python text of a tuple or mapping of configurations, and what it does not contain."""
+    lost = list[str]()
+    made = {joint.name: configured(joint, lost) for joint in source.joints}
+    configs = {name: own for name, own in made.items() if own is not None}
+    left = [*source.not_carried(carried, remedy=remedy), *lost]
     lines = [f'"""Actuators for {target}, identified by \'loose gap\'.', ""]
     lines += [f"Delays are counted in physics steps of {_number(source.step)} s."]
     lines += ["", "Not expressed:", *(f"- {words}" for words in left)] if left else []
@@ -585,7 +565,9 @@ def _module(
         given = {field: value for field, value in own.items() if value is not None}
         lines += [f"        {field}={_number(value)}," for field, value in given.items()]
         lines.append("    ),")
-    return "\n".join([*lines, "}" if keyed else ")", ""])
+    text = "\n".join([*lines, "}" if keyed else ")", ""])
+    name = f"{package.partition('.')[0]}_actuators.py"
+    return Export(files={name: text}, not_expressed=tuple(left), notes=notes)
 
 
 # URDF
@@ -634,8 +616,8 @@ def _urdf(source: _Source) -> Export:
 
 def _robot(urdf: Path) -> ET.Element:
     """The root of a URDF, its comments kept."""
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     try:
-        parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
         root = ET.fromstring(urdf.read_text(encoding="utf-8"), parser=parser)
     except (ET.ParseError, UnicodeDecodeError) as error:
         raise InvalidData(f"{urdf} is not XML: {error}") from error
@@ -670,11 +652,9 @@ def _usd(source: _Source) -> Export:
         }  # fmt: skip
         if joint.drive:
             drive = f"drive:{axis}:physics:"
-            values |= {
-                f"uniform token {drive}type": '"force"',
-                f"float {drive}stiffness": joint.stiffness * per,
-                f"float {drive}damping": joint.damping * per,
-            }
+            values[f"uniform token {drive}type"] = '"force"'
+            values[f"float {drive}stiffness"] = joint.stiffness * per
+            values[f"float {drive}damping"] = joint.damping * per
             if joint.effort_limit is not None:
                 values[f"float {drive}maxForce"] = joint.effort_limit
             left += joint.remarks + joint.scale
@@ -729,23 +709,17 @@ def _bam(source: _Source) -> Export:
             + (f"; got {servo!r}" if servo else "")
         )
     left = list(source.not_carried(_BY_BAM))
-    hinges = _bam_hinges(source, left)
-    files = {
-        "bam_" + re.sub(r"[^\w.-]", "_", joint.name) + ".json": json_text(
-            own | {"q_offset": 0.0, "actuator": servo}
-        )
-        for joint, own in hinges
-    }
-    return Export(
-        files=files,
-        not_expressed=tuple(left),
-        notes=(
-            f"torque constant and resistance (kt, R) are those of {servo} in BAM; they are not "
-            "identified",
-            "BAM computes back-EMF itself (kt² v / R): where the nominal model has none, "
-            "friction_viscous contains it and is too large by kt² / R",
-        ),
+    files = {}
+    for joint, own in _bam_hinges(source, left):
+        name = "bam_" + re.sub(r"[^\w.-]", "_", joint.name) + ".json"
+        files[name] = json_text(own | {"q_offset": 0.0, "actuator": servo})
+    notes = (
+        f"torque constant and resistance (kt, R) are those of {servo} in BAM; they are not "
+        "identified",
+        "BAM computes back-EMF itself (kt² v / R): where the nominal model has none, "
+        "friction_viscous contains it and is too large by kt² / R",
     )
+    return Export(files=files, not_expressed=tuple(left), notes=notes)
 
 
 def _drivebam(source: _Source) -> Export:
@@ -773,11 +747,9 @@ def _drivebam(source: _Source) -> Export:
             "        ),",
         ]
     lines += ["Not expressed:", *(f"- {words}" for words in left)] if left else []
-    return Export(
-        files={"drivebam_actuators.py": "\n".join([*lines, '"""', "", *text, "    }", ""])},
-        not_expressed=tuple(left),
-        notes=("kt, resistance, error_gain and max_current are those of the fit given to it",),
-    )
+    files = {"drivebam_actuators.py": "\n".join([*lines, '"""', "", *text, "    }", ""])}
+    notes = ("kt, resistance, error_gain and max_current are those of the fit given to it",)
+    return Export(files=files, not_expressed=tuple(left), notes=notes)
 
 
 def _bam_hinges(source: _Source, left: list[str]) -> list[tuple[_Joint, dict[str, float | str]]]:
@@ -804,8 +776,7 @@ def _bam_parameters(joint: _Joint, effects: Mapping[str, NamedEffect]) -> dict[s
         effects[kind].parameters if kind in effects else {}
         for kind in ("stribeck_friction", "load_friction")
     )
-    fall = _fall(stribeck)
-    found: dict[str, float | str] = {"armature": joint.armature}
+    fall, found = _fall(stribeck), dict[str, float | str](armature=joint.armature)
     found["friction_base"] = max(joint.frictionloss - fall, 0.0)
     if stribeck or load:
         speed = {**load, **stribeck}.get("speed", _SPEED)

@@ -1,8 +1,4 @@
-"""Catalogue of effects: register one, read a file of custom ones, list candidates of a machine.
-
-A new effect is a subclass of `loose_env.gap.model.effect.Effect` in a file of its own; `register`
-adds it to the catalogue. Custom effects are read from a Python file.
-"""
+"""Catalogue of effects: register one, read a file of custom ones, list candidates of a machine."""
 
 from __future__ import annotations
 
@@ -63,11 +59,7 @@ CATALOGUE: dict[str, type[Effect]] = {
 EFFECTS: Mapping[str, type[Effect]] = ChainMap(
     {
         effect.kind: effect
-        for effect in (
-            joints.TorqueOffset,
-            joints.FrictionBehindSlack,
-            drives.CommandInterpolation,
-        )
+        for effect in (joints.TorqueOffset, joints.FrictionBehindSlack, drives.CommandInterpolation)
     },
     CATALOGUE,
 )

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from scipy.signal import lfilter
 
-from loose_env.gap.model.effect import DrivenEffect, Effect, Parameter
+from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
 from loose_env.gap.model.nominal_model import NominalModel, history_for, named
 from loose_env.typing import Array
 
@@ -87,15 +87,12 @@ class ActuatorGain(Effect):
             actuator.forcerange = gain * np.array(actuator.forcerange)
 
     def sensed_torque(self, joint: str, torque: Array, values: Array) -> Array:
-        """Convert torque to measured torque: a stronger motor shows less for the same.
-
-        Not where it is one of several at the joint: a joint torque alone does not give each one's
-        share. Gains of a servo and of its command do not change what a current means.
-        """
+        """Convert torque to measured torque: a stronger motor, alone at its joint, shows less."""
+        # gains of a servo and of its command do not change what a current means
         machine = self.machine
-        if self.variant or machine.actuated_joint.get(self.where) != joint:
-            return torque
-        alone = np.count_nonzero(machine.gears(joint)) == 1
+        own = not self.variant and machine.actuated_joint.get(self.where) == joint
+        gears = machine.moments[machine.joint_number(joint)]
+        alone = own and np.count_nonzero(gears) == 1
         return torque / float(values[0]) if alone else torque
 
 
@@ -115,11 +112,8 @@ class ActuatorLag(ShiftedCommand):
 
     kind = "actuator_lag"
     # from a fast drive to a very slow one: a servo's response is not linear
-    parameters = (
-        Parameter.sized(
-            "time_constant", "s", 0.01, 0, 100, scale=1.0, starts=(0.1, 0.3, 0.8, 2.0, 6.0, 15.0)
-        ),
-    )
+    _starts = (0.1, 0.3, 0.8, 2.0, 6.0, 15.0)
+    parameters = (Parameter.sized("time_constant", "s", 0.01, 0, 100, scale=1, starts=_starts),)
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
@@ -225,16 +219,13 @@ class CommandInterpolation(Effect):
     proportional = 0
     in_model = False
     null_values = (0.0,)
+    # of the way from a held command to the straight line
+    parameters = (Parameter(name="share", unit="", low=0.0, high=1.0, starts=(1.0,)),)
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return all drives together."""
         return ("all",) if machine.actuators else ()
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Share of the way from a held command to the straight line."""
-        return (Parameter(name="share", unit="", low=0.0, high=1.0, starts=(1.0,)),)
 
     def command(self, time: Array, controls: Array, values: Array) -> Array:
         """Draw lines between the steps of the commands: means over each step."""
@@ -251,7 +242,7 @@ _LEAST_GIVEN = 0.05  # lowest limit that is sought in data, over the largest tor
 _GRID, _SPEED_GRID = 150, 16  # limits, 2 % apart, and no-load speeds that are tried on data
 
 
-class JointDriveEffect(Effect):
+class JointDriveEffect(JointEffect):
     """An effect of the drive of one joint, its force linear in command, position and speed."""
 
     acts_on = "actuator"
@@ -262,13 +253,14 @@ class JointDriveEffect(Effect):
         return tuple(n for n in ActuatorGain.locations(machine) if n in machine.actuated_joint)
 
     @property
-    def _number(self) -> int:
-        return self.machine.actuators.index(self.where)
-
-    @property
     def joint(self) -> str:
         """Joint that it drives."""
         return self.machine.actuated_joint[self.where]
+
+    @property
+    def _number(self) -> int:
+        """Index of the drive."""
+        return self.machine.actuators.index(self.where)
 
     @property
     def gear(self) -> float:
@@ -333,12 +325,12 @@ class DriveLimit(JointDriveEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest force of the actuator, at most that of the model; times its gear on the joint."""
-        model, usual = self.machine.model, self.machine.load(self.joint) / abs(self.gear)
+        model, usual = self.machine.model, self.load / abs(self.gear)
         high = _HIGHEST * usual
         if model.actuator_forcelimited[self._number]:
             high = float(np.max(np.abs(model.actuator_forcerange[self._number])))
         limit = Parameter(
-            name=self.limit[0][0], unit=self.machine.units(self.joint)[1],
+            name=self.limit[0][0], unit=self.torque_unit,
             low=min(_LOWEST * usual, 0.5 * high), high=high, scale=usual, log=True,
         )  # fmt: skip
         starts = (limit.clipped(min(s * usual, 0.8 * high)) for s in (0.4, 0.8, 1.5, 2.5))
@@ -347,10 +339,7 @@ class DriveLimit(JointDriveEffect):
     def propose_limit(
         self, speed: Array, asked: Array, needed: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Start at the limit that turns what was asked into what was given, by least deviations.
-
-        Without such a limit that is the largest torque given.
-        """
+        """Start at the limit that turns what was asked into what was given, by least deviations."""
         gear = abs(self.gear)
         rate, asked, needed = speed * gear, asked / gear, needed / gear
         limit, *more = self.parameters
@@ -397,12 +386,11 @@ class VoltageLimit(DriveLimit):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest force at standstill; speed of the actuator at which none is left."""
-        usual = self.machine.speed(self.joint) * abs(self.gear)
-        unit = f"{self.machine.units(self.joint)[0]}/s"
-        speed = Parameter.sized(
-            "no_load_speed", unit, usual, 0.2, 50, scale=1.0, starts=(1.5, 4.0), log=True
+        usual, unit, starts = self.speed * abs(self.gear), f"{self.angle_unit}/s", (1.5, 4.0)
+        free = Parameter.sized(
+            "no_load_speed", unit, usual, 0.2, 50, scale=1, starts=starts, log=True
         )
-        return (*super().parameters, speed)
+        return (*super().parameters, free)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Limit the force without back-EMF, which acts beyond the limit as the actuator's damping.
@@ -415,9 +403,9 @@ class VoltageLimit(DriveLimit):
         bias, damping = np.array(actuator.biasprm), np.array(actuator.damping)
         if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:
             bias[:3] = 0.0
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         bias[2] += back
         damping[0] += back
+        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.biasprm, actuator.damping = bias, damping
 
 
@@ -434,20 +422,15 @@ class DeadZone(DrivenEffect, JointDriveEffect):
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return drives of a joint with a position feedback, or with none."""
         model = machine.model
-        kept = []
-        for name in super().locations(machine):
-            number = machine.actuators.index(name)
-            gain, _, rate = model.actuator_gainprm[number, :3]
-            offset, stiffness, damping = model.actuator_biasprm[number, :3]
-            servo = gain != 0 and np.isclose(stiffness, -gain) and offset == 0
-            if servo or (stiffness == 0 and damping == 0 and rate == 0):
-                kept.append(name)
-        return tuple(kept)
+        gain, _, rate = model.actuator_gainprm[:, :3].T
+        offset, stiffness, damping = model.actuator_biasprm[:, :3].T
+        servo = (gain != 0) & np.isclose(stiffness, -gain) & (offset == 0)
+        there = named(machine.actuators, servo | (stiffness == 0) & (damping == 0) & (rate == 0))
+        return tuple(name for name in super().locations(machine) if name in there)
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
         model, number = machine.model, self._number
-        self._place = machine.joint_number(self.joint)
         self._servo = bool(model.actuator_biasprm[number, 1] != 0)
         limited = model.actuator_ctrllimited[number]
         self._limits = model.actuator_ctrlrange[number].tolist() if limited else None
@@ -455,10 +438,9 @@ class DeadZone(DrivenEffect, JointDriveEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Half width of the dead zone."""
-        machine, joint = self.machine, self.joint
-        gain = abs(float(machine.model.actuator_gainprm[self._number, 0])) or 1.0
-        usual = machine.load(joint) / (abs(self.gear) * gain)
-        unit = machine.units(joint)[0] if self._servo else ""
+        gain = abs(float(self.machine.model.actuator_gainprm[self._number, 0])) or 1.0
+        usual = self.load / (abs(self.gear) * gain)
+        unit = self.angle_unit if self._servo else ""
         # errors of a thirtieth, a fifth and half of the typical torque
         return (Parameter.sized("width", unit, usual, 0, 5, starts=(0.03, 0.2, 0.5)),)
 
@@ -468,18 +450,15 @@ class DeadZone(DrivenEffect, JointDriveEffect):
         own = found[..., self._number]
         if self._limits:
             own = np.clip(own, *self._limits)
-        at = self.gear * position[..., self._place] if self._servo else np.zeros_like(own)
+        at = self.gear * position[..., self.number] if self._servo else np.zeros_like(own)
         found[..., self._number] = own - np.clip(own - at, -width, width)
         return found
 
     def feedback_code(self, values: Array) -> str:
         """Python lines: the command less the part of the error in the dead zone."""
-        number, width = self._number, float(values[0])
-        at = f"{self.gear!r} * position[{self._place}]" if self._servo else "0.0"
-        error = f"command[{number}] - {at}"
-        limited = ""
+        own, width = f"command[{self._number}]", float(values[0])
+        at = f"{self.gear!r} * position[{self.number}]" if self._servo else "0.0"
+        lines = [f"# dead zone of {self.where}"]
         if self._limits:
-            low, high = self._limits
-            limited = f"command[{number}] = np.clip(command[{number}], {low!r}, {high!r})\n"
-        named = f"# dead zone of {self.where}\n"
-        return f"{named}{limited}command[{number}] -= np.clip({error}, {-width!r}, {width!r})"
+            lines.append(f"{own} = np.clip({own}, {self._limits[0]!r}, {self._limits[1]!r})")
+        return "\n".join([*lines, f"{own} -= np.clip({own} - {at}, {-width!r}, {width!r})"])

@@ -1,9 +1,4 @@
-"""Effects that add a degree of freedom: springs, play, and looseness in joints, links and base.
-
-A compliant drive is a spring and a damper between motor side and link side of a joint, backlash a
-clearance with stops there. A flexible link turns about a pivot along it; a loose one slides on its
-seat. A base on rubber feet, or not bolted down, rocks.
-"""
+"""Effects that add a degree of freedom: springs, play and looseness in joints, links and base."""
 
 from __future__ import annotations
 
@@ -15,21 +10,13 @@ import mujoco
 import numpy as np
 
 from loose_env.gap.model.effect import Effect, JointEffect, Parameter
+from loose_env.gap.model.effects import mjcf
 from loose_env.gap.model.effects.inertia import LinkEffect, links_with_mass
-from loose_env.gap.model.effects.mjcf import (
-    FASTEST,
-    add_extra_joint,
-    added_name,
-    insert_first,
-    joint_inertia,
-    keep_motor_side,
-    make_it_stick,
-    set_stops,
-)
 from loose_env.gap.model.nominal_model import (
     NominalModel,
     frame_about,
     link_ends,
+    named,
     normal_of,
     reach_of,
 )
@@ -67,7 +54,7 @@ class AddedJoint(Effect):
     def inertia(self) -> tuple[float, float]:
         """Inertia on the joint [kg·m²] or mass [kg], and its inverse weight with all free."""
         spec = self.machine.fresh()
-        return joint_inertia(spec, self._insert(spec, 0.0, 0.0).name)
+        return mjcf.joint_inertia(spec, self._insert(spec, 0.0, 0.0).name)
 
 
 class SpringEffect(AddedJoint):
@@ -77,22 +64,17 @@ class SpringEffect(AddedJoint):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness, up to the largest stable one, and damping ratio with all else locked.
-
-        Fits start at springs with modes from slow to fast, at most half the largest stiffness.
-        """
+        """Stiffness, up to the largest stable one, and damping ratio with all else locked."""
         carried, weight = self.inertia
         low = carried * (2 * pi * _SLOWEST_HZ) ** 2
-        high = max((FASTEST / self.machine.time_step) ** 2 / weight, 10 * low)
+        high = max((mjcf.FASTEST / self.machine.time_step) ** 2 / weight, 10 * low)
         stiffness = Parameter(
             name="stiffness", unit=self.unit, low=low, high=high, scale=sqrt(low * high), log=True
         )
         wanted = (carried * (2 * pi * hz) ** 2 for hz in _START_HZ)
-        starts = dict.fromkeys(stiffness.clipped(min(k, 0.5 * high)) for k in wanted)
-        return (
-            replace(stiffness, starts=tuple(starts)),
-            _ratio(1e-3, 2.0, _LIKELY_DAMPING, _START_DAMPING),
-        )
+        starts = tuple(dict.fromkeys(stiffness.clipped(min(k, 0.5 * high)) for k in wanted))
+        ratio = _ratio(1e-3, 2.0, _LIKELY_DAMPING, _START_DAMPING)
+        return replace(stiffness, starts=starts), ratio
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the joint with its spring and damper."""
@@ -117,9 +99,9 @@ class SplitJoint(JointEffect, AddedJoint):
     def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
         """Add the link side; return its joint."""
         machine, number = self.machine, self.number
-        keep_motor_side(machine, spec, self.where, self.carried)
-        return add_extra_joint(
-            spec.body(machine.body_of(self.where)), added_name(spec, self.where, self.kind),
+        mjcf.keep_motor_side(machine, spec, self.where, self.carried)
+        return mjcf.add_extra_joint(
+            spec.body(machine.body_of(self.where)), mjcf.added_name(spec, self.where, self.kind),
             turns=self.turns, axis=machine.model.jnt_axis[number],
             pos=machine.model.jnt_pos[number], stiffness=spring[0], damping=spring[1],
         )  # fmt: skip
@@ -165,10 +147,8 @@ class Backlash(SplitJoint):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Clearance, stiffness of the stops, and damping ratio on them."""
-        length = 1.0
-        if not self.turns:
-            # a lone slide has no reach, but it travels
-            length = max(reach_of(self.machine), _TRAVEL_S * self.speed)
+        # a lone slide has no reach, but it travels
+        length = 1.0 if self.turns else max(reach_of(self.machine), _TRAVEL_S * self.speed)
         gap = Parameter.sized(
             "gap", self.angle_unit, 0.01 * length, 1e-3, 50, scale=1, starts=_STARTS, log=True
         )
@@ -183,18 +163,13 @@ class Backlash(SplitJoint):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add the clearance behind the joint."""
         joint = self._insert(spec, 0.0, _DRAG_RATE * self.carried)
-        gap, stiffness, ratio = (float(v) for v in values)
         # a small load is raised to that of slight shaking
         load = max(self.load, _LEAST_LOAD * float(np.max(self.machine.load_scales)))
-        weight = self.inertia[1]
-        set_stops(joint, 0.5 * gap, stiffness=stiffness, ratio=ratio, weight=weight, load=load)
+        mjcf.set_stops(joint, *map(float, values), weight=self.inertia[1], load=load)
 
 
 def _stops(weight: float, step: float, unit: str) -> tuple[Parameter, Parameter]:
-    """Stiffness of stops and damping ratio of the mode on them.
-
-    The stiffness is about a quarter of the largest that is stable at the step [s].
-    """
+    """Stiffness of stops, about a quarter of the largest stable one at the step [s]; damping."""
     high = (_FASTEST / step) ** 2 / weight
     return (
         Parameter.sized("stiffness", unit, high, 1e-3, 1, scale=0.25, starts=(0.25,), log=True),
@@ -226,10 +201,8 @@ class BaseCompliance(SpringEffect):
 
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
-        """Return the base, if its first link has room for another joint and is not the only one.
-
-        Under a single joint a base that gives way is not told from a compliant drive.
-        """
+        """Return the base, if its first link has room for another joint and is not the only one."""
+        # under a single joint it is not told from a compliant drive
         first = int(machine.model.jnt_bodyid[0])
         room = machine.model.body_jntnum[first] < _MOST_JOINTS and len(machine.joints) > 1
         return ("base",) if room and cls.variants_at(machine, "base") else ()
@@ -242,14 +215,10 @@ class BaseCompliance(SpringEffect):
         if machine.model.jnt_type[0] != mujoco.mjtJoint.mjJNT_HINGE:
             return axes
         away = data.xanchor[0] - _foot(machine)
-        kept = []
-        for axis in axes:
-            along = _axis(machine, axis)
-            parallel = abs(along @ data.xaxis[0]) > _SAME
-            apart = float(np.linalg.norm(away - along * (away @ along)))
-            if not parallel or apart > _APART * reach_of(machine):
-                kept.append(axis)
-        return tuple(kept)
+        along = np.array([_axis(machine, axis) for axis in axes])
+        apart = np.linalg.norm(away - along * (along @ away)[:, None], axis=1)
+        parallel = np.abs(along @ data.xaxis[0]) > _SAME
+        return named(axes, ~parallel | (apart > _APART * reach_of(machine)))
 
     def _insert(self, spec: mujoco.MjSpec, *spring: float) -> mujoco.MjsJoint:
         """Insert the hinge before the first joint."""
@@ -257,13 +226,13 @@ class BaseCompliance(SpringEffect):
         first = int(model.jnt_bodyid[0])
         turn = data.xmat[first].reshape(3, 3)
         body = spec.body(model.body(first).name)
-        hinge = add_extra_joint(
-            body, added_name(spec, "base", self._name), turns=True,
+        hinge = mjcf.add_extra_joint(
+            body, mjcf.added_name(spec, "base", self._name), turns=True,
             axis=turn.T @ _axis(self.machine, self.variant),
             pos=turn.T @ (_foot(self.machine) - data.xpos[first]), stiffness=spring[0],
             damping=spring[1],
         )  # fmt: skip
-        insert_first(spec, body, hinge.name)
+        mjcf.insert_first(spec, body, hinge.name)
         return hinge
 
 
@@ -286,17 +255,16 @@ class _MovedLink(LinkEffect, AddedJoint):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with room for another joint, and two more in a corrected model."""
-        count = machine.model.body_jntnum
-        room = _MOST_JOINTS - 3
-        return tuple(n for n in machine.links if count[machine.model.body(n).id] <= room)
+        most, model = _MOST_JOINTS - 3, machine.model
+        return tuple(n for n in machine.links if model.body(n).jntnum[0] <= most)
 
     def keep_driven_side(self, spec: mujoco.MjSpec, *, turns: bool) -> None:
         """Keep inertia on the drive's side of joints whose motion may be like the added one's."""
         machine = self.machine
         body = machine.model.body(self.where).id
-        for joint, owner in zip(machine.joints, machine.model.jnt_bodyid, strict=True):
-            if owner == body and machine.turns(joint) == turns:
-                keep_motor_side(machine, spec, joint, machine.inertia(joint))
+        alike = (machine.model.jnt_bodyid == body) & (machine.hinges == turns)
+        for k in np.flatnonzero(alike):
+            mjcf.keep_motor_side(machine, spec, machine.joints[k], float(machine.inertias[k]))
 
 
 _GRAVITY = 9.81  # usual load of a seat, over the mass on it [m/s²]
@@ -348,7 +316,7 @@ class StructuralLooseness(_MovedLink):
         """Unit vector (3,) of the slide, in the body's frame."""
         if self._plane is not None:
             return np.asarray(np.array([np.cos(values[0]), np.sin(values[0])]) @ self._plane)
-        azimuth, up = values[0], values[1]
+        azimuth, up = values[:2]
         flat = np.cos(up)
         return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(up)])
 
@@ -357,28 +325,25 @@ class StructuralLooseness(_MovedLink):
         direction = self.direction(values)
         gap, friction, stiffness, ratio = (float(v) for v in values[-4:])
         joint = self._slide(spec, direction, friction)
-        make_it_stick(joint, spec.option.timestep)
+        mjcf.make_it_stick(joint, spec.option.timestep)
         weight = self._weight(direction)
-        # the same contact mode in every direction
-        set_stops(
-            joint, 0.5 * gap, stiffness=stiffness * self._mean_weight / weight, ratio=ratio,
-            weight=weight, load=_GRAVITY / weight,
-        )  # fmt: skip
+        stiffness *= self._mean_weight / weight  # the same contact mode in every direction
+        mjcf.set_stops(joint, gap, stiffness, ratio, weight=weight, load=_GRAVITY / weight)
 
     def _slide(
         self, spec: mujoco.MjSpec, direction: Array, friction: float = 0.0
     ) -> mujoco.MjsJoint:
         """Add the slide, and keep inertia on the drive's side of others, which may lie along it."""
         self.keep_driven_side(spec, turns=False)
-        return add_extra_joint(
-            spec.body(self.where), added_name(spec, self.where, self.kind), turns=False,
+        return mjcf.add_extra_joint(
+            spec.body(self.where), mjcf.added_name(spec, self.where, self.kind), turns=False,
             axis=direction, pos=np.zeros(3), friction=friction,
         )  # fmt: skip
 
     def _weight(self, direction: Array) -> float:
         """Inverse of the mass on the slide [1/kg], all joints free."""
         spec = self.machine.fresh()
-        return joint_inertia(spec, self._slide(spec, direction).name)[1]
+        return mjcf.joint_inertia(spec, self._slide(spec, direction).name)[1]
 
     @cached_property
     def _mean_weight(self) -> float:
@@ -414,11 +379,9 @@ class LinkFlexibility(_MovedLink, SpringEffect):
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return links with mass and room for another joint that are not too short."""
         shortest, heavy = _SHORTEST * reach_of(machine), links_with_mass(machine)
-        return tuple(
-            link
-            for link in super().locations(machine)
-            if link in heavy and np.linalg.norm(np.subtract(*link_ends(machine, link))) > shortest
-        )
+        there = [link for link in super().locations(machine) if link in heavy]
+        lengths = [np.linalg.norm(np.subtract(*link_ends(machine, link))) for link in there]
+        return named(there, np.array(lengths) > shortest)
 
     @classmethod
     def variants_at(cls, machine: NominalModel, where: str) -> tuple[str, ...]:
@@ -427,19 +390,16 @@ class LinkFlexibility(_MovedLink, SpringEffect):
 
     def __init__(self, machine: NominalModel, where: str, variant: str | None = None) -> None:
         super().__init__(machine, where, variant)
-        start, end = link_ends(machine, where)
-        self._start, self._length = start, float(np.linalg.norm(end - start))
-        self._along = (end - start) / self._length
-        normal = normal_of(machine)
-        if normal is not None:
-            axis = self.in_link(normal)
-        else:
-            axis = machine.model.jnt_axis[int(machine.model.body(where).jntadr[0])]
-        axis = axis - self._along * (axis @ self._along)
+        self._start, end = link_ends(machine, where)
+        self._way = end - self._start
+        along, normal = self._way / float(np.linalg.norm(self._way)), normal_of(machine)
+        own = machine.model.jnt_axis[int(machine.model.body(where).jntadr[0])]
+        axis = own if normal is None else self.in_link(normal)
+        axis = axis - along * (axis @ along)
         if np.linalg.norm(axis) < _ALONG:
-            axis = frame_about(self._along)[1]
+            axis = frame_about(along)[1]
         axis = axis / np.linalg.norm(axis)
-        self._axis = np.cross(self._along, axis) if self.variant else axis
+        self._axis = np.cross(along, axis) if self.variant else axis
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -452,8 +412,8 @@ class LinkFlexibility(_MovedLink, SpringEffect):
         """Add the pivot behind the link's joints, at a share of its length."""
         stiffness, damping, share = spring if len(spring) > 2 else (*spring, _MIDDLE)
         self.keep_driven_side(spec, turns=True)
-        return add_extra_joint(
-            spec.body(self.where), added_name(spec, self.where, self._name), turns=True,
-            axis=self._axis, pos=self._start + share * self._length * self._along,
+        return mjcf.add_extra_joint(
+            spec.body(self.where), mjcf.added_name(spec, self.where, self._name), turns=True,
+            axis=self._axis, pos=self._start + share * self._way,
             stiffness=stiffness, damping=damping,
         )  # fmt: skip

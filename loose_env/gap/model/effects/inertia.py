@@ -1,7 +1,4 @@
-"""Effects of mass and gravity: link mass and centre, payload, base tilt, gravity compensation.
-
-A tilted base changes the direction of gravity. A balancer or the drives carry the weight of links.
-"""
+"""Effects of mass and gravity: link mass and centre, payload, base tilt, gravity compensation."""
 
 from __future__ import annotations
 
@@ -14,20 +11,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.effect import (
-    AdditiveEffect,
-    Effect,
-    Mountings,
-    Parameter,
-    WeightedEffect,
-)
-from loose_env.gap.model.effects.mjcf import (
-    Inertial,
-    added_name,
-    inertial_of,
-    set_inertial,
-    site_pose,
-)
+from loose_env.gap.model.effect import AdditiveEffect, Effect, Mountings, Parameter, WeightedEffect
+from loose_env.gap.model.effects import mjcf
 from loose_env.gap.model.nominal_model import NominalModel, link_ends, normal_of, reach_of
 from loose_env.typing import Array
 
@@ -67,10 +52,10 @@ class LinkMass(LinkEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Scale the link's mass and inertia."""
-        old = inertial_of(self.machine, spec, self.where)
+        old = mjcf.inertial_of(self.machine, spec, self.where)
         factor = max(1.0 + float(values[0]) / old.mass, 0.01)
-        scaled = Inertial(factor * old.mass, old.centre, factor * old.tensor)
-        set_inertial(self.machine, spec, self.where, scaled)
+        scaled = mjcf.Inertial(factor * old.mass, old.centre, factor * old.tensor)
+        mjcf.set_inertial(self.machine, spec, self.where, scaled)
 
 
 class LinkCom(AdditiveEffect, LinkEffect):
@@ -92,8 +77,8 @@ class LinkCom(AdditiveEffect, LinkEffect):
     @cached_property
     def _length(self) -> float:
         """Length of the link, or a twentieth of the machine's [m]."""
-        start, end = link_ends(self.machine, self.where)
-        return max(float(np.linalg.norm(end - start)), 0.05 * reach_of(self.machine))
+        length = float(np.linalg.norm(np.subtract(*link_ends(self.machine, self.where))))
+        return max(length, 0.05 * reach_of(self.machine))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -107,10 +92,10 @@ class LinkCom(AdditiveEffect, LinkEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Shift the link's centre."""
-        old = inertial_of(self.machine, spec, self.where)
+        old = mjcf.inertial_of(self.machine, spec, self.where)
         centre = old.centre.copy()
         centre[list(self._axes)] += np.asarray(values, dtype=float)
-        set_inertial(self.machine, spec, self.where, replace(old, centre=centre))
+        mjcf.set_inertial(self.machine, spec, self.where, replace(old, centre=centre))
 
 
 _FAR_OFF = 0.3  # furthest centre of a payload from the tool, over the reach of the arm
@@ -183,19 +168,19 @@ class Payload(WeightedEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add a body to the one that carries the tool."""
-        mass = float(values[0])
+        mass, machine = float(values[0]), self.machine
         if mass <= 0:
             return
         centre = np.array(values[1:]) if self.variant else np.zeros(3)
-        if self.machine.tool:
-            site = spec.site(self.machine.tool)
-            (place, _), carrier = site_pose(self.machine, site), site.parent
+        if machine.tool:
+            carrier = spec.site(machine.tool).parent
+            place = mjcf.site_pose(machine, spec.site(machine.tool))[0]
         else:
-            name, place = _outermost(self.machine)
+            name, place = _outermost(machine)
             carrier = spec.body(name)
-        body = carrier.add_body(name=added_name(spec, "tool", self.kind), pos=place)
+        body = carrier.add_body(name=mjcf.added_name(spec, "tool", self.kind), pos=place)
         tensor = mass * (_RADIUS * reach_of(self.machine)) ** 2 * np.eye(3)
-        set_inertial(self.machine, spec, body.name, Inertial(mass, centre, tensor))
+        mjcf.set_inertial(self.machine, spec, body.name, mjcf.Inertial(mass, centre, tensor))
 
 
 class MountedPayload(Payload):
@@ -251,18 +236,15 @@ class MountedPayload(Payload):
 
 def payload_notes(machine: NominalModel) -> list[str]:
     """Describe the payload's location in a model without a tool site; else none."""
-    model = machine.model
-    if machine.tool:
-        carrier = model.site(machine.tool).bodyid[0]
-        link = str(model.body(int(model.body_weldid[carrier])).name)
-        if machine.tool == "tool" or link == machine.last_link:
+    model, tool = machine.model, machine.tool
+    if tool:
+        link = str(model.body(int(model.body_weldid[model.site(tool).bodyid[0]])).name)
+        lacking = "the model has no site at the end of its last link: a payload is tried at "
+        if tool == "tool" or link == machine.last_link:
             return []
-        return [
-            f"the model has no site at the end of its last link: a payload is tried at "
-            f'{machine.tool} of {link}; add <site name="tool"/> where it hangs'
-        ]
+        return [f'{lacking}{tool} of {link}; add <site name="tool"/> where it hangs']
     name, place = _outermost(machine)
-    where = "the origin" if not place.any() else "the far end"
+    where = "the far end" if place.any() else "the origin"
     return [
         f"the model has no site at its tool: a payload is tried at {where} of {name}, and its mass "
         'stands for that place; add <site name="tool"/> where it hangs'
@@ -291,9 +273,8 @@ class BaseTilt(AdditiveEffect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return the base, if there is gravity."""
-        off = machine.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-        weightless = off or not np.any(machine.model.opt.gravity)
-        return () if weightless else ("base",)
+        option, off = machine.model.opt, mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        return ("base",) if np.any(option.gravity) and not option.disableflags & off else ()
 
     @cached_property
     def _axes(self) -> Array:
@@ -303,7 +284,7 @@ class BaseTilt(AdditiveEffect):
         if normal is not None and abs(normal @ down) < 1e-6:
             return normal[None]
         # The two world axes farthest from gravity, made perpendicular to it and each other.
-        first, second = (np.eye(3)[k] for k in np.sort(np.argsort(np.abs(down))[:2]))
+        first, second = np.eye(3)[np.sort(np.argsort(np.abs(down))[:2])]
         first = first - down * (first @ down)
         first /= np.linalg.norm(first)
         across = np.cross(down, first)
@@ -353,5 +334,5 @@ class GravityCompensation(LinkEffect):
             spec.body(link).gravcomp += float(values[0])
         if any(spec.body(link).gravcomp < 0 for link in links):
             # MuJoCo compensates no gravity at all unless some body has a positive share
-            aside = spec.worldbody.add_body(name=added_name(spec, self.where, self.kind))
+            aside = spec.worldbody.add_body(name=mjcf.added_name(spec, self.where, self.kind))
             aside.gravcomp = 1.0

@@ -1,11 +1,4 @@
-"""Effects at a joint: frictions, drag, rotor inertia, torque ripple (cogging), and springs.
-
-Viscous friction is proportional to speed. Coulomb friction is a constant torque against the motion,
-which holds a joint at rest. Stribeck friction is larger near rest than in motion, so that a slow
-joint sticks and slips. Quadratic drag is proportional to the speed squared. Asymmetric friction is
-a Coulomb friction that differs by direction. Torque ripple is periodic in the joint's angle, from
-cogging or gear teeth. Springs across a joint are cables, hoses, balancers.
-"""
+"""Effects at a joint: frictions, drag, rotor inertia, torque ripple (cogging), and springs."""
 
 from __future__ import annotations
 
@@ -18,14 +11,7 @@ import numpy as np
 from scipy.signal import lombscargle
 
 from loose_env.gap.model.effect import DrivenEffect, JointEffect, Parameter, WeightedEffect
-from loose_env.gap.model.effects.mjcf import (
-    add_constant,
-    add_friction,
-    add_passive,
-    added_name,
-    angle_unit,
-    make_it_stick,
-)
+from loose_env.gap.model.effects import mjcf
 from loose_env.gap.model.nominal_model import NominalModel, named
 from loose_env.typing import Array
 
@@ -70,25 +56,17 @@ class ViscousFriction(_Resistance):
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Starts: 5 % and 30 % of typical torque at typical speed, and half the nominal.
-
-        The damping of a model is often set for a stable simulation, ten times the machine's:
-        removing half of it shows that, where it matters.
-        """
+        """Starts: 5 % and 30 % of typical torque at typical speed, and half the nominal."""
+        # a model's damping is often set for a stable simulation, ten times the machine's
         starts, much = super().starts, 0.5 * self.nominal
         return (*starts, (-much,)) if much > starts[-1][0] else starts
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Add to the joint's damping, or remove a share of the model's.
-
-        A share keeps the sensitivity of a joint that has no damping at all.
-        """
+        """Add to the joint's damping, or remove a share of the model's, which may have none."""
         joint, added = spec.joint(self.where), float(values[0])
         damping = np.array(joint.damping)
-        if added < 0:
-            damping[0] *= max(1.0 + added / self.nominal, 0.0)
-        else:
-            damping[0] += added
+        damping[0] *= max(1.0 + added / self.nominal, 0.0) if added < 0 else 1.0
+        damping[0] += max(added, 0.0)
         joint.damping = damping
 
 
@@ -111,7 +89,7 @@ class CoulombFriction(_Resistance):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's friction loss."""
         if values[0] != 0:
-            add_friction(spec, self.where, float(values[0]))
+            mjcf.add_friction(spec, self.where, float(values[0]))
 
 
 class QuadraticDrag(_Resistance):
@@ -138,10 +116,9 @@ class RotorInertia(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Added inertia; ten times what the joint moves is usual: the gear's ratio squared."""
-        moved, unit = self.machine.inertia(self.where), "kg·m²" if self.turns else "kg"
-        added = Parameter.sized("inertia", unit, moved, 0, 100, starts=(0.2, 1.0))
-        low = -float(self.machine.model.dof_armature[self.number])
-        return (replace(added, low=low, usual=10 * moved),)
+        unit, low = "kg·m²" if self.turns else "kg", self.machine.model.dof_armature[self.number]
+        added = Parameter.sized("inertia", unit, self.moved, 0, 100, starts=(0.2, 1.0))
+        return (replace(added, low=-float(low), usual=10 * self.moved),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add to the joint's armature."""
@@ -175,11 +152,10 @@ class AsymmetricFriction(JointEffect):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add friction loss and a constant torque."""
         forward, backward = float(values[0]), float(values[1])
-        if forward + backward <= 0:
-            return
-        add_friction(spec, self.where, 0.5 * (forward + backward))
-        name = added_name(spec, self.where, self.kind)
-        add_constant(spec, self.where, name, 0.5 * (backward - forward))
+        if forward + backward > 0:
+            mjcf.add_friction(spec, self.where, 0.5 * (forward + backward))
+            name = mjcf.added_name(spec, self.where, self.kind)
+            mjcf.add_constant(spec, self.where, name, 0.5 * (backward - forward))
 
 
 _KNOTS = (0.19, 1.58)  # speeds, over the Stribeck speed, at which the pieces of the fall meet
@@ -222,12 +198,12 @@ class StribeckFriction(JointEffect):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add friction loss, and actuators without input for the decrease in motion."""
         torque, ratio, speed = (float(v) for v in values)
-        add_friction(spec, self.where, ratio * torque)
+        mjcf.add_friction(spec, self.where, ratio * torque)
         fall = max(ratio - 1, 1e-6) * torque
         for number, (slope, end) in enumerate(_PIECES):
-            name = added_name(spec, self.where, f"{self.kind}_{number}")
+            name = mjcf.added_name(spec, self.where, f"{self.kind}_{number}")
             bias, limit = (0.0, 0.0, fall * slope / speed), fall * abs(slope) * end
-            add_passive(spec, self.where, name, bias=bias, limit=limit)
+            mjcf.add_passive(spec, self.where, name, bias=bias, limit=limit)
 
 
 _TRACE = 1e-9
@@ -284,7 +260,7 @@ class LoadFriction(DrivenEffect, JointEffect):
             return
         joint = spec.joint(self.where)
         joint.frictionloss = max(joint.frictionloss, _TRACE * self.load)
-        make_it_stick(joint, spec.option.timestep)
+        mjcf.make_it_stick(joint, spec.option.timestep)
 
     def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
         """Shares of the torques of drive and load."""
@@ -350,23 +326,19 @@ class TorqueRipple(JointEffect):
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add an actuator without input, with the ripple as its cogging."""
-        name = added_name(spec, self.where, self.kind)
+        name = mjcf.added_name(spec, self.where, self.kind)
         amplitude, periods, phase = (float(v) for v in values)
-        add_passive(spec, self.where, name, cogging=(amplitude, self._rate * periods, phase))
+        mjcf.add_passive(spec, self.where, name, cogging=(amplitude, self._rate * periods, phase))
 
     def propose(
         self, angle: Array, speed: Array, acceleration: Array, torque: Array
     ) -> tuple[tuple[float, ...], ...]:
-        """Propose starts by a least-squares periodogram over a fine grid of periods.
+        """Propose the strongest peaks, none beside another, of a periodogram (Lomb, Scargle).
 
-        The periodogram is that of Lomb and Scargle. The grid, of phase per unit of position, has
-        the resolution of the range of motion. The strongest peaks that are not neighbours become
-        starts.
+        Its grid, of phase per unit of position, has the resolution of the range of motion.
         """
         q, force = angle, -torque
-        width = float(np.ptp(q)) if len(q) >= 10 else 0.0
-        if width <= 0:
-            return ()
+        width = max(float(np.ptp(q)), 1e-9) if len(q) >= 10 else 1e-9
         spacing = 0.25 * 2 * pi / width
         lowest = max(0.5, pi / width)
         highest = min(self._rate * self._most, lowest + _TRIED * spacing)
@@ -432,15 +404,12 @@ class JointSpring(WeightedEffect, JointEffect):
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Set the joint's stiffness and spring reference to those of both springs."""
         added, rest = float(values[0]), float(values[1])
-        if added == 0:
-            return
-        joint = spec.joint(self.where)
-        unit = angle_unit(joint)
-        stiffness = np.array(joint.stiffness)
-        both = stiffness[0] + added
-        rests = (stiffness[0] * joint.springref * unit + added * rest) / both
-        stiffness[0] = both
-        joint.stiffness, joint.springref = stiffness, rests / unit
+        if added != 0:
+            joint = spec.joint(self.where)
+            stiffness, unit = np.array(joint.stiffness), mjcf.angle_unit(joint)
+            moment = stiffness[0] * joint.springref * unit + added * rest
+            stiffness[0] += added
+            joint.stiffness, joint.springref = stiffness, moment / stiffness[0] / unit
 
 
 class TorqueOffset(JointEffect):
@@ -453,14 +422,14 @@ class TorqueOffset(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Torque in the joint's direction that the model lacks."""
-        starts = (-0.1, 0.1)
-        return (Parameter.sized("torque", self.torque_unit, self.load, -20, 20, starts=starts),)
+        own, unit = self.load, self.torque_unit
+        return (Parameter.sized("torque", unit, own, -20, 20, starts=(-0.1, 0.1)),)
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Add an actuator without input that gives the torque."""
         if values[0] != 0:
-            name = added_name(spec, self.where, self.kind)
-            add_constant(spec, self.where, name, -float(values[0]))
+            name = mjcf.added_name(spec, self.where, self.kind)
+            mjcf.add_constant(spec, self.where, name, -float(values[0]))
 
 
 class FrictionBehindSlack(JointEffect):
@@ -502,19 +471,12 @@ class FrictionBehindSlack(JointEffect):
 
     def torque(self, position: Array, speed: Array, values: Array) -> Array:
         """Force along a path (T, joints)."""
-        joint = self.number
-        found = np.zeros_like(position)
-        found[:, joint] = -values[0] * behind_slack(position[:, joint], values[1], values[2])
+        joint, (friction, slack, elastic) = self.number, values
+        anchor, found = float(position[0, joint]), np.zeros_like(position)
+        for k, x in enumerate(position[:, joint]):
+            stretch = abs(x - anchor) - slack / 2
+            if stretch > elastic:
+                anchor = x - np.sign(x - anchor) * (slack / 2 + elastic)
+                stretch = elastic
+            found[k, joint] = -friction * (np.sign(x - anchor) * max(stretch, 0.0) / elastic)
         return found
-
-
-def behind_slack(position: Array, slack: float, elastic: float) -> Array:
-    """Share of the friction that acts along a path (T,)."""
-    anchor, found = float(position[0]), np.empty_like(position)
-    for k, x in enumerate(position):
-        stretch = abs(x - anchor) - slack / 2
-        if stretch > elastic:
-            anchor = x - np.sign(x - anchor) * (slack / 2 + elastic)
-            stretch = elastic
-        found[k] = np.sign(x - anchor) * max(stretch, 0.0) / elastic
-    return found

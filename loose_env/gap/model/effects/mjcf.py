@@ -1,8 +1,4 @@
-"""Edits of an MJCF spec that effects share.
-
-Names and units, actuators without input, dry friction that holds, mass and inertia of a body, extra
-joints with their stops.
-"""
+"""Edits of an MJCF spec that effects share: names, drives without input, inertias, joints."""
 
 from __future__ import annotations
 
@@ -14,12 +10,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from loose_env.gap.model.nominal_model import (
-    NominalModel,
-    mass_matrix,
-    unused,
-    write_inertial,
-)
+from loose_env.gap.model.nominal_model import NominalModel, mass_matrix, unused, write_inertial
 from loose_env.typing import Array
 
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
@@ -46,11 +37,7 @@ def angle_unit(joint: mujoco.MjsJoint) -> float:
 
 
 def added_name(spec: mujoco.MjSpec, where: str, kind: str) -> str:
-    """Return an unused name for an element that an effect adds to a model.
-
-    A corrected model that is compared again has elements added before, and an effect may occur
-    twice.
-    """
+    """Return an unused name for an element: a corrected model has such already."""
     several = (spec.bodies, spec.joints, spec.sites, spec.actuators)
     taken = {element.name for elements in several for element in elements}
     return unused(f"{where}_{kind}", taken)
@@ -156,14 +143,14 @@ def add_extra_joint(
 
 def set_stops(
     joint: mujoco.MjsJoint,
-    reach: float,
-    *,
+    gap: float,
     stiffness: float,
     ratio: float,
+    *,
     weight: float,
     load: float,
 ) -> None:
-    """Add stops at ±reach to an added joint.
+    """Add stops with a gap between them to an added joint.
 
     Contact force grows with the penetration to the power of 1.5 (Hertz), and damping with the
     force. MuJoCo's smallest impedance d makes a limit a spring and a damper, d² k r + d c v, where
@@ -176,7 +163,7 @@ def set_stops(
     """
     damping = 2 * ratio * np.sqrt(stiffness / weight) / _USUAL
     joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    end = reach / angle_unit(joint)
+    end = 0.5 * gap / angle_unit(joint)
     joint.range = [-end, end]
     # Under the typical load a Hertzian stop deflects by 1.5 load / stiffness; its impedance is
     # largest at three times that, where force over travel is 1.5^-1 3^0.5 times the stiffness.
@@ -191,22 +178,17 @@ def keep_motor_side(machine: NominalModel, spec: mujoco.MjSpec, name: str, carri
     set by the servo's stiffness and damping, whatever the step of the spec is.
     """
     joint, least, model = spec.joint(name), MOTOR_SHARE * carried, machine.model
-    if joint.armature >= least:
-        return
-    if int(model.opt.integrator) in _EXPLICIT:
-        turn = machine.time_step / FASTEST
+    if joint.armature < least and int(model.opt.integrator) in _EXPLICIT:
+        turn, gears = machine.time_step / FASTEST, machine.moments[machine.joint_number(name)]
         affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
         terms = np.where(affine[:, None], model.actuator_biasprm[:, 1:3], 0.0)
-        stiffness, damping = np.maximum(-(machine.gears(name) ** 2 @ terms), 0.0)
+        stiffness, damping = np.maximum(-(gears**2 @ terms), 0.0)
         least = float(max(least, stiffness * turn**2, damping * turn))
-    joint.armature = least
+    joint.armature = max(joint.armature, least)
 
 
 def joint_inertia(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
-    """Inertia that a joint moves with all others locked [kg·m², kg], and its inverse weight.
-
-    The inverse weight is MuJoCo's, with all joints free.
-    """
+    """Inertia on a joint, all others locked [kg·m², kg], and its inverse weight, all free."""
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -218,21 +200,15 @@ def site_pose(machine: NominalModel, site: mujoco.MjsSite) -> tuple[Array, Array
     """Position and quaternion of a site in its body, with frames and angles resolved."""
     model, place, turned = machine.model, np.array(site.pos), np.array(site.quat)
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site.name)
-    if number >= 0:
-        turned = model.site_quat[number]
-        if site.frame is not None or not np.isfinite(place).all():
-            place = model.site_pos[number]
-    return place, turned
+    if number < 0:
+        return place, turned
+    framed = site.frame is not None or not np.isfinite(place).all()
+    return model.site_pos[number] if framed else place, model.site_quat[number]
 
 
 def insert_first(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str) -> None:
-    """Move a joint of a body before its others, which MuJoCo's order of creation does not allow.
-
-    The others are copied behind it; references by name are kept.
-    """
-    for old in list(body.joints):
-        if old.name == name:
-            continue
+    """Move a joint of a body before its others: these are copied behind it, under their names."""
+    for old in [joint for joint in body.joints if joint.name != name]:
         new = body.add_joint()
         for field in dir(old):
             value = getattr(old, field)

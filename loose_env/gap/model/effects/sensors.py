@@ -1,8 +1,4 @@
-"""Effects of sensors: bias, gain, quantisation, delay, misalignment, offset, eccentricity.
-
-An encoder offset shifts the zero of a joint's reading and of its servo. An eccentric gear makes an
-error of the measured angle once a turn. A torque constant scales a drive's measured torque.
-"""
+"""Effects of sensors: bias, gain, quantisation, delay, misalignment, offset, eccentricity."""
 
 from __future__ import annotations
 
@@ -42,14 +38,13 @@ def column_of(sensor: str) -> str:
 
 def _reading_scale(machine: NominalModel, sensor: str) -> tuple[float, str]:
     """Return the smallest change of a reading that matters, and its unit."""
-    model = machine.model
-    number = model.sensor(sensor).id
-    load, speed = float(machine.load_scales.max()), float(machine.speed_scales.max())
-    angle, torque = "rad", "N·m"
+    model, number = machine.model, machine.model.sensor(sensor).id
+    joint, angle, torque = slice(None), "rad", "N·m"
     if model.sensor_objtype[number] == mujoco.mjtObj.mjOBJ_JOINT:
-        joint = machine.joints[int(model.sensor_objid[number])]
-        load, speed = machine.load(joint), machine.speed(joint)
-        angle, torque = machine.units(joint)
+        at = int(model.sensor_objid[number])
+        joint = slice(at, at + 1)
+        angle, torque = ("rad", "N·m") if machine.hinges[at] else ("m", "N")
+    load, speed = (float(x[joint].max()) for x in (machine.load_scales, machine.speed_scales))
     scales = {
         _S.mjSENS_JOINTPOS: (0.01, angle),
         _S.mjSENS_JOINTVEL: (0.05 * speed, f"{angle}/s"),
@@ -97,21 +92,19 @@ class SensorEffect(Effect):
         raise NotImplementedError
 
 
-_AXES = {1: ("bias",), 3: ("bias_x", "bias_y", "bias_z")}
-
-
 class SensorBias(AdditiveEffect, SensorEffect):
     """Constant bias of a sensor, one for each axis."""
 
     kind = "sensor_bias"
-    dims = tuple(_AXES)
+    dims = (1, 3)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Bias of each axis."""
         size, unit = _reading_scale(self.machine, self.where)
         bias = Parameter.sized("", unit, size, -500, 500, scale=1.0, starts=(1.0,))
-        return tuple(replace(bias, name=name) for name in _AXES[self.dim])
+        names = ("bias",) if self.dim == 1 else ("bias_x", "bias_y", "bias_z")
+        return tuple(replace(bias, name=name) for name in names)
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Add the bias."""
@@ -149,8 +142,8 @@ class SensorQuantisation(SensorEffect):
     def parameters(self) -> tuple[Parameter, ...]:
         """Step of the reading."""
         size, unit = _reading_scale(self.machine, self.where)
-        starts = (0.2, 1.0)
-        return (Parameter.sized("step", unit, size, 1e-4, 1e3, scale=1, starts=starts, log=True),)
+        step = Parameter.sized("step", unit, size, 1e-4, 1e3, scale=1, starts=(0.2, 1), log=True)
+        return (step,)
 
     def shown(self, time: Array, reading: Array, values: Array) -> Array:
         """Round the reading."""
@@ -159,19 +152,12 @@ class SensorQuantisation(SensorEffect):
 
     def code(self, values: Array) -> str:
         """Python lines: the reading in whole steps."""
-        step = float(values[0])
-        return (
-            "import numpy as np\n"
-            f"data.sensor({self.where!r}).data[:] = "
-            f"{step!r} * np.round(data.sensor({self.where!r}).data / {step!r})"
-        )
+        step, data = float(values[0]), f"data.sensor({self.where!r}).data"
+        return f"import numpy as np\n{data}[:] = {step!r} * np.round({data} / {step!r})"
 
 
 class SensorDelay(SensorEffect):
-    """Delay of a sensor; servos see the joint itself, undelayed.
-
-    Exported as MuJoCo's own sensor delay.
-    """
+    """Delay of a sensor, exported as MuJoCo's own; servos see the joint itself, undelayed."""
 
     kind = "sensor_delay"
     in_model = True
@@ -259,10 +245,8 @@ class TorqueConstant(JointEffect):
 
     def code(self, values: Array) -> str:
         """Python line: the measured torque of the joint."""
-        return (
-            f"measured_torque_{self.number} = "
-            f"{float(values[0])!r} * data.joint({self.where!r}).qfrc_actuator"
-        )
+        torque = f"data.joint({self.where!r}).qfrc_actuator"
+        return f"measured_torque_{self.number} = {float(values[0])!r} * {torque}"
 
 
 class EncoderOffset(JointEffect):
@@ -279,13 +263,11 @@ class EncoderOffset(JointEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Offset: reading minus truth."""
-        most, step = (1.0, 0.02) if self.turns else (0.3, 0.005)
+        most, step = (50, 0.02) if self.turns else (60, 0.005)
+        starts = (-1, 1)
         return (
-            Parameter(
-                name="offset", unit=self.angle_unit, low=-most, high=most, scale=step,
-                starts=(-step, step),
-            ),
-        )  # fmt: skip
+            Parameter.sized("offset", self.angle_unit, step, -most, most, scale=1, starts=starts),
+        )
 
     def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Shift the joint's reference, range and spring."""
@@ -322,14 +304,15 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
         self._encoders, self._rates = own.position, own.velocity
         self._servos: list[tuple[int, float, float, float]] = []
         for k, name in enumerate(machine.actuators):
-            _, per_angle, per_speed = model.actuator_biasprm[k, :3].tolist()
-            if machine.actuated_joint.get(name) == where and per_angle != 0:
-                gear, gain = float(model.actuator_gear[k, 0]), model.actuator_gainprm[k, 0] or 1.0
-                self._servos.append((k, gear, float(per_angle / gain), float(per_speed / gain)))
+            gain = model.actuator_gainprm[k, 0] or 1.0
+            stiff, damped = (model.actuator_biasprm[k, 1:3] / gain).tolist()
+            if machine.actuated_joint.get(name) == where and stiff != 0:
+                self._servos.append((k, float(model.actuator_gear[k, 0]), stiff, damped))
 
     def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
         """Shift the commands of the joint's servos as the shown position and speed do."""
-        error, slope = _eccentric(position[..., self.number], values)
+        angle, (sine, cosine) = position[..., self.number], values
+        error, slope = _wave(angle, sine, cosine), _wave(angle, -cosine, sine)
         found = command.copy()
         for number, gear, per_angle, per_speed in self._servos:
             shift = per_angle * error + per_speed * slope * speed[..., self.number]
@@ -338,8 +321,7 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
 
     def feedback_code(self, values: Array) -> str:
         """Python lines: the commands shifted by the error of what the servo sees."""
-        joint = self.number
-        error, slope = _eccentric_code(f"position[{joint}]", values)
+        joint, (error, slope) = self.number, _waves_code(f"position[{self.number}]", values)
         return "\n".join(
             f"command[{number}] += {gear!r} * ({p!r} * ({error}) + {d!r} * ({slope}) * "
             f"speed[{joint}])"
@@ -347,42 +329,32 @@ class GearEccentricity(DrivenEffect, AdditiveEffect, JointEffect):
         )
 
     def read(self, time: Array, readings: Readings, values: Array) -> Readings:
-        """Add the error to the encoder's reading, its rate to that of the speed.
-
-        A speed is shown by its own slope of the error where the position is shown too.
-        """
-        found = dict(readings)
+        """Add the error to the encoder's reading, its rate to that of a speed beside it."""
+        found, (sine, cosine) = dict(readings), values
         shown = [c for name in self._encoders if (c := column_of(name)) in readings]
         for column in shown:
-            found[column] = readings[column] + _eccentric(readings[column], values)[0]
-        for name in self._rates if shown else ():
-            if (column := column_of(name)) in readings:
-                slope = _eccentric(readings[shown[0]], values)[1]
-                found[column] = readings[column] * (1 + slope)
+            found[column] = readings[column] + _wave(readings[column], sine, cosine)
+        for column in map(column_of, self._rates if shown else ()):
+            if column in readings:
+                found[column] = readings[column] * (1 + _wave(readings[shown[0]], -cosine, sine))
         return found
 
     def code(self, values: Array) -> str:
         """Python lines: the readings with the error."""
-        error, slope = _eccentric_code("angle", values)
+        error, slope = _waves_code("angle", values)
         shown = f"import numpy as np\nangle = float(data.sensor({self._encoders[0]!r}).data[0])"
         rates = (f"data.sensor({name!r}).data *= 1 + {slope}" for name in self._rates)
         angles = (f"data.sensor({name!r}).data += {error}" for name in self._encoders)
         return "\n".join([shown, *rates, *angles])
 
 
-def _eccentric(angle: Array, values: Array) -> tuple[Array, Array]:
-    """Error of the shown angle, and its slope."""
-    sine, cosine = values
-    return (
-        sine * np.sin(angle) + cosine * np.cos(angle),
-        sine * np.cos(angle) - cosine * np.sin(angle),
-    )
+def _wave(angle: Array, sine: float, cosine: float) -> Array:
+    """Error of a shown angle; its slope is that with -cosine and sine in their places."""
+    return np.asarray(sine * np.sin(angle) + cosine * np.cos(angle))
 
 
-def _eccentric_code(angle: str, values: Array) -> tuple[str, str]:
-    """Python text of both."""
-    sine, cosine = (float(v) for v in values)
-    return (
-        f"{sine!r} * np.sin({angle}) + {cosine!r} * np.cos({angle})",
-        f"{sine!r} * np.cos({angle}) - {cosine!r} * np.sin({angle})",
-    )
+def _waves_code(angle: str, values: Array) -> tuple[str, ...]:
+    """Python text of error and slope."""
+    sine, cosine = map(float, values)
+    pairs = (sine, cosine), (-cosine, sine)
+    return tuple(f"{a!r} * np.sin({angle}) + {b!r} * np.cos({angle})" for a, b in pairs)
