@@ -288,8 +288,8 @@ class SpeedLimit(JointDriveEffect):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Largest speed of the set point: the largest speeds that were reached are near it."""
-        usual = self.machine.speed(self.joint) * abs(self.gear)
-        unit, starts = f"{self.machine.units(self.joint)[0]}/s", (0.5, 0.8, 1.0, 1.3)
+        usual = self.speed * abs(self.gear)
+        unit, starts = f"{self.angle_unit}/s", (0.5, 0.8, 1.0, 1.3)
         return (
             Parameter.sized("speed", unit, usual, 0.05, 50, scale=1.0, starts=starts, log=True),
         )
