@@ -40,7 +40,7 @@ SHARE_VALUES = 0.02
 _ROUNDS, _HALVINGS = 8, 4  # reweighted rounds of one fit, and steps that are tried in each
 LEAST_GAIN = 0.5  # fall of minus twice the log evidence for which a step is taken
 _SCREENED = 14  # candidates that are fitted in one step
-_FITTED = 6  # sets that are fitted for each weighting: the best at fixed weights
+_FITTED = 4  # sets that are fitted for each weighting: the best at fixed weights
 _MOST = 40  # steps of a search
 _STARTS = 3  # kinds that are searched from
 ALIKE = 0.9
@@ -170,10 +170,10 @@ class Selection:
         """Fit a set, from the weights of a start."""
         key = frozenset(id(term) for term in terms)
         if key not in self.fits:
-            # the likelihood has several optima: also from where there is nothing but noise
+            # the likelihood has several optima: also from nothing but noise, and from no set
             noisy = [channel.count for channel in self.evidence.channels]
-            starts = ([c.power for c in self.evidence.channels] if start is None else start, noisy)
-            fits = (self.fit(tuple(terms), own) for own in starts)
+            starts = [noisy, None, *([] if start is None else [start])]
+            fits = [self.fit(tuple(terms), own) for own in starts]
             self.fits[key] = min(fits, key=lambda f: (not f.allowed, f.cost))
         return self.fits[key]
 
