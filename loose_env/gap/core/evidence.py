@@ -131,16 +131,23 @@ class Evidence:
 
 
 def whiten(
-    balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisance], *, law: float = 0.0
+    balance: Balance,
+    terms: Sequence[Term],
+    tolerances: Sequence[Nuisance],
+    *,
+    law: float = 0.0,
+    together: Array | float = 0.0,
 ) -> Evidence:
-    """Whiten the residual, the tolerances and the columns of all terms into cells."""
+    """Whiten the residual, the tolerances and the columns of all terms into cells.
+
+    Less what some effects change together beyond the sum of what each does.
+    """
+    residual = balance.residual - together
     wide = [n.change for n in tolerances]
     operators = np.stack([n.operator for n in tolerances])
     compared = [joint for joint in range(len(balance.channels)) if _compared(balance, joint)]
     rows = {
-        joint: _rows(
-            balance, joint, np.column_stack([_at(wide, joint), balance.residual[:, joint]])
-        )
+        joint: _rows(balance, joint, np.column_stack([_at(wide, joint), residual[:, joint]]))
         for joint in compared
     }
     # combinations of unit prior width that the data feel, beside the true effects: beside what the

@@ -25,7 +25,7 @@ from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import LARGE, Exact, ExactFit, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, smooth
 from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
-from loose_env.gap.core.tolerances import GapSettings, nuisances
+from loose_env.gap.core.tolerances import GapSettings, nuisances, together
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Recording
@@ -179,7 +179,8 @@ def relinearised(
 ) -> tuple[Selection, SetFit]:
     """The search again beside the rigid bodies of a machine that has what was found, till it stays.
 
-    Of a link whose weight is half borne, a centre that is off has half the moment.
+    With what the effects found change together. Of a link whose weight is half borne, a centre
+    that is off has half the moment.
     """
     for _ in range(_AGAIN):
         evidence = selection.evidence
@@ -193,8 +194,10 @@ def relinearised(
         if not beside:
             break
         rigid = nuisances(evidence.balance, settings.tolerances, beside)
-        law = settings.tolerances.law
-        selection = Selection(whiten(evidence.balance, evidence.terms, rigid, law=law))
+        law, more = settings.tolerances.law, together(evidence.balance, beside)
+        selection = Selection(
+            whiten(evidence.balance, evidence.terms, rigid, law=law, together=more)
+        )
         before, best = best, selection.search(best.terms)
         if best.total > before.total - LEAST_GAIN:
             break

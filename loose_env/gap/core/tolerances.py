@@ -145,6 +145,20 @@ def nuisances(
     ]
 
 
+def together(balance: Balance, beside: Sequence[tuple[Effect, Array]]) -> Array | float:
+    """Change of the balance by effects at once, beyond the sum of their own (T, channels).
+
+    Of a centre that is off, a tilted base turns the moment.
+    """
+    if len(beside) < 2:
+        return 0.0
+    every = [balance.edited(_with(balance, beside))]
+    own = [balance.forces(effect, values) for effect, values in beside]
+    direction = balance.directions[USUAL]
+    whole, *parts = (balance.folded(f.with_contact(direction)) for f in (*every, *own))
+    return np.asarray(whole - sum(parts))
+
+
 def _with(balance: Balance, beside: Sequence[tuple[Effect, Array]]) -> mujoco.MjSpec:
     """Spec of the nominal model with some effects."""
     spec = balance.machine.fresh()
