@@ -8,7 +8,8 @@ rest is a reaction, but the friction loss times the direction of sliding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 
@@ -75,6 +76,11 @@ class Forces:
     joints)."""
     eased: Array | float = 0.0  # Share of the time in which a drive holds nothing (joints,)
 
+    def less(self, other: Forces) -> Forces:
+        """The difference to another change."""
+        names = ("smooth", "dry", "readings", "operator")
+        return Forces(**{name: getattr(self, name) - getattr(other, name) for name in names})
+
     def with_contact(self, direction: Array) -> Array:
         """The whole change for a direction of sliding (T, joints + R)."""
         return np.hstack([self.smooth + self.dry * direction, self.readings])
@@ -112,6 +118,7 @@ class Balance:
         self.motion, self.machine = motion, machine
         self._sensed: dict[tuple[str, str, str], list[Array]] = {}
         self._batches: dict[tuple[object, ...], tuple[Batch, list[Array]]] = {}
+        self._found: tuple[tuple[Effect, Array], ...] = ()
         self.position, self.speed = motion.stacked("position"), motion.stacked("speed")
         self.acceleration = motion.stacked("acceleration")
         self.commands, self.torques = motion.stacked("commands"), motion.stacked("torques")
@@ -146,6 +153,12 @@ class Balance:
         self.residual = self.folded(np.hstack([left, off]))
         self.channels = (*machine.joints, *self.readings.names)
 
+    def beside(self, found: Sequence[tuple[Effect, Array]]) -> Balance:
+        """The same with the changes by rigid bodies beside effects that were found."""
+        balance = copy(self)
+        balance._found = tuple(found)
+        return balance
+
     def folded(self, whole: Array, rows: Array | slice = slice(None)) -> Array:
         """Balance (..., T, channels) in which what acts on followers acts at the other joints."""
         own = list(self.motion.followers)
@@ -179,6 +192,12 @@ class Balance:
                     for run in self.motion.runs
                 ]
             )
+        others = [own for own in self._found if own[0].key != effect.key]
+        if others and is_rigid(effect):
+            both, still = (
+                with_effects(self.machine, own) for own in ([*others, (effect, values)], others)
+            )
+            return self.edited(both).less(self.edited(still))
         encoder = self._misread(effect, values)
         if encoder:
             return self._read_otherwise(encoder, commands, effect, values)
@@ -634,6 +653,20 @@ class Balance:
         gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
         gain = gain + (own[1, joint] * turn[:, None]) ** 2
         return np.asarray(gain / self.motion.precision(turn))
+
+
+def with_effects(machine: NominalModel, found: Sequence[tuple[Effect, Array]]) -> mujoco.MjSpec:
+    """Spec of a machine with some effects."""
+    spec = machine.fresh()
+    for effect, values in found:
+        effect.edit(spec, values)
+    return spec
+
+
+def is_rigid(effect: Effect) -> bool:
+    """Whether an effect edits rigid bodies or where they stand, in all runs alike."""
+    edits = effect.part in ("link", "arm") and effect.overrides("edit")
+    return edits and not (effect.adds_motion or effect.mountings)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,8 +10,8 @@ import numpy as np
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
-from loose_env.gap.core.balance import Balance, scaled
-from loose_env.gap.core.catalogue import catalogue
+from loose_env.gap.core.balance import Balance, is_rigid, scaled
+from loose_env.gap.core.catalogue import Term, catalogue, terms_of
 from loose_env.gap.core.decision import (
     Decision,
     by_runs,
@@ -187,21 +187,32 @@ def relinearised(
         beside = [
             (term.effect, term.values(best.values[best.places(evidence.columns_of(term))]))
             for term in best.terms
-            if term.effect.part in ("link", "arm")
-            and term.effect.overrides("edit")
-            and not (term.effect.adds_motion or term.effect.mountings)
+            if is_rigid(term.effect)
         ]
         if not beside:
             break
-        rigid = nuisances(evidence.balance, settings.tolerances, beside)
-        law, more = settings.tolerances.law, together(evidence.balance, beside)
+        balance = evidence.balance.beside(beside)
+        again = {id(term): _again(balance, term) for term in evidence.terms}
+        rigid = nuisances(balance, settings.tolerances, beside)
         selection = Selection(
-            whiten(evidence.balance, evidence.terms, rigid, law=law, together=more)
-        )
-        before, best = best, selection.search(best.terms)
-        if best.total > before.total - LEAST_GAIN:
+            whiten(
+                balance, list(again.values()), rigid, law=settings.tolerances.law,
+                together=together(balance, beside),
+            )
+        )  # fmt: skip
+        before, best = best, selection.search([again[id(term)] for term in best.terms])
+        if abs(best.total - before.total) < LEAST_GAIN:
             break
     return selection, best
+
+
+def _again(balance: Balance, term: Term) -> Term:
+    """A term with its columns beside the effects that a balance knows."""
+    if not is_rigid(term.effect):
+        return term
+    contacts = (term.contact,) if term.contact else ("",)
+    found = terms_of(balance, term.effect, term.axes, term.law, contacts)
+    return found[0] if found else term
 
 
 def _split(recording: Recording, settings: GapSettings) -> tuple[Recording, Recording | None]:

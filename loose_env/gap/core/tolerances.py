@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from annotated_types import Ge, Le
 
-from loose_env.gap.core.balance import USUAL, Balance, Change, Forces
+from loose_env.gap.core.balance import USUAL, Balance, Change, Forces, with_effects
 from loose_env.gap.core.motion import rates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.inertia import LinkMass, links_with_mass
@@ -146,25 +146,17 @@ def nuisances(
 
 
 def together(balance: Balance, beside: Sequence[tuple[Effect, Array]]) -> Array | float:
-    """Change of the balance by effects at once, beyond the sum of their own (T, channels).
+    """Change of the balance by effects at once, beyond the sum of each beside the others.
 
-    Of a centre that is off, a tilted base turns the moment.
+    (T, channels); of a centre that is off, a tilted base turns the moment.
     """
     if len(beside) < 2:
         return 0.0
-    every = [balance.edited(_with(balance, beside))]
-    own = [balance.forces(effect, values) for effect, values in beside]
+    rests = [[own for own in beside if own is not left] for left in beside]
+    specs = (with_effects(balance.machine, own) for own in (beside, *rests))
     direction = balance.directions[USUAL]
-    whole, *parts = (balance.folded(f.with_contact(direction)) for f in (*every, *own))
-    return np.asarray(whole - sum(parts))
-
-
-def _with(balance: Balance, beside: Sequence[tuple[Effect, Array]]) -> mujoco.MjSpec:
-    """Spec of the nominal model with some effects."""
-    spec = balance.machine.fresh()
-    for effect, values in beside:
-        effect.edit(spec, values)
-    return spec
+    whole, *others = (balance.folded(balance.edited(s).with_contact(direction)) for s in specs)
+    return np.asarray(whole - sum(whole - other for other in others))
 
 
 def _edited(
@@ -175,7 +167,7 @@ def _edited(
     still: Forces | None = None,
 ) -> Nuisance:
     """Tolerance that an edit of the spec describes, less what effects beside it change."""
-    spec = _with(balance, beside)
+    spec = with_effects(balance.machine, beside)
     edit(spec, _STEP)
     forces = balance.edited(spec)
     change, operator = forces.with_contact(balance.directions[USUAL]), forces.operator
@@ -198,7 +190,7 @@ def _rigid(
 ) -> Iterator[Nuisance]:
     """Ten rigid parameters of each link."""
     machine = balance.machine
-    still = balance.edited(_with(balance, beside)) if beside else None
+    still = balance.edited(with_effects(balance.machine, beside)) if beside else None
     for link in links_with_mass(machine):
         own = float(machine.model.body(link).mass[0])
         size = _size(machine, link)
