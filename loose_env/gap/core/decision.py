@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from loose_env.gap.core.balance import USUAL, Balance
 from loose_env.gap.core.catalogue import Term, terms_of
 from loose_env.gap.core.evidence import append, stretches_of
-from loose_env.gap.core.exact import EXPLAINED, LARGE, Exact, ExactFit
+from loose_env.gap.core.exact import LARGE, Exact, ExactFit
 from loose_env.gap.core.selection import (
+    EXPLAINED,
     KIND,
     Form,
     Selection,

@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 from loose_env.gap.core.balance import Balance
 from loose_env.gap.core.catalogue import Term
 from loose_env.gap.core.selection import (
+    EXPLAINED,
     LEAST_VALUES,
     SHARE_VALUES,
     Selection,
@@ -47,9 +48,6 @@ LEAD_S = 0.3
 """Time from the measured state to what is compared: longer than most drives are late [s]."""
 LARGE = 3.0
 """Residual from which something is left [noise standard deviations]: 1 in 370 by chance."""
-EXPLAINED = 0.9
-"""Share of the power of a channel's residual that explains it: less than a third of the amplitude
-is left."""
 _ROUNDS = 2  # reweighted rounds of a fit
 _EVALUATIONS = 3  # jacobians of one round
 _MOST_KINDS = 6  # kinds of effect in a set that is searched for in simulation

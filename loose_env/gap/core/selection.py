@@ -43,9 +43,9 @@ _SCREENED = 14  # candidates that are fitted in one step
 _FITTED = 4  # sets that are fitted for each weighting: the best at fixed weights
 _MOST = 40  # steps of a search
 _STARTS = 3  # kinds that are searched from
-ALIKE = 0.9
-"""Share of the evidence of the best set from which another one is a rival that simulations decide
-about: cells of what a model leaves open are no better than some per cent."""
+EXPLAINED = 0.9
+"""Share of what there is to explain that explains it: of a channel's power, less than a third of
+the amplitude is left; a set with such a share of the best one's evidence is a rival."""
 _SETTLED, _SECANTS = 2, 4  # sets of a step that are relinearised, and how often
 _NOTHING = 0.01  # share of a noise variance below which a balance has shrunk to nothing
 _RIDGE = 1e-12  # relative share of a normal matrix that is added: two columns may be the same
@@ -327,7 +327,7 @@ class Selection:
         nothing = self.solve(()).total
         alike = {kinds_of(best): best}
         for fit in found:
-            if nothing - fit.total > ALIKE * (nothing - best.total):
+            if nothing - fit.total > EXPLAINED * (nothing - best.total):
                 alike.setdefault(kinds_of(fit), fit)
         return list(alike.values())
 

@@ -30,7 +30,7 @@ _NUMBERS = """
     selection.KIND selection.FORM catalogue.LAW_WIDTH catalogue.USUAL_SHARE
     evidence._NOISE selection.LEAST_VALUES selection.SHARE_VALUES evidence.BANDS evidence.STRETCHES
     evidence._SHORTEST_S evidence.KNOCK evidence._REST motion.HIGHEST_HZ catalogue._MOVING
-    balance._MOST_LOAD exact.WINDOW_S exact.LEAD_S exact.LARGE exact.EXPLAINED
+    balance._MOST_LOAD exact.WINDOW_S exact.LEAD_S exact.LARGE selection.EXPLAINED
     decision.NAMED decision._Z decision.HELD_OUT decision.CONTRADICTED decision._NOISE
 """
 NUMBERS = tuple(f"core.{name}" for name in _NUMBERS.split())
@@ -38,7 +38,7 @@ NUMBERS = tuple(f"core.{name}" for name in _NUMBERS.split())
 discrepancy; data that are left out; exact fits; decision. Reasons stand where they are defined."""
 TRIED = {
     "core.evidence._NOISE": (1.05, 1.2), "core.balance._MOST_LOAD": (0.45, 0.95),
-    "core.exact.EXPLAINED": (0.8, 0.95), "core.decision.NAMED": (0.25, 0.75),
+    "core.selection.EXPLAINED": (0.8, 0.95), "core.decision.NAMED": (0.25, 0.75),
     "core.decision._Z": (1.64, 2.58), "core.decision._NOISE": (1.3, 2.4),
 }  # fmt: skip
 """Values that are tried where half and double have no meaning."""
