@@ -266,7 +266,7 @@ class Selection:
     ) -> list[tuple[float, Term]]:
         """Gain of each candidate beside a set at fixed weights, the largest first."""
         evidence, at = self.evidence, self.columns(terms)
-        beside, slope = form.near(at)
+        beside, slope = form.near(at), form.slope
         inverse = np.linalg.inv(beside[:, at])
         spread = inverse @ beside
         left = slope - beside.T @ (inverse @ slope[at])
@@ -645,35 +645,6 @@ def _values(channel: Channel, noisy: float) -> Array:
     return np.asarray(least + min(noisy, 1.0) * (most - least))
 
 
-class _Noise:
-    """What the noise of a fitted operator adds to the quadratic form."""
-
-    def __init__(self, form: Form, at: NDArray[np.intp], values: Array) -> None:
-        growth = form.growth
-        moved = growth[:, at] @ values
-        self._some = np.flatnonzero((moved < -1e-12) & (form.noise > 0))
-        noisy = form.noise * np.where(moved > 0, 1 + moved, 0.0)
-        self.acts = bool(len(self._some) or noisy.any())
-        self._guard, self._growth, self._noisy = form.noise[self._some], growth, noisy
-
-    def _scale(self, at: NDArray[np.intp] | slice) -> Array:
-        # cells and columns at once: all columns of some cells are many times as many
-        own = (self._some, slice(None)) if isinstance(at, slice) else np.ix_(self._some, at)
-        return np.asarray(self._growth[own])
-
-    def between(self, left: NDArray[np.intp], right: NDArray[np.intp] | slice) -> Array:
-        """Part of the normal matrix between some columns and others."""
-        return np.asarray((self._scale(left).T * self._guard) @ self._scale(right))
-
-    def diagonal(self) -> Array:
-        """Its diagonal (K,)."""
-        return np.asarray(self._guard @ self._scale(slice(None)) ** 2)
-
-    def along(self, at: NDArray[np.intp] | slice) -> Array:
-        """Part of the slope."""
-        return np.asarray(self._guard @ self._scale(at) + self._noisy @ self._growth[:, at])
-
-
 class Form:
     """Quadratic form of all columns at the weights of some powers, made where it is asked for.
 
@@ -684,49 +655,47 @@ class Form:
         self, selection: Selection, powers: Sequence[Array], fit: SetFit | None = None
     ) -> None:
         self._evidence = evidence = selection.evidence
-        count = len(evidence.precision)
         self._weights = [selection.weights(k, p) for k, p in enumerate(powers)]
         self.slope = evidence.precision * evidence.centre
         self.diagonal = evidence.precision.copy()
-        growths, noises = [], []
+        self._guards: list[Array] = []
+        every = np.zeros(len(evidence.precision))
+        if fit is not None:
+            every[fit.numbers] = fit.values
         for channel, weight, power in zip(evidence.channels, self._weights, powers, strict=True):
             at = channel.columns
             self.slope[at] += weight @ channel.slope
             self.diagonal[at] += weight @ channel.square
-            growth = np.zeros((len(weight), count))
-            growth[:, at] = channel.growth
-            growths.append(growth)
             # what a candidate explains leaves noise to be guarded
-            noises.append(weight * np.minimum(channel.count, power))
-        self.growth, self.noise = np.concatenate(growths), np.concatenate(noises)
+            noise = weight * np.minimum(channel.count, power)
+            moved = channel.growth @ every[at] if fit is not None else 0 * noise
+            guard = np.where(moved < -1e-12, noise, 0.0)
+            self.slope[at] += (guard + noise * np.where(moved > 0, 1 + moved, 0.0)) @ channel.growth
+            self.diagonal[at] += guard @ channel.growth**2
+            self._guards.append(guard)
         self._beside: dict[int, Array] = {}
         self._around: dict[tuple[int, ...], Array] = {}
         self._covered: tuple[NDArray[np.intp], Array, Array, float]
-        self._fit_noise = None if fit is None else _Noise(self, fit.numbers, fit.values)
-        if self._fit_noise is not None:
-            self.diagonal += self._fit_noise.diagonal()
 
-    def near(self, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Normal matrix between some columns and all, and slope, around the fitted set."""
+    def near(self, at: NDArray[np.intp]) -> Array:
+        """Normal matrix between some columns and all."""
         new = np.array([k for k in at if k not in self._beside], dtype=int)
         beside = self._between(new, np.arange(len(self.slope)))
         self._beside.update(zip(new.tolist(), beside, strict=True))
-        normal, slope = np.stack([self._beside[k] for k in at]), self.slope
-        if self._fit_noise is not None:
-            normal = normal + self._fit_noise.between(at, slice(None))
-            slope = slope + self._fit_noise.along(slice(None))
-        return normal, slope
+        return np.stack([self._beside[k] for k in at])
 
     def around(self, columns: NDArray[np.intp]) -> Array:
-        """Normal matrix of the columns of a term around the fitted set."""
+        """Normal matrix of the columns of a term."""
         key = tuple(columns.tolist())
         if key not in self._around:
             found = np.diag(self._evidence.precision[columns])
-            parts = zip(self._evidence.products_of(key), self._weights, strict=True)
-            for (place, products), weight in parts:
-                found[np.ix_(place, place)] += np.tensordot(weight, products, 1)
-            if self._fit_noise is not None:
-                found = found + self._fit_noise.between(columns, columns)
+            channels, cells = self._evidence.channels, self._evidence.products_of(key)
+            for (place, products), weight, guard, channel in zip(
+                cells, self._weights, self._guards, channels, strict=True
+            ):
+                growth = channel.growth[:, np.isin(channel.columns, columns)]
+                own = np.tensordot(weight, products, 1) + (growth.T * guard) @ growth
+                found[np.ix_(place, place)] += own
             self._around[key] = found
         return self._around[key]
 
@@ -736,11 +705,6 @@ class Form:
         own = np.unique(np.fromiter(columns, dtype=int))
         at = np.concatenate([np.arange(count), own[own >= count]])
         normal, slope = self._between(at, at), self.slope[at]
-        if self._fit_noise is not None:
-            normal, slope = (
-                normal + self._fit_noise.between(at, at),
-                slope + self._fit_noise.along(at),
-            )
         root = np.linalg.cholesky(normal[:count, :count])
         across = solve_triangular(root, normal[:count, count:], lower=True)
         half = solve_triangular(root, slope[:count], lower=True)
@@ -765,13 +729,20 @@ class Form:
     def _between(self, left: NDArray[np.intp], right: NDArray[np.intp]) -> Array:
         precision = self._evidence.precision
         found = np.where(left[:, None] == right, precision[left][:, None], 0.0)
-        for channel, weight in zip(self._evidence.channels, self._weights, strict=True):
+        channels = zip(self._evidence.channels, self._weights, self._guards, strict=True)
+        for channel, weight, guard in channels:
             place = np.full(len(precision), -1)
             place[channel.columns] = np.arange(len(channel.columns))
             one, other = place[left], place[right]
             rows, columns = np.flatnonzero(one >= 0), np.flatnonzero(other >= 0)
-            if len(rows) and len(columns):
-                found[np.ix_(rows, columns)] += channel.products(weight, one[rows], other[columns])
+            if not (len(rows) and len(columns)):
+                continue
+            own = channel.products(weight, one[rows], other[columns])
+            if guard.any():
+                growth, kept = channel.growth, guard > 0
+                more = growth[np.ix_(kept, one[rows])].T * guard[kept]
+                own = own + more @ growth[kept][:, other[columns]]
+            found[np.ix_(rows, columns)] += own
         return found
 
 
