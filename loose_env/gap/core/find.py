@@ -83,20 +83,15 @@ def find_gap(
     with silent():
         selection = evidence_of(used, settings, say)
         say("selection of effects")
-        leading = selection.leading
-        best = leading[0]
-        selection, best = relinearised(selection, best, settings)
+        selection, (best, *others) = relinearised(selection, settings)
         best = pruned(selection, best)
         best = by_runs(selection, best)
         before, after = held_out_rms(selection, best)
         left = left_open(selection, before, after)
-        rivals = len(leading) > 1 and bool(np.any(after > LARGE))
-        # simulations have one model for all runs, and step no memory of a way
-        stepped = not any(t.effect.mountings or t.effect.has_memory for t in best.terms)
-        stepped &= settings.simulate and not selection.evidence.balance.released.any()
-        if (left or rivals) and stepped:
-            others = [selection.solve(fit.terms) for fit in leading[1:]]
-            sets = [best, *(pruned(selection, fit) for fit in others)]
+        rivals = bool(others) and bool(np.any(after > LARGE))
+        stepped = settings.simulate and not selection.evidence.balance.released.any()
+        if (left or rivals) and stepped and _steps(best):
+            sets = [best, *(pruned(selection, fit) for fit in others if _steps(fit))]
             decision, fits = _simulated(used, selection, sets, left, settings, say)
         else:
             say("decision on held-out data")
@@ -105,6 +100,11 @@ def find_gap(
         recording=used, held_out=held_out, settings=settings, selection=selection,
         decision=decision, exact=fits,
     )  # fmt: skip
+
+
+def _steps(fit: SetFit) -> bool:
+    """Whether simulations have a set: one model for all runs, and no memory of a way."""
+    return not any(t.effect.mountings or t.effect.has_memory for t in fit.terms)
 
 
 def _simulated(
@@ -174,14 +174,14 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
     return Selection(evidence)
 
 
-def relinearised(
-    selection: Selection, best: SetFit, settings: GapSettings
-) -> tuple[Selection, SetFit]:
-    """The search again beside the rigid bodies of a machine that has what was found, till it stays.
+def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection, list[SetFit]]:
+    """The leading sets, searched for again beside the rigid bodies that the best one found.
 
-    With what the effects found change together. Of a link whose weight is half borne, a centre
-    that is off has half the moment.
+    Till it stays, with what the effects found change together. Of a link whose weight is half
+    borne, a centre that is off has half the moment.
     """
+    best, *others = selection.leading
+    sets = [fit.terms for fit in others]
     for _ in range(_AGAIN):
         evidence = selection.evidence
         beside = [
@@ -200,10 +200,11 @@ def relinearised(
                 together=together(balance, beside),
             )
         )  # fmt: skip
+        sets = [tuple(again[id(term)] for term in own) for own in sets]
         before, best = best, selection.search([again[id(term)] for term in best.terms])
         if abs(best.total - before.total) < LEAST_GAIN:
             break
-    return selection, best
+    return selection, [best, *map(selection.solve, sets)]
 
 
 def _again(balance: Balance, term: Term) -> Term:
