@@ -19,6 +19,7 @@ from loose_env.gap import (
     find_gap,
     solve_gap,
 )
+from loose_env.gap.core.find import evidence_of, relinearised, silent
 from loose_env.gap.core.residual import overlays
 from loose_env.recording import Recording, Run, read_recording, write_recording
 from tests.gap.cases.gap_case import (
@@ -217,3 +218,17 @@ def test_a_name_of_the_model_may_be_anything(tmp_path: Path) -> None:
     record(folder, suffix=" (a)", edit=lacks_friction(" (a)"))
     result = explain_gap(read_recording(folder), FEW)
     assert [effect.where for effect in result.effects] == ["elbow (a)"]
+
+
+def test_rivals_are_made_again_beside_what_the_best_set_found(tmp_path: Path) -> None:
+    def edit(spec: mujoco.MjSpec) -> None:
+        spec.body("lower").mass = 1.5
+
+    with silent():
+        selection = evidence_of(torque_log(tmp_path / "log", edit), ONE, lambda _: None)
+        rival = next(t for t in selection.evidence.terms if t.effect.kind == "link_com")
+        best = selection.leading[0]
+        selection.__dict__["leading"] = [best, selection.solve((rival,))]
+        again, (first, second) = relinearised(selection, ONE)
+    assert again is not selection and [t.name for t in first.terms] == [t.name for t in best.terms]
+    assert [t.name for t in second.terms] == [rival.name] and second.terms[0] is not rival
