@@ -8,7 +8,7 @@ rest is a reaction, but the friction loss times the direction of sliding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
@@ -62,6 +62,10 @@ CONTACTS: dict[str, tuple[str, float]] = {
 """Ways in which dry friction turns at a reversal: over a speed, as a share of the typical one, or
 over a presliding distance (Dahl), as a share of the range of motion."""
 USUAL = "sliding 4%"
+
+
+Found = tuple[tuple[Effect, Array], ...]
+"""Effects with their values."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,7 +122,8 @@ class Balance:
         self.motion, self.machine = motion, machine
         self._sensed: dict[tuple[str, str, str], list[Array]] = {}
         self._batches: dict[tuple[object, ...], tuple[Batch, list[Array]]] = {}
-        self._found: tuple[tuple[Effect, Array], ...] = ()
+        self.found: Found = ()
+        self._known: dict[tuple[object, ...], Forces] = {}
         self.position, self.speed = motion.stacked("position"), motion.stacked("speed")
         self.acceleration = motion.stacked("acceleration")
         self.commands, self.torques = motion.stacked("commands"), motion.stacked("torques")
@@ -153,11 +158,18 @@ class Balance:
         self.residual = self.folded(np.hstack([left, off]))
         self.channels = (*machine.joints, *self.readings.names)
 
-    def beside(self, found: Sequence[tuple[Effect, Array]]) -> Balance:
+    def beside(self, found: Iterable[tuple[Effect, Array]]) -> Balance:
         """The same with the changes by rigid bodies beside effects that were found."""
         balance = copy(self)
-        balance._found = tuple(found)
+        balance.found, balance._known = tuple(found), {}
         return balance
+
+    def known(self, found: Found) -> Forces:
+        """Change of the balance by some effects that were found, at once."""
+        key = tuple(effect.key for effect, _ in found)
+        if key not in self._known:
+            self._known[key] = self.edited(with_effects(self.machine, found))
+        return self._known[key]
 
     def folded(self, whole: Array, rows: Array | slice = slice(None)) -> Array:
         """Balance (..., T, channels) in which what acts on followers acts at the other joints."""
@@ -177,6 +189,10 @@ class Balance:
         """Change of the balance by an effect at some values of its parameters."""
         if isinstance(effect, MountedPayload):
             return self._by_run(effect, values)
+        others = tuple(own for own in self.found if own[0].key != effect.key)
+        if others and is_rigid(effect):
+            both = with_effects(self.machine, (*others, (effect, values)))
+            return self.edited(both).less(self.known(others))
         model, commands = None, self.commands
         if effect.overrides("edit"):
             spec = self.machine.fresh()
@@ -192,12 +208,6 @@ class Balance:
                     for run in self.motion.runs
                 ]
             )
-        others = [own for own in self._found if own[0].key != effect.key]
-        if others and is_rigid(effect):
-            both, still = (
-                with_effects(self.machine, own) for own in ([*others, (effect, values)], others)
-            )
-            return self.edited(both).less(self.edited(still))
         encoder = self._misread(effect, values)
         if encoder:
             return self._read_otherwise(encoder, commands, effect, values)
@@ -655,7 +665,7 @@ class Balance:
         return np.asarray(gain / self.motion.precision(turn))
 
 
-def with_effects(machine: NominalModel, found: Sequence[tuple[Effect, Array]]) -> mujoco.MjSpec:
+def with_effects(machine: NominalModel, found: Found) -> mujoco.MjSpec:
     """Spec of a machine with some effects."""
     spec = machine.fresh()
     for effect, values in found:

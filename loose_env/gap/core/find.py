@@ -193,11 +193,11 @@ def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection
             break
         balance = evidence.balance.beside(beside)
         again = {id(term): _again(balance, term) for term in evidence.terms}
-        rigid = nuisances(balance, settings.tolerances, beside)
+        rigid = nuisances(balance, settings.tolerances)
         selection = Selection(
             whiten(
                 balance, list(again.values()), rigid, law=settings.tolerances.law,
-                together=together(balance, beside),
+                together=together(balance),
             )
         )  # fmt: skip
         sets = [tuple(again[id(term)] for term in own) for own in sets]

@@ -307,10 +307,6 @@ class Selection:
         start = [channel.count for channel in self.evidence.channels]
         return self.fit(tuple(pool.values()), start).powers
 
-    def best(self) -> SetFit:
-        """Best set of all searches."""
-        return self.leading[0]
-
     @cached_property
     def leading(self) -> list[SetFit]:
         """Best sets of searches from several starts, of unlike kinds, that explain about as much.

@@ -6,7 +6,7 @@ here, and are never reported. An effect is named only where the data pull it cle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from annotated_types import Ge, Le
 
-from loose_env.gap.core.balance import USUAL, Balance, Change, Forces, with_effects
+from loose_env.gap.core.balance import USUAL, Balance, Change, Found, with_effects
 from loose_env.gap.core.motion import rates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.inertia import LinkMass, links_with_mass
@@ -130,53 +130,47 @@ phase lag of 11 degrees, which a loop with the usual margin of 60 can spare."""
 _STEP = 1e-3  # relative step of numerical derivatives
 
 
-def nuisances(
-    balance: Balance, tolerances: Tolerances, beside: Sequence[tuple[Effect, Array]] = ()
-) -> list[Nuisance]:
+def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
     """List the tolerances of a model that its recording can depend on.
 
-    Those of rigid bodies beside some effects with their values.
+    Those of rigid bodies beside the effects that were found.
     """
     return [
-        *_rigid(balance, tolerances, beside),
+        *_rigid(balance, tolerances),
         *_joints(balance, tolerances),
         *_drives(balance, tolerances),
         *_sensors(balance, tolerances),
     ]
 
 
-def together(balance: Balance, beside: Sequence[tuple[Effect, Array]]) -> Array | float:
-    """Change of the balance by effects at once, beyond the sum of each beside the others.
+def together(balance: Balance) -> Array | float:
+    """Change of the balance by the effects found, beyond the sum of each beside the others.
 
     (T, channels); of a centre that is off, a tilted base turns the moment.
     """
-    if len(beside) < 2:
+    found = balance.found
+    if len(found) < 2:
         return 0.0
-    rests = [[own for own in beside if own is not left] for left in beside]
-    specs = (with_effects(balance.machine, own) for own in (beside, *rests))
+    rests = [tuple(own for own in found if own is not left) for left in found]
     direction = balance.directions[USUAL]
-    whole, *others = (balance.folded(balance.edited(s).with_contact(direction)) for s in specs)
+    whole, *others = (
+        balance.folded(balance.known(own).with_contact(direction)) for own in (found, *rests)
+    )
     return np.asarray(whole - sum(whole - other for other in others))
 
 
-def _edited(
-    name: str,
-    edit: Edit,
-    balance: Balance,
-    beside: Sequence[tuple[Effect, Array]] = (),
-    still: Forces | None = None,
-) -> Nuisance:
+def _edited(name: str, edit: Edit, balance: Balance, found: Found = ()) -> Nuisance:
     """Tolerance that an edit of the spec describes, less what effects beside it change."""
-    spec = with_effects(balance.machine, beside)
+    spec = with_effects(balance.machine, found)
     edit(spec, _STEP)
     forces = balance.edited(spec)
-    change, operator = forces.with_contact(balance.directions[USUAL]), forces.operator
-    if still is not None:
-        change = change - still.with_contact(balance.directions[USUAL])
-        operator = operator - still.operator
+    if found:
+        forces = forces.less(balance.known(found))
+    change = forces.with_contact(balance.directions[USUAL])
     return Nuisance(
-        name=name, change=balance.change(change / _STEP), operator=operator / _STEP, edit=edit
-    )
+        name=name, change=balance.change(change / _STEP), operator=forces.operator / _STEP,
+        edit=edit,
+    )  # fmt: skip
 
 
 def _shift(name: str, change: Array, balance: Balance, **more: Any) -> Nuisance:
@@ -185,29 +179,24 @@ def _shift(name: str, change: Array, balance: Balance, **more: Any) -> Nuisance:
     return Nuisance(name=name, change=balance.change(change), operator=nothing, **more)
 
 
-def _rigid(
-    balance: Balance, tolerances: Tolerances, beside: Sequence[tuple[Effect, Array]]
-) -> Iterator[Nuisance]:
+def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Ten rigid parameters of each link."""
-    machine = balance.machine
-    still = balance.edited(with_effects(balance.machine, beside)) if beside else None
+    machine, found = balance.machine, balance.found
     for link in links_with_mass(machine):
         own = float(machine.model.body(link).mass[0])
         size = _size(machine, link)
         heavier = _sized(LinkMass(machine, link), tolerances.mass * own)
-        yield _edited(f"mass of {link}", heavier, balance, beside, still)
+        yield _edited(f"mass of {link}", heavier, balance, found)
         width = min(tolerances.centre * size, tolerances.centre_m)
         for k, axis in enumerate("xyz"):
             shift = _inertial(machine, link, width * np.eye(3)[k], np.zeros((3, 3)))
-            yield _edited(f"centre of {link} along {axis}", shift, balance, beside, still)
+            yield _edited(f"centre of {link} along {axis}", shift, balance, found)
         moment = float(np.mean(machine.model.body(link).inertia)) + 1e-3 * own * size**2
         for row, column in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
             tensor = np.zeros((3, 3))
             tensor[row, column] = tensor[column, row] = tolerances.inertia * moment
             turned = _inertial(machine, link, np.zeros(3), tensor)
-            yield _edited(
-                f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", turned, balance, beside, still
-            )
+            yield _edited(f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", turned, balance, found)
 
 
 def _sized(effect: Effect, width: float) -> Edit:
