@@ -302,6 +302,7 @@ class Questions:
         run = self.player.run(NEXT_MOTION, motion)
         recording = replace(self.answer.recording, runs=(run,))
         balance = Balance(machine, smooth(recording, machine, like=known.balance.motion))
+        balance = balance.beside(known.balance.found)  # as the columns of the recorded runs
         balance.residual[:] = 0.0
         changes = {n.name: n.change for n in nuisances(balance, self.answer.settings.tolerances)}
         columns = {k: changes[n.name] for k, n in enumerate(known.nuisances) if n.name in changes}

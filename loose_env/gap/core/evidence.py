@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.catalogue import Late, Term, moves_at
-from loose_env.gap.core.tolerances import Nuisance
+from loose_env.gap.core.tolerances import Nuisance, together
 from loose_env.typing import Array
 
 BANDS = 7
@@ -131,18 +131,13 @@ class Evidence:
 
 
 def whiten(
-    balance: Balance,
-    terms: Sequence[Term],
-    tolerances: Sequence[Nuisance],
-    *,
-    law: float = 0.0,
-    together: Array | float = 0.0,
+    balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisance], *, law: float = 0.0
 ) -> Evidence:
     """Whiten the residual, the tolerances and the columns of all terms into cells.
 
-    Less what some effects change together beyond the sum of what each does.
+    Less what the effects found change together beyond the sum of what each does.
     """
-    residual = balance.residual - together
+    residual = balance.residual - together(balance)
     wide = [n.change for n in tolerances]
     operators = np.stack([n.operator for n in tolerances])
     compared = [joint for joint in range(len(balance.channels)) if _compared(balance, joint)]

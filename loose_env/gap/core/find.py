@@ -25,7 +25,7 @@ from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import LARGE, Exact, ExactFit, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, smooth
 from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
-from loose_env.gap.core.tolerances import GapSettings, nuisances, together
+from loose_env.gap.core.tolerances import GapSettings, nuisances
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Recording
@@ -194,12 +194,8 @@ def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection
         balance = evidence.balance.beside(beside)
         again = {id(term): _again(balance, term) for term in evidence.terms}
         rigid = nuisances(balance, settings.tolerances)
-        selection = Selection(
-            whiten(
-                balance, list(again.values()), rigid, law=settings.tolerances.law,
-                together=together(balance),
-            )
-        )  # fmt: skip
+        law = settings.tolerances.law
+        selection = Selection(whiten(balance, list(again.values()), rigid, law=law))
         sets = [tuple(again[id(term)] for term in own) for own in sets]
         before, best = best, selection.search([again[id(term)] for term in best.terms])
         if abs(best.total - before.total) < LEAST_GAIN:

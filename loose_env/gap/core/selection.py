@@ -117,8 +117,7 @@ class Selection:
         """
         own = tuple(terms)
         cost = 0.0
-        kinds = {t.effect.kind: t.effect.extends or t.effect.kind for t in own}
-        for simple, count in Counter(kinds[t.effect.kind] for t in own).items():
+        for simple, count in Counter(t.form[0] for t in own).items():
             places = self._places.get(simple, count)
             cost += KIND + 2 * log(places) + 2 * log(comb(places, min(count, places))) + count
         cost += sum(FORM * bool(t.effect.extends) + 2 * log(t.effect.choices) for t in own)
@@ -237,10 +236,11 @@ class Selection:
 
     # ---- many sets at fixed weights
 
-    def predicted(self, form: Form, terms: Sequence[Term]) -> float:
+    def predicted(self, form: Reduced, terms: Sequence[Term]) -> float:
         """Total of a set at fixed weights; infinite where a coefficient is out of bounds."""
         evidence, at = self.evidence, self.columns(terms)[self.evidence.tolerances :]
-        normal, slope, rest = form.beside_tolerances(at)
+        place = np.searchsorted(form.columns, at)
+        normal, slope = form.normal[np.ix_(place, place)], form.slope[place]
         try:
             half, values, determinant = _solved(normal, slope)
         except np.linalg.LinAlgError:
@@ -259,7 +259,7 @@ class Selection:
             gained = 2 * slope @ values - values @ normal @ values
         precision = evidence.precision[at]
         prior = precision @ evidence.centre[at] ** 2 - np.log(precision).sum()
-        return float(rest + determinant - gained + prior + self.prior(terms))
+        return float(form.rest + determinant - gained + prior + self.prior(terms))
 
     def screened(
         self, form: Form, terms: Sequence[Term], pool: Iterable[Term]
@@ -338,8 +338,7 @@ class Selection:
         fits = [fit for fit in (self.solve(s, self.rich) for s in single) if fit.allowed]
         chosen: dict[str, Set] = {}
         for fit in sorted(fits, key=lambda f: f.total):
-            effect = fit.terms[0].effect
-            chosen.setdefault(effect.extends or effect.kind, fit.terms)
+            chosen.setdefault(fit.terms[0].form[0], fit.terms)
         return [(), *list(chosen.values())[:_STARTS]]
 
     def refined(self, state: SetFit) -> SetFit:
@@ -514,8 +513,8 @@ class Selection:
         """Fits of the sets that look best at fixed weights."""
         chosen: dict[int, Sequence[Array]] = {}
         for powers in weightings:
-            form = Form(self, powers, state)
-            form.cover(k for own in sets for k in self.columns(own))
+            every = (k for own in sets for k in self.columns(own))
+            form = Form(self, powers, state).beside_tolerances(every)
             likely = sorted((self.predicted(form, s), k) for k, s in enumerate(sets))[:most]
             for total, k in likely:
                 if np.isfinite(total):
@@ -595,7 +594,7 @@ def _by_kind(terms: Iterable[Term]) -> list[Set]:
 
 def kinds_of(fit: SetFit) -> frozenset[str]:
     """Kinds of effect in a set, forms of friction as one."""
-    return frozenset(term.effect.extends or term.effect.kind for term in fit.terms)
+    return frozenset(term.form[0] for term in fit.terms)
 
 
 def _is_linear(term: Term) -> bool:
@@ -641,6 +640,16 @@ def _values(channel: Channel, noisy: float) -> Array:
     return np.asarray(least + min(noisy, 1.0) * (most - least))
 
 
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """Quadratic form of some columns with the tolerances eliminated."""
+
+    columns: NDArray[np.intp]  # The columns, ascending (K,)
+    normal: Array  # Their normal matrix (K, K)
+    slope: Array  # Their slope (K,)
+    rest: float  # Part of the total that no column of an effect changes
+
+
 class Form:
     """Quadratic form of all columns at the weights of some powers, made where it is asked for.
 
@@ -671,7 +680,6 @@ class Form:
             self._guards.append(guard)
         self._beside: dict[int, Array] = {}
         self._around: dict[tuple[int, ...], Array] = {}
-        self._covered: tuple[NDArray[np.intp], Array, Array, float]
 
     def near(self, at: NDArray[np.intp]) -> Array:
         """Normal matrix between some columns and all."""
@@ -695,32 +703,25 @@ class Form:
             self._around[key] = found
         return self._around[key]
 
-    def cover(self, columns: Iterable[int]) -> None:
-        """Eliminate the tolerances from the form of the columns of effects that are asked for."""
+    def beside_tolerances(self, columns: Iterable[int]) -> Reduced:
+        """The form of some columns of effects with the tolerances eliminated."""
         count = self._evidence.tolerances
         own = np.unique(np.fromiter(columns, dtype=int))
         at = np.concatenate([np.arange(count), own[own >= count]])
-        normal, slope = self._between(at, at), self.slope[at]
+        normal, slope = self.block(at), self.slope[at]
         root = np.linalg.cholesky(normal[:count, :count])
         across = solve_triangular(root, normal[:count, count:], lower=True)
         half = solve_triangular(root, slope[:count], lower=True)
-        rest = float(2 * np.log(np.diag(root)).sum() - half @ half)
-        self._covered = (
-            at[count:],
-            normal[count:, count:] - across.T @ across,
-            slope[count:] - across.T @ half,
-            rest,
+        return Reduced(
+            columns=at[count:],
+            normal=normal[count:, count:] - across.T @ across,
+            slope=slope[count:] - across.T @ half,
+            rest=float(2 * np.log(np.diag(root)).sum() - half @ half),
         )
 
     def block(self, at: NDArray[np.intp]) -> Array:
         """Normal matrix of some columns."""
         return self._between(at, at)
-
-    def beside_tolerances(self, at: NDArray[np.intp]) -> tuple[Array, Array, float]:
-        """Normal matrix and slope of some covered columns beside the tolerances, and the rest."""
-        known, normal, slope, rest = self._covered
-        place = np.searchsorted(known, at)
-        return normal[np.ix_(place, place)], slope[place], rest
 
     def _between(self, left: NDArray[np.intp], right: NDArray[np.intp]) -> Array:
         precision = self._evidence.precision
