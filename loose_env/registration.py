@@ -10,7 +10,6 @@ mappings of their fields.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from types import MappingProxyType
@@ -23,7 +22,6 @@ from loose_env.errors import InvalidSetting, UnknownName
 __all__ = [
     "GAP_ID",
     "IDS",
-    "MAX_EPISODE_STEPS",
     "TIERS",
     "make_arm",
     "make_arm_vector",
@@ -84,16 +82,13 @@ GAP_ID = "loose_env/Gap-v0"
 """Id of the environment that chooses motions to find what a model lacks. Its vector form is
 Gymnasium's synchronous one: environments of a process share the arm's signatures."""
 
-MAX_EPISODE_STEPS = 14
-"""Steps after which Gymnasium's time limit cuts an episode: one more than the longest episode of
-twelve records and a verdict, so that it never does."""
 REWARD_THRESHOLDS = (0.80, 0.82, 0.65, None, None)
 """Mean return from which an id counts as solved: what the best agents reach, rounded down
 (docs/agents.md); None where no agent is published."""
 
 _OF_ANY = ("hold", "levels", "gravity")
 _SINGLE = ("render_mode", "rig", "threads", "true_arm")
-_VECTOR = ("render_mode", "threads", "true_arm", "autoreset_mode")
+_VECTOR = ("render_mode", "threads", "true_arm", "autoreset_mode", "max_episode_steps")
 _ON_LINKS = "link_accelerometers"
 
 
@@ -113,7 +108,6 @@ def register() -> None:
                 entry_point=f"{here}:make_{name}",
                 vector_entry_point=f"{here}:make_{name}_vector",
                 reward_threshold=threshold,
-                max_episode_steps=MAX_EPISODE_STEPS,
                 kwargs=arguments,
             )
     if GAP_ID not in gymnasium.registry:
@@ -187,27 +181,13 @@ def _single(
     from loose_env.envs import DiagnosisEnv
 
     own = _take(arguments, *_SINGLE)
-    settings = _settings(arguments, (*of_arm, *_SINGLE))
-    needed = settings.max_records + 2
-    if needed > MAX_EPISODE_STEPS:
-        # An entry point is not told whether the user gave another limit.
-        warnings.warn(
-            f"max_records={settings.max_records} needs max_episode_steps={needed} given to "
-            f"gymnasium.make: without it episodes are cut after {MAX_EPISODE_STEPS} steps",
-            UserWarning,
-            stacklevel=3,
-        )
-    return DiagnosisEnv(arm, settings, **own)
+    return DiagnosisEnv(arm, _settings(arguments, (*of_arm, *_SINGLE)), **own)
 
 
 def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[str, ...]) -> Any:
     from loose_env.envs import DiagnosisVectorEnv
 
     own = _take(arguments, *_VECTOR)
-    # Gymnasium gives every batch the registered limit, which is longer than any episode.
-    if arguments.get("max_episode_steps") == MAX_EPISODE_STEPS:
-        del arguments["max_episode_steps"]
-    own |= _take(arguments, "max_episode_steps")
     settings = _settings(arguments, (*of_arm, *_VECTOR))
     return DiagnosisVectorEnv(arm, settings, num_envs=num_envs, **own)
 

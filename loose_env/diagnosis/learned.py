@@ -27,7 +27,7 @@ from loose_env.diagnosis.novelty import NOVELTY_STATISTICS, NoveltyReference, Se
 from loose_env.diagnosis.posterior import Belief, alike, friction_nodes, location_prior, log_prior
 from loose_env.diagnosis.prediction import RecordStatistics
 from loose_env.errors import InvalidData
-from loose_env.faults import DEFAULT_KINDS, hypotheses
+from loose_env.faults import KINDS, hypotheses
 from loose_env.io import restored, whole_of, write_text, written_beside
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
@@ -281,7 +281,7 @@ class AmortisedPosterior:
         reference: NoveltyReference | None = None,
     ) -> None:
         self.linear, self.network, self.friction = linear, network, friction
-        self.hypotheses = hypotheses(linear.arm, DEFAULT_KINDS, everywhere=True)
+        self.hypotheses = hypotheses(linear.arm, KINDS, everywhere=True)
         self.features = SeatFeatures(linear, sensors, mismatch, directions=directions)
         self.reference = reference
         wanted = (len(LOCATION_FEATURES), len(RECORD_FEATURES), 2 * linear.arm.n)
@@ -291,7 +291,7 @@ class AmortisedPosterior:
                 f"the network takes {sizes[0]} features of a location, {sizes[1]} of a record and "
                 f"{sizes[2]} faults; arm {linear.arm.name!r} has {wanted}"
             )
-        self._prior = log_prior(linear.arm, kinds or dict.fromkeys(DEFAULT_KINDS, 1 / 3))
+        self._prior = log_prior(linear.arm, kinds or dict.fromkeys(KINDS, 1 / 3))
 
     def start(self) -> AmortisedBelief:
         """Return the prior."""

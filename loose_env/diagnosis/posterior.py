@@ -35,7 +35,7 @@ from loose_env.diagnosis.prediction import (
 )
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import SeatReference
-from loose_env.faults import DEFAULT_KINDS, hypotheses, places_of_kind
+from loose_env.faults import KINDS, hypotheses, places_of_kind
 from loose_env.inference import whitener
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -367,10 +367,10 @@ class PosteriorSettings:
                 "at least one friction, two directions in the plane and three in space are "
                 f"needed, got {self.frictions}, {self.directions} and {self.space_directions}"
             )
-        beyond = [k for k, share in self.kinds.items() if k not in DEFAULT_KINDS and share > 0]
+        beyond = [k for k, share in self.kinds.items() if k not in KINDS and share > 0]
         if beyond:
             raise InvalidSetting(
-                f"the posterior has no model of {beyond}, only of {list(DEFAULT_KINDS)}: keep to "
+                f"the posterior has no model of {beyond}, only of {list(KINDS)}: keep to "
                 "these kinds, or use an agent that works without it"
             )
         if not 0 < self.temper <= 1:
@@ -455,7 +455,7 @@ class FaultPosterior:
                 f"arm {arm.name!r} reads {axes} axis at its tool; the posterior needs 2, for "
                 "an arm that moves in a plane, or 3"
             )
-        self.linear, self.hypotheses = linear, hypotheses(arm, DEFAULT_KINDS, everywhere=True)
+        self.linear, self.hypotheses = linear, hypotheses(arm, KINDS, everywhere=True)
         self.table = shipped_table()
         self.floor = SensorFloor.of(sensors, arm.band)
         count = self.settings.directions if axes == 2 else self.settings.space_directions

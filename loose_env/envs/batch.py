@@ -36,7 +36,6 @@ from loose_env.envs.spaces import ActionLayout, ObservationLayout
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, torques_at_levels
 from loose_env.faults import (
-    KINDS,
     SEVERAL_FAULTS,
     UNSURE,
     Fault,
@@ -244,7 +243,7 @@ def _fault(given: Any, arm: Arm) -> Fault | str | None:
     """Check a fault; it may lie outside the hypotheses of the environment."""
     if given is None or is_fault(given):
         return given  # type: ignore[no-any-return]
-    names = (*hypotheses(arm, KINDS, everywhere=True), SEVERAL_FAULTS)
+    names = (*hypotheses(arm, everywhere=True), SEVERAL_FAULTS)
     if isinstance(given, str) and given in names:
         return given
     raise UnknownName(
@@ -307,6 +306,8 @@ class EpisodeBatch:
     ) -> None:
         self.arm, self.settings, self.num, self.threads = arm, settings, num, threads
         self.true_arm = checked_true_arm(true_arm, arm)
+        if rig is not None and not (hasattr(rig, "mount") and hasattr(rig, "measure_many")):
+            raise InvalidSetting(f"rig has mount() and measure_many(), as a BatchRig; got {rig!r}")
         self.rig: BatchRig
         if rig is None:
             # One linear arm for both: it remembers the poses it has worked out.

@@ -80,12 +80,11 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     """Find the fault hidden in a robot arm.
 
     ## Description
-    An arm may have a link that slides on its flange, a joint with play, or nothing wrong; where
-    `kinds` says so, also a link that rocks on its flange or is loose in several ways.
-    The agent moves joints, shakes some of them with band-limited Gaussian torque while the
-    others are held, and sees how the tool's acceleration correlates with the excitation. It
-    names the fault when it is sure; every record has its price. What fits no hypothesis it may
-    leave unnamed: the verdict is then "unsure". `verdicts` lists what can be said, in order.
+    An arm may have a link that slides on its flange, a joint with play, or nothing wrong. The agent
+    moves joints, shakes some of them with band-limited Gaussian torque while the others are held,
+    and sees how the tool's acceleration correlates with the excitation. It names the fault when it
+    is sure; every record has its price. What fits no hypothesis it may leave unnamed: the verdict
+    is then "unsure". `verdicts` lists what can be said, in order.
 
     ## Action Space
     `MultiDiscrete`, in this order:
@@ -143,26 +142,25 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
 
     ## Arguments
     `difficulty`, `max_records`, `prices` and all other fields of `DiagnosisSettings`. `kinds` are
-    the kinds of fault that are hypotheses: "healthy", "structural_looseness" and "backlash" by
-    default, "rotational_looseness" and "compound_looseness" besides. `hold` says how joints that
-    are not excited are held: "brake", "servo", or "compliant", by brakes behind elastic gears.
-    `levels` replaces the arm's excitation levels [m/s²]; the friction that is drawn stays relative
-    to the arm's own top level, so that weaker levels open fewer seats. `gravity` is a vector in the
-    world's axes [m/s²], such as (9.81, 0, 0) for an arm on a wall.
-    For the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of
-    an MJCF or URDF file, `tool`, `tool_offset` and `joints`. Where the tool lies on a joint's axis
-    it does not feel play there, which is no hypothesis then; `tool_offset`, three lengths in metres
-    in the tool's frame, moves the accelerometer off it. `true_arm` is the arm that is measured,
-    where the nominal model is wrong about more than `difficulty` says, an effect that it lacks
-    above all; for `loose_env/Arm-v0` `true_model`, the path of its file. Without it the nominal arm
-    is measured, with the difficulty's mismatch.
+    those of "healthy", "structural_looseness" and "backlash" that are hypotheses, all by default.
+    `hold` says how joints that are not excited are held: "brake", "servo", or "compliant", by
+    brakes behind elastic gears. `levels` replaces the arm's excitation levels [m/s²]; the friction
+    that is drawn stays relative to the arm's own top level, so that weaker levels open fewer seats.
+    `gravity` is a vector in the world's axes [m/s²], such as (9.81, 0, 0) for an arm on a wall. For
+    the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of an
+    MJCF or URDF file, `tool`, `tool_offset` and `joints`. Where the tool lies on a joint's axis it
+    does not feel play there, which is no hypothesis then; `tool_offset`, three lengths in metres in
+    the tool's frame, moves the accelerometer off it. `true_arm` is the arm that is measured, where
+    the nominal model is wrong about more than `difficulty` says, an effect that it lacks above all;
+    for `loose_env/Arm-v0` `true_model`, the path of its file. Without it the nominal arm is
+    measured, with the difficulty's mismatch.
 
     Options of `reset` hold for one episode. `{"fault": ...}` seats a given fault, or one drawn
     under a given hypothesis. It may lie outside the hypotheses, as "several_faults" does, two
-    faults drawn at once: then no name is right. `{"mismatch_scale": 3.0}` multiplies the
-    deviations of the true arm from the nominal one, `{"preload_g": 1.0}` presses the loose seat
-    towards its upper stop with so many times the weight it carries (`loose_env.faults.preloaded`),
-    `{"pose": ...}` sets the first pose.
+    faults drawn at once, or a `RotationalLooseness` of `loose_env.faults`: then no name is right.
+    `{"mismatch_scale": 3.0}` multiplies the deviations of the true arm from the nominal one,
+    `{"preload_g": 1.0}` presses the loose seat towards its upper stop with so many times the weight
+    it carries (`loose_env.faults.preloaded`), `{"pose": ...}` sets the first pose.
 
     ## Version History
     * v0: first version

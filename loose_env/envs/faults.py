@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 
-import mujoco
 import numpy as np
 
 from loose_env.arms import FASTEST_TURN, Arm, LinearArm
@@ -14,24 +12,18 @@ from loose_env.envs.settings import Difficulty
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import SeatDrive
 from loose_env.faults import (
-    DEFAULT_KINDS,
     KINDS,
     SEVERAL_FAULTS,
     UNSURE,
     Backlash,
-    CompoundLooseness,
     Fault,
     Healthy,
-    LooseFault,
-    Preload,
     RotationalLooseness,
     SeveralFaults,
     StructuralLooseness,
-    part_seats,
     parts_of,
     place_of,
     places_of_kind,
-    twist_of,
 )
 from loose_env.typing import Array, IndexArray
 
@@ -87,24 +79,6 @@ class SeatMasses:
             self._remembered[key] = found
         return found
 
-    def stops_together(self, seats: Array, modes: Array, ratios: Array) -> tuple[Stops, ...]:
-        """Stops of a seat that is loose in several ways at once.
-
-        The effective mass of each part is that with all other parts free. Where parts that rest
-        on their stops together would be too fast for the step, all stops are softened alike.
-        Seats (p, nv), modes and ratios (p, 2), as for `stops`.
-        """
-        held = np.einsum("ai,ij,aj->a", seats, self._inertias[0], seats)
-        mobility = self._mobility(seats)
-        lightest = 1 / np.einsum("paa->pa", mobility).max(axis=0)
-        stiffness = held[:, None] * (2 * np.pi * modes) ** 2
-        stiffness = np.minimum(stiffness, lightest[:, None] * (_FASTEST / self._step) ** 2)
-        root = np.sqrt(stiffness.max(axis=1))
-        turn = self._step**2 * np.linalg.eigvalsh(root[:, None] * mobility * root).max()
-        stiffness = stiffness * min(1.0, _FASTEST**2 / float(turn))
-        damping = 2 * ratios * np.sqrt(stiffness * lightest[:, None])
-        return tuple((_pair(k), _pair(c)) for k, c in zip(stiffness, damping, strict=True))
-
     def softening(self, seats: Array, stiffness: Array, damping: Array) -> float:
         """Factor on stiffness, and by its root on damping, that leaves seats slow enough together.
 
@@ -137,136 +111,8 @@ def _pair(values: Array) -> tuple[float, float]:
     return (float(values[0]), float(values[1]))
 
 
-Part = StructuralLooseness | RotationalLooseness
 Vector = tuple[float, float, float]
-
-PIVOT = (0.025, 0.075)
-"""Distance of a rocking axis from the joint, over the arm's reach: 2 to 6 cm for 0.8 m, where
-a flange has its bolts and edges. Estimates."""
-SHORTEST_LEVER = 0.1
-"""Least distance from a seat to the tool that turns a travel into an angle, over the reach."""
-
-_OPEN = ((1.0, 1.0), (0.0, 0.0))  # stops of a part while its own are not known yet
-
-
-class FurtherSeats:
-    """Draws rotational and compound looseness for one arm.
-
-    A rotation's axis is uniform on the sphere, for an arm in the plane its normal. It passes
-    the joint at a distance out of `PIVOT`, in a uniform direction: about the joint's own axis
-    the rocking of an arm in the plane would be play of the joint. The travel is drawn as for a
-    slide and is that at the tool: the angle is the travel over the largest distance that the tool
-    has from the link's frame, or over `SHORTEST_LEVER` times the reach if that is more. A
-    compound seat has two slides across each other or a slide and a rotation, as likely; its two
-    parts have gap, friction and stops of their own.
-    """
-
-    def __init__(self, linear: LinearArm, ranges: Difficulty, poses: Sequence[Array]) -> None:
-        self.arm = arm = linear.arm
-        self.ranges = ranges
-        self._linear = full = LinearArm(arm, points=len(linear.frequency), rotations=True)
-        self.drive = SeatDrive(full, over=ranges.friction_over)
-        self._masses = SeatMasses(full, poses)
-        self._levers = np.maximum(_tool_distances(linear, poses), SHORTEST_LEVER * arm.reach)
-
-    def rotation(self, link: int, u: Array, v: Array) -> RotationalLooseness:
-        """Turn uniform variates into a rocking link: ``u`` (10,) as for a slide, ``v`` (16,)."""
-        return self._finished([self._rotation(link, u, v)], [u])[0]  # type: ignore[return-value]
-
-    def compound(self, link: int, u: Array, v: Array) -> CompoundLooseness:
-        """Turn uniform variates into a link loose in two ways: as `rotation`."""
-        planar = len(self.arm.axes) == 2
-        first = self._slide(link, u, direction_from(u[8], u[9], planar=planar))
-        w = v[6:]
-        second: Part
-        if v[3] < 0.5:
-            second = self._slide(link, w, _across(first.direction, w[8], planar=planar))
-        else:
-            second = self._rotation(link, w, v)
-        return CompoundLooseness(link=link, parts=tuple(self._finished([first, second], [u, w])))
-
-    def softened(self, faults: SeveralFaults) -> SeveralFaults:
-        """Soften the stops of all faults alike where they are too fast for the step together."""
-        parts = parts_of(faults)
-        links, _ = part_seats(faults)
-        seats = np.zeros((len(parts), self._masses.size))
-        for seat, part, link in zip(seats, parts, links, strict=True):
-            seat[self._linear.twist_dofs[link - 1]] = twist_of(self.arm, part)
-        stops = [part for part in parts if not isinstance(part, (Healthy, Preload))]
-        share = self._masses.softening(
-            seats,
-            np.array([max(part.stiffness) for part in stops]),
-            np.array([max(part.damping) for part in stops]),
-        )
-        if share == 1:
-            return faults
-        return replace(faults, faults=tuple(_softer(one, share) for one in faults.faults))
-
-    def _slide(self, link: int, u: Array, direction: Vector) -> StructuralLooseness:
-        gap = log_uniform(self.ranges.gap, u[2])
-        return StructuralLooseness(link=link, direction=direction, gap=gap, stiffness=_OPEN[0])
-
-    def _rotation(self, link: int, u: Array, v: Array) -> RotationalLooseness:
-        arm = self.arm
-        planar = len(arm.axes) == 2
-        joint = arm.model.joint(arm.joints[link - 1])
-        anchor = np.zeros(3) if arm.sliding[link - 1] else joint.pos
-        away = np.array(direction_from(v[0], v[1], planar=planar))
-        pivot = anchor + uniform(PIVOT, v[2]) * arm.reach * away
-        return RotationalLooseness(
-            link=link,
-            axis=(0.0, 0.0, 1.0) if planar else direction_from(u[8], u[9], planar=False),
-            gap=log_uniform(self.ranges.gap, u[2]) / float(self._levers[link - 1]),
-            stiffness=_OPEN[0],
-            pivot=(float(pivot[0]), float(pivot[1]), float(pivot[2])),
-        )
-
-    def _finished(self, parts: Sequence[Part], variates: Sequence[Array]) -> list[Part]:
-        """Give parts of one seat their stops and friction."""
-        arm, ranges, link = self.arm, self.ranges, parts[0].link
-        twists = [twist_of(arm, part) for part in parts]
-        seats = np.zeros((len(parts), self._masses.size))
-        seats[:, self._linear.twist_dofs[link - 1]] = twists
-        modes = np.array([[uniform(ranges.contact_mode, x) for x in u[4:6]] for u in variates])
-        ratios = np.array([[uniform(ranges.contact_damping, x) for x in u[6:8]] for u in variates])
-        stops = self._masses.stops_together(seats, modes, ratios)
-        frictions = [
-            log_uniform(ranges.friction, u[3]) * self.drive.twist(link, twist)
-            for u, twist in zip(variates, twists, strict=True)
-        ]
-        return [
-            _with(part, stop, friction)
-            for part, stop, friction in zip(parts, stops, frictions, strict=True)
-        ]
-
-
-def _softer(fault: LooseFault, share: float) -> LooseFault:
-    """Multiply stiffness by a share, damping by its root: the damping ratios stay."""
-    if isinstance(fault, CompoundLooseness):
-        parts = tuple(_softer(part, share) for part in fault.parts)
-        return replace(fault, parts=parts)  # type: ignore[arg-type]
-    (low, high), (slow, fast) = fault.stiffness, fault.damping
-    root = float(np.sqrt(share))
-    return replace(fault, stiffness=(share * low, share * high), damping=(root * slow, root * fast))
-
-
-def _with(part: Part, stops: Stops, friction: float) -> Part:
-    figures = {"stiffness": stops[0], "damping": stops[1], "friction": friction}
-    return type(part)(**{**vars(part), **figures})
-
-
-def _tool_distances(linear: LinearArm, poses: Sequence[Array]) -> Array:
-    """Largest distance of the tool from each link's frame [m] (n,)."""
-    arm, model = linear.arm, linear.arm.model
-    data = mujoco.MjData(model)
-    most = np.zeros(arm.n)
-    for pose in poses:
-        data.qpos[arm.pose_addresses] = pose
-        mujoco.mj_kinematics(model, data)
-        frames = np.array([data.body(name).xpos for name in arm.seat_bodies])
-        distances = np.linalg.norm(data.site(arm.tool).xpos - frames, axis=1)
-        most = np.maximum(most, distances)
-    return most
+Loose = Backlash | StructuralLooseness
 
 
 def direction_from(turn: float, height: float, *, planar: bool) -> Vector:
@@ -275,19 +121,6 @@ def direction_from(turn: float, height: float, *, planar: bool) -> Vector:
     z = 0.0 if planar else 2 * height - 1
     flat = np.sqrt(1 - z**2)
     return (float(flat * np.cos(angle)), float(flat * np.sin(angle)), float(z))
-
-
-def _across(direction: Vector, turn: float, *, planar: bool) -> Vector:
-    """Direction square to another: the one in the plane, or any of those in space."""
-    first = np.array(direction)
-    if planar:
-        return (-float(first[1]), float(first[0]), 0.0)
-    second = np.cross(first, np.eye(3)[int(np.argmin(np.abs(first)))])
-    second = second / np.linalg.norm(second)
-    third = np.cross(first, second)
-    angle = 2 * np.pi * turn
-    x, y, z = np.cos(angle) * second + np.sin(angle) * third
-    return (float(x), float(y), float(z))
 
 
 def uniform(limits: tuple[float, float], u: float) -> float:
@@ -327,7 +160,7 @@ class FaultSampler:
     """
 
     def __init__(
-        self, linear: LinearArm, difficulty: Difficulty, kinds: Sequence[str] = DEFAULT_KINDS
+        self, linear: LinearArm, difficulty: Difficulty, kinds: Sequence[str] = KINDS
     ) -> None:
         self.arm: Arm = linear.arm
         self.difficulty = difficulty
@@ -348,16 +181,10 @@ class FaultSampler:
         total = sum(found.values())
         return {kind: share / total for kind, share in found.items()}
 
-    @cached_property
-    def further(self) -> FurtherSeats:
-        """Draws of rotational and compound looseness, made ready when first needed."""
-        return FurtherSeats(self.linear, self.difficulty, self._poses)
-
     def draw(self, rng: np.random.Generator, *, hypothesis: str | None = None) -> Fault:
         """Draw a fault, of one hypothesis if it is given.
 
-        Every draw takes ten variates from ``rng``; rotational and compound looseness takes
-        sixteen more. How these are drawn is said at `FurtherSeats`.
+        Every draw takes ten variates from ``rng``.
         """
         d = self.difficulty
         u = rng.random(10)
@@ -372,10 +199,6 @@ class FaultSampler:
             kind, place = name, place_of(hypothesis) or 1  # type: ignore[assignment]
         if kind == "healthy":
             return Healthy()
-        if kind == "rotational_looseness":
-            return self.further.rotation(place, u, rng.random(16))
-        if kind == "compound_looseness":
-            return self.further.compound(place, u, rng.random(16))
         part = "joint" if kind == "backlash" else "link"
         return self.fault(
             f"{kind}@{part}{place}",
@@ -395,17 +218,17 @@ class FaultSampler:
         modes: Array,
         damping: Array,
         direction: tuple[float, float],
-    ) -> Backlash | StructuralLooseness:
+    ) -> Loose:
         """Play or a loose link by its parameters.
 
         Travel at the tool [m], friction over the seat drive [1], modes [Hz] (2,) and damping ratios
         (2,) of the stops, and two uniform variates of a slide's direction.
         """
-        place = place_of(hypothesis) or 1
-        seat = np.zeros(self._masses.size)
-        if hypothesis.startswith("backlash"):
-            seat[self.linear.hinge_dofs[place - 1]] = 1.0
-            stiffness, dampers = self._masses.stops(seat, modes, damping)
+        place, play = place_of(hypothesis) or 1, hypothesis.startswith("backlash")
+        along = direction_from(*direction, planar=len(self.arm.axes) == 2)
+        seat = self._seat(place, None if play else along)
+        stiffness, dampers = self._masses.stops(seat, modes, damping)
+        if play:
             return Backlash(
                 joint=place,
                 gap=gap if self.arm.sliding[place - 1] else gap / self.arm.reach,
@@ -413,10 +236,6 @@ class FaultSampler:
                 damping=dampers,
                 friction=ratio * self.drive.hinge(place),
             )
-        along = direction_from(*direction, planar=len(self.arm.axes) == 2)
-        slides = self.linear.slide_dofs[place - 1]
-        seat[slides] = along[: len(slides)]
-        stiffness, dampers = self._masses.stops(seat, modes, damping)
         return StructuralLooseness(
             link=place,
             direction=along,
@@ -425,6 +244,16 @@ class FaultSampler:
             damping=dampers,
             friction=ratio * self.drive.slide(place, along),
         )
+
+    def _seat(self, place: int, along: Vector | None) -> Array:
+        """Seat over all degrees of freedom (nv,): of a link along a direction, or of a joint."""
+        seat = np.zeros(self._masses.size)
+        if along is None:
+            seat[self.linear.hinge_dofs[place - 1]] = 1.0
+        else:
+            slides = self.linear.slide_dofs[place - 1]
+            seat[slides] = along[: len(slides)]
+        return seat
 
     def several(self, rng: np.random.Generator, count: int = 2) -> SeveralFaults:
         """Draw faults at ``count`` places of different numbers, kinds as likely as in `draw`.
@@ -445,13 +274,28 @@ class FaultSampler:
             )
         weights = np.array([self.probabilities[k] for k in kinds])
         places = 1 + rng.permutation(self.arm.n)[:count]
-        faults = []
+        faults: list[Loose] = []
         for place in sorted(int(p) for p in places):
             here = weights * [place in places_of_kind(self.arm, k) for k in kinds]
             kind = kinds[int(rng.choice(len(kinds), p=here / here.sum()))]
             part = "joint" if kind == "backlash" else "link"
-            faults.append(self.draw(rng, hypothesis=f"{kind}@{part}{place}"))
-        return self.further.softened(SeveralFaults(faults=tuple(faults)))  # type: ignore[arg-type]
+            faults.append(self.draw(rng, hypothesis=f"{kind}@{part}{place}"))  # type: ignore[arg-type]
+        seats = [self._seat(f.place, getattr(f, "direction", None)) for f in faults]
+        share = self._masses.softening(
+            np.array(seats),
+            np.array([max(f.stiffness) for f in faults]),
+            np.array([max(f.damping) for f in faults]),
+        )
+        return SeveralFaults(faults=tuple(_softer(f, share) for f in faults))
+
+
+def _softer(fault: Loose, share: float) -> Loose:
+    """Multiply stiffness by a share, damping by its root: the damping ratios stay."""
+    if share == 1:
+        return fault
+    (low, high), (slow, fast) = fault.stiffness, fault.damping
+    root = float(np.sqrt(share))
+    return replace(fault, stiffness=(share * low, share * high), damping=(root * slow, root * fast))
 
 
 def hypothesis_words(hypothesis: str | None, *, past: bool = False) -> str:

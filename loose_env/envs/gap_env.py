@@ -580,9 +580,6 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         }
 
 
-_OTHERS = ("model", "render_mode")
-
-
 def make_model_gap(*, model: str | Path | None = None, **arguments: Any) -> ModelGapEnv:
     """Make the environment of an arm in an MJCF file, by default `loose_env.arms.SERVO_ARM`.
 
@@ -594,10 +591,11 @@ def make_model_gap(*, model: str | Path | None = None, **arguments: Any) -> Mode
         If the file is no model with position servos.
     """
     known = [f.name for f in fields(ModelGapSettings)]
-    arguments.pop("render_mode", None)
+    if arguments.pop("render_mode", None) is not None:
+        raise UnknownName("loose_env/Gap-v0 draws nothing: leave render_mode out")
     unknown = sorted(set(arguments) - set(known))
     if unknown:
-        raise UnknownName(f"unknown arguments {unknown}; known are {[*_OTHERS, *known]}")
+        raise UnknownName(f"unknown arguments {unknown}; known are {['model', *known]}")
     settings = ModelGapSettings(**arguments)
     path = SERVO_ARM if model is None else Path(model)
     bank = _bank(

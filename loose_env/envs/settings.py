@@ -13,7 +13,7 @@ from annotated_types import MinLen, Predicate
 from loose_env.arms import Arm, Drift, Mismatch
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import SeatReference
-from loose_env.faults import DEFAULT_KINDS, KINDS, UNSURE, FaultKind, checked_kinds
+from loose_env.faults import KINDS, UNSURE, FaultKind, checked_kinds
 from loose_env.io import Checked, Count, NonNegative, Positive, Rule
 from loose_env.sensors import SensorSuite
 
@@ -78,7 +78,7 @@ class Difficulty:
                 f"probabilities of the kinds must be >= 0 and sum to 1, got {dict(self.kinds)}"
             )
 
-    def probabilities(self, kinds: Sequence[str] = DEFAULT_KINDS) -> Mapping[str, float]:
+    def probabilities(self, kinds: Sequence[str] = KINDS) -> Mapping[str, float]:
         """Probability of each kind of fault where the given kinds are hypotheses.
 
         Raises
@@ -209,7 +209,7 @@ class DiagnosisSettings(Checked):
 
     difficulty: str | Difficulty = "default"
     """Ranges of the hidden faults: "easy", "default", "hard" or a Difficulty."""
-    kinds: tuple[FaultKind, ...] = DEFAULT_KINDS
+    kinds: tuple[FaultKind, ...] = KINDS
     """Kinds of fault that are hypotheses, "healthy" always; their order does not matter."""
     prices: Prices = field(default_factory=Prices)
     """Rewards and prices."""
@@ -255,11 +255,6 @@ class DiagnosisSettings(Checked):
         difficulty_named(self.difficulty).probabilities(self.kinds)
         if self.engine not in get_args(Engine):
             raise UnknownName(f"engine is one of {list(get_args(Engine))}, got {self.engine!r}")
-        if self.engine == "reduced" and "compound_looseness" in self.kinds:
-            raise InvalidSetting(
-                "kinds has 'compound_looseness', of several degrees of freedom, and the engine "
-                "'reduced' knows faults of one: take the engine 'mujoco'"
-            )
         super().__post_init__()
 
     @property

@@ -12,7 +12,7 @@ from loose_env.envs.batch import EpisodeBatch
 from loose_env.envs.faults import log_uniform, uniform
 from loose_env.envs.spaces import checked_indices
 from loose_env.errors import InvalidSetting
-from loose_env.faults import DEFAULT_KINDS, Fault, Healthy
+from loose_env.faults import Fault, Healthy
 from loose_env.io import is_whole
 from loose_env.typing import Array
 
@@ -112,7 +112,7 @@ def simulator(
     Raises
     ------
     InvalidSetting
-        If faults of the environment have no such parameters, or there are too many records.
+        If the environment hides no faults, or there are too many records.
 
     Examples
     --------
@@ -134,9 +134,6 @@ def simulator(
     batch: EpisodeBatch = made.unwrapped.batch
     hypotheses, difficulty = batch.hypotheses, batch.difficulty
     kinds = [name.partition("@")[0] for name in hypotheses]
-    others = sorted(set(kinds) - set(DEFAULT_KINDS))
-    if others:
-        raise InvalidSetting(f"faults of the kinds {others} have other parameters; leave them out")
     shares = [batch.sampler.probabilities[kind] / kinds.count(kind) for kind in kinds]
     ranges = [difficulty.gap, difficulty.friction]
     ranges += [difficulty.contact_mode] * 2 + [difficulty.contact_damping] * 2 + [(0.0, 1.0)] * 2

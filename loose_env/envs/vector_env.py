@@ -194,7 +194,8 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
     ) -> None:
-        for name, given in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps or 1)):
+        limit = 1 if max_episode_steps is None else max_episode_steps
+        for name, given in (("num_envs", num_envs), ("max_episode_steps", limit)):
             if not is_whole(given) or given < 1:
                 raise InvalidSetting(f"{name} must be 1 or more, got {given!r}")
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:

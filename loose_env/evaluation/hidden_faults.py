@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_env.arms import LinearArm
 from loose_env.diagnosis import shut_seats
 from loose_env.envs import FaultSampler
-from loose_env.excitation import at_levels
+from loose_env.excitation import SeatDrive, at_levels
 from loose_env.faults import (
     Backlash,
     Fault,
@@ -158,6 +158,13 @@ def _openness(sampler: FaultSampler) -> SeatOpenness:
     return SeatOpenness(sampler.linear)
 
 
+@lru_cache(maxsize=4)
+def _rocking(sampler: FaultSampler) -> SeatDrive:
+    """Drive of seats that rock."""
+    linear = LinearArm(sampler.arm, points=len(sampler.linear.frequency), rotations=True)
+    return SeatDrive(linear, over=sampler.difficulty.friction_over)
+
+
 def _ratio(sampler: FaultSampler, part: SinglePart) -> float:
     """Rms seat drive of the top level over the friction of one part."""
     assert not isinstance(part, (Healthy, Preload))
@@ -168,5 +175,5 @@ def _ratio(sampler: FaultSampler, part: SinglePart) -> float:
     elif isinstance(part, StructuralLooseness):
         drive = sampler.drive.slide(part.link, part.direction)
     else:
-        drive = sampler.further.drive.twist(part.link, twist_of(sampler.arm, part))
+        drive = _rocking(sampler).twist(part.link, twist_of(sampler.arm, part))
     return float(drive / part.friction)

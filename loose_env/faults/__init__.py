@@ -4,7 +4,6 @@ Data flow: faults -> seats.
 """
 
 from loose_env.faults.faults import (
-    DEFAULT_KINDS,
     KINDS,
     SEVERAL_FAULTS,
     UNSURE,
@@ -43,7 +42,6 @@ from loose_env.faults.seats import (
 )
 
 __all__ = [
-    "DEFAULT_KINDS",
     "KINDS",
     "SEAT",
     "SEVERAL_FAULTS",

@@ -18,11 +18,8 @@ FaultKind = Literal[
     "healthy", "structural_looseness", "backlash", "rotational_looseness", "compound_looseness"
 ]
 
-KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
-"""All kinds, in the order in which their hypotheses are counted."""
-
-DEFAULT_KINDS: tuple[FaultKind, ...] = ("healthy", "structural_looseness", "backlash")
-"""The kinds of the thesis."""
+KINDS: tuple[FaultKind, ...] = ("healthy", "structural_looseness", "backlash")
+"""Kinds that are hypotheses, in the order in which these are counted."""
 
 SEVERAL_FAULTS = "several_faults"
 """Label of an arm with more than one fault; no verdict can name it."""
@@ -39,7 +36,7 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
     UnknownName
         If there is no such kind.
     InvalidSetting
-        If a kind is named twice, or "healthy" is missing.
+        If a kind is named twice or is no hypothesis, or "healthy" is missing.
 
     Examples
     --------
@@ -49,6 +46,11 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
     if isinstance(kinds, str) or not isinstance(kinds, Sequence):
         raise InvalidSetting(f"kinds are several names out of {list(KINDS)}, got {kinds!r}")
     unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown and set(unknown) <= set(get_args(FaultKind)):
+        raise InvalidSetting(
+            f"{unknown} are no hypotheses, for no posterior knows them; kinds are {list(KINDS)}. "
+            "Hide such a fault by reset(options={'fault': RotationalLooseness(...)})"
+        )
     if unknown:
         raise UnknownName(f"unknown fault kind {unknown}; kinds are {list(KINDS)}")
     if len(set(kinds)) != len(kinds):
@@ -61,7 +63,7 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
 
 
 def hypotheses(
-    arm: Arm, kinds: Sequence[str] = DEFAULT_KINDS, *, everywhere: bool = False
+    arm: Arm, kinds: Sequence[str] = KINDS, *, everywhere: bool = False
 ) -> tuple[str, ...]:
     """All hypotheses of an arm: healthy, then every kind at every location, base first.
 
@@ -87,8 +89,8 @@ def hypotheses(
     >>> from loose_env.arms import vera
     >>> hypotheses(vera())[:3]
     ('healthy', 'structural_looseness@link1', 'structural_looseness@link2')
-    >>> hypotheses(vera(), ("healthy", "rotational_looseness"))[1:]
-    ('rotational_looseness@link1', 'rotational_looseness@link2')
+    >>> hypotheses(vera(), ("healthy", "backlash"))[1:]
+    ('backlash@joint1', 'backlash@joint2')
     """
     names = []
     for kind in checked_kinds(kinds):

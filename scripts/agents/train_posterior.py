@@ -56,7 +56,7 @@ from loose_env.cli.command import command
 from loose_env.diagnosis import NoveltyReference, Seen, trained_for, write_network
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
-from loose_env.faults import DEFAULT_KINDS, hypotheses
+from loose_env.faults import KINDS, hypotheses
 from loose_env.io import Count
 from loose_env.statistics import axes_grid
 
@@ -90,9 +90,9 @@ def train(options: Options) -> None:
     import torch
 
     torch.set_num_threads(1)
-    if problem.hypotheses != hypotheses(problem.arm, DEFAULT_KINDS):
+    if problem.hypotheses != hypotheses(problem.arm, KINDS):
         raise InvalidSetting(
-            f"the posterior learns the kinds {list(DEFAULT_KINDS)}; leave the environment's kinds "
+            f"the posterior learns the kinds {list(KINDS)}; leave the environment's kinds "
             "as they are by default"
         )
     held_shards, training_shards = plan.split

@@ -30,19 +30,8 @@ from loose_env.envs import (
     Difficulty,
     FaultSampler,
 )
-from loose_env.envs.faults import PIVOT
 from loose_env.excitation import SeatDrive, at_levels
-from loose_env.faults import (
-    DEFAULT_KINDS,
-    KINDS,
-    Backlash,
-    CompoundLooseness,
-    RotationalLooseness,
-    StructuralLooseness,
-    hypotheses,
-    parts_of,
-    twist_of,
-)
+from loose_env.faults import KINDS, Backlash, StructuralLooseness, hypotheses, parts_of
 from loose_env.rig import PlantShop
 
 UR5E = Path(__file__).parents[3] / "shared" / "models" / "ur5e_bare.xml"
@@ -247,16 +236,8 @@ def draws(name: str, kind: str, count: int, difficulty: str = "default") -> list
 
 def test_hypotheses_are_ordered_by_kind_then_by_place() -> None:
     arm = planar(2)
-    assert hypotheses(arm) == hypotheses(arm, DEFAULT_KINDS)
-    every = hypotheses(arm, KINDS)
-    assert every == hypotheses(arm, KINDS[::-1])
-    assert every[: 1 + 2 * arm.n] == hypotheses(arm)
-    assert every[5:] == (
-        "rotational_looseness@link1",
-        "rotational_looseness@link2",
-        "compound_looseness@link1",
-        "compound_looseness@link2",
-    )
+    assert hypotheses(arm) == hypotheses(arm, KINDS) == hypotheses(arm, KINDS[::-1])
+    assert hypotheses(arm)[3:] == ("backlash@joint1", "backlash@joint2")
     assert hypotheses(arm, ("healthy",)) == ("healthy",)
 
 
@@ -268,72 +249,12 @@ def test_all_kinds_come_up_alike_at_every_place() -> None:
     assert set(found) == set(hypotheses(arm_of("planar3"), KINDS))
 
 
-def levers(arm: Arm) -> Any:
-    """Largest distance of the tool from each link's frame over the sampler_of's own poses."""
-    import mujoco
-
-    rng, most = np.random.default_rng(0), np.zeros(arm.n)
-    for pose in [np.zeros(arm.n), *(arm.random_pose(rng) for _ in range(64))]:
-        data = mujoco.MjData(arm.model)
-        data.qpos[arm.pose_addresses] = pose
-        mujoco.mj_forward(arm.model, data)
-        away = [data.site(arm.tool).xpos - data.body(b).xpos for b in arm.seat_bodies]
-        most = np.maximum(most, np.linalg.norm(away, axis=1))
-    return np.maximum(most, 0.1 * arm.reach)
-
-
-@pytest.mark.parametrize("name", SOME)
-def test_a_rocking_link_has_its_travel_at_the_tool_and_its_axis_off_the_joint(name: str) -> None:
-    arm, own = arm_of(name), sampler_of(name)
-    lever = levers(arm)
-    travels, ratios, axes = [], [], []
-    for fault in draws(name, "rotational_looseness", 40):
-        assert isinstance(fault, RotationalLooseness)
-        travels.append(fault.gap * lever[fault.link - 1])
-        drive = own.further.drive.twist(fault.link, twist_of(arm, fault))
-        ratios.append(fault.friction / drive)
-        axes.append(fault.axis)
-        anchor = arm.model.joint(arm.joints[fault.link - 1]).pos
-        away = np.linalg.norm(np.array(fault.pivot) - anchor) / arm.reach
-        assert PIVOT[0] - 1e-9 < away < PIVOT[1] + 1e-9
-    for values, (low, high) in ((travels, (0.02e-3, 0.4e-3)), (ratios, (0.02, 1.0))):
-        share = np.log(np.array(values) / low) / np.log(high / low)
-        assert stats.kstest(share, "uniform").pvalue > 0.001
-    if len(arm.axes) == 2:
-        assert set(axes) == {(0.0, 0.0, 1.0)}
-    else:
-        for component in np.transpose(axes):  # uniform on the sphere
-            assert stats.kstest((component + 1) / 2, "uniform").pvalue > 0.001
-
-
-@pytest.mark.parametrize("name", SOME)
-def test_a_compound_seat_has_two_slides_across_or_a_slide_and_a_rotation(name: str) -> None:
-    arm = arm_of(name)
-    slides = 0
-    faults = draws(name, "compound_looseness", 40)
-    for fault in faults:
-        assert isinstance(fault, CompoundLooseness)
-        first, second = fault.parts
-        assert isinstance(first, StructuralLooseness)
-        if isinstance(second, StructuralLooseness):
-            slides += 1
-            assert abs(np.dot(first.direction, second.direction)) < 1e-12
-            assert second.gap != first.gap
-        for part in fault.parts:
-            twist = twist_of(arm, part)
-            drive = sampler_of(name).further.drive.twist(fault.link, twist)
-            assert 0.02 * 0.999 < part.friction / drive < 1.001
-    assert stats.binomtest(slides, len(faults)).pvalue > 0.001
-
-
 @pytest.mark.parametrize(
     "difficulty",
     [d if d == "hard" else pytest.param(d, marks=pytest.mark.slow) for d in DIFFICULTIES],
 )
 @pytest.mark.parametrize("name", SOME)
-def test_every_further_fault_can_be_simulated_in_every_drawn_arm(
-    name: str, difficulty: str
-) -> None:
+def test_every_fault_can_be_simulated_in_every_drawn_arm(name: str, difficulty: str) -> None:
     arm = arm_of(name)
     shop = PlantShop(arm, timestep=arm.timestep, link_accelerometers=False)
     rng = np.random.default_rng(1)

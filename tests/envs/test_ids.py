@@ -17,7 +17,7 @@ import loose_env
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv, batch_seeds
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
-from loose_env.registration import IDS, MAX_EPISODE_STEPS, TIERS
+from loose_env.registration import IDS, TIERS
 
 ROOT = Path(__file__).resolve().parents[2]
 SHORT: dict[str, Any] = {"durations": (0.1,), "max_records": 3, "threads": 1}
@@ -92,26 +92,28 @@ def test_a_fresh_process_makes_every_id_without_importing_the_package() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_ids_are_registered_with_their_limits() -> None:
+def test_ids_are_registered_once_and_without_a_limit_of_steps() -> None:
     assert set(IDS) | set(TIERS) <= set(gymnasium.registry)
     loose_env.register()  # once more does no harm
     for env_id in (*IDS, *TIERS):
         spec = gymnasium.spec(env_id)
-        assert spec.max_episode_steps == MAX_EPISODE_STEPS
+        assert spec.max_episode_steps is None  # else a batch could not tell who asked for it
         assert spec.reward_threshold is None or 0 < spec.reward_threshold < 1
 
 
-def test_an_episode_ends_by_itself_before_the_limit() -> None:
-    env = gymnasium.make("loose_env/Planar-v0", n_links=2, durations=(0.1,))
+@pytest.mark.parametrize("most", [3, 16])
+def test_an_episode_ends_by_itself_after_the_last_record(most: int) -> None:
+    made = {"n_links": 2, "durations": (0.1,), "max_records": most}
+    env: Any = gymnasium.make("loose_env/Planar-v0", **made)  # type: ignore[arg-type]
+    batch: Any = gymnasium.make_vec("loose_env/Planar-v0", 1, max_episode_steps=14, **made)
     env.reset(seed=0)
-    record = env.unwrapped.actions.encode(levels=np.array([0, 1]))  # type: ignore[attr-defined]
-    for step in range(MAX_EPISODE_STEPS - 1):
+    batch.reset(seed=0)
+    record = env.unwrapped.actions.encode(levels=np.array([0, 1]))
+    for step in range(most + 1):
         *_, terminated, truncated, _ = env.step(record)
-        assert (terminated, truncated) == (step == MAX_EPISODE_STEPS - 2, False)
-    with pytest.warns(UserWarning, match="max_episode_steps=22"):
-        gymnasium.make("loose_env/Planar-v0", n_links=2, max_records=20)
-    many: Any = gymnasium.make_vec("loose_env/Planar-v0", n_links=2, max_records=20)
-    assert many.settings.max_records == 20
+        assert (terminated, truncated) == (step == most, False)
+        if step <= min(most, 13):
+            assert batch.step(record[None])[3].tolist() == [step == 13]
 
 
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
@@ -129,8 +131,9 @@ def test_a_batch_obeys_a_limit_of_steps_as_a_single_environment_does(mode: str) 
     last = infos["final_obs"] if mode == "SameStep" else found
     np.testing.assert_array_equal(last[0], seen)
     assert not batch.step(np.stack([record] * 2))[3].any()
-    with pytest.raises(InvalidSetting, match="max_episode_steps must be 1 or more"):
-        gymnasium.make_vec("loose_env/Planar-v0", max_episode_steps=-1)
+    for wrong in (-1, 0):
+        with pytest.raises(InvalidSetting, match="max_episode_steps must be 1 or more"):
+            gymnasium.make_vec("loose_env/Planar-v0", max_episode_steps=wrong)
 
 
 def test_arguments_reach_single_and_vector_environments() -> None:

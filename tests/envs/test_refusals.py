@@ -53,12 +53,11 @@ MADE: list[tuple[str, dict[str, Any], type[LooseEnvError], tuple[str, ...]]] = [
     *((env_id[10:-3], {"hold": "glue"}, UnknownName, ("'glue'", "'compliant'")) for env_id in IDS),
     ("Planar", {"hold": None}, UnknownName, ("None", "'compliant'")),
     ("Planar", {"durations": (0.2, 0.01)}, InvalidSetting, ("0.01 s", "(30.0, 150.0) Hz")),
-    (
-        "Planar",
-        {"kinds": ("healthy", "compound_looseness"), "engine": "reduced"},
-        InvalidSetting,
-        ("compound_looseness", "'mujoco'"),
+    *(
+        ("Planar", {"kinds": ("healthy", kind)}, InvalidSetting, (kind, "no posterior", "reset("))
+        for kind in ("rotational_looseness", "compound_looseness")
     ),
+    ("Planar", {"rig": "x"}, LooseEnvError, ("rig",)),
     ("Planar", {"max_moved": 5}, InvalidSetting, ("max_moved is 1 to 4", "got 5")),
     ("Vera", {"max_excited": 9}, InvalidSetting, ("max_excited is 1 to 2", "got 9")),
     *(
@@ -148,7 +147,7 @@ def test_a_bad_setting_is_refused(make: Any, name: str, value: Any, words: str) 
     [
         (lambda: DiagnosisSettings(difficulty="mad"), UnknownName, ("'mad'", "'easy', 'default'")),
         (lambda: DiagnosisSettings(difficulty=3), UnknownName, ("3", "'easy', 'default'")),  # type: ignore[arg-type]
-        (lambda: hypotheses(planar(2), ("healthy", "rust")), UnknownName, ("rust", "compound")),
+        (lambda: hypotheses(planar(2), ("healthy", "rust")), UnknownName, ("rust", "backlash")),
         (lambda: Difficulty(kinds={"rust": 1.0}), UnknownName, ("'rust'", "'backlash'")),
         (lambda: Difficulty(friction_over="mean"), UnknownName, ("friction_over", "'mean'")),  # type: ignore[arg-type]
         (lambda: Mismatch(mass=-0.1), InvalidSetting, ("mass", "zero or more", "-0.1")),
@@ -180,12 +179,12 @@ def test_what_does_not_exist_is_refused(call: Any, error: Any, words: tuple[str,
 def test_a_difficulty_hides_hypotheses_alone() -> None:
     from loose_env.arms import LinearArm
 
-    own = Difficulty(kinds={"backlash": 0.25, "compound_looseness": 0.75})
+    own, few = Difficulty(kinds={"backlash": 0.25, "healthy": 0.75}), ("healthy",)
     for make in (
-        lambda: DiagnosisSettings(difficulty=own),
-        lambda: FaultSampler(LinearArm(planar(2)), own),
+        lambda: DiagnosisSettings(difficulty=own, kinds=few),  # type: ignore[arg-type]
+        lambda: FaultSampler(LinearArm(planar(2)), own, few),
     ):
-        with refused(InvalidSetting, "hides ['compound_looseness'], but only", "add"):
+        with refused(InvalidSetting, "hides ['backlash'], but only", "add"):
             make()
     sampler = FaultSampler(LinearArm(planar(2)), Difficulty())
     with refused(InvalidSetting, "2 to 2"):

@@ -62,9 +62,6 @@ def test_what_does_not_fit_is_refused(theta: Any, design: Any, words: str) -> No
     _, simulate = loose_env.simulator("loose_env/Planar-v0", **SHORT)
     with pytest.raises(InvalidSetting, match=words):
         simulate(theta, design, np.random.default_rng(0))
-    kinds = ("healthy", "rotational_looseness")
-    with pytest.raises(InvalidSetting, match="have other parameters"):
-        loose_env.simulator("loose_env/Planar-v0", kinds=kinds, **SHORT)
     for other in ("loose_env/Gap-v0", "CartPole-v1"):
         with pytest.raises(InvalidSetting, match="hides no fault of an arm"):
             loose_env.simulator(other)
