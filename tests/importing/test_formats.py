@@ -114,7 +114,8 @@ def test_chosen_episodes_alone_are_imported(home: Path, motion: Motion) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["rtde", "rosbag2 sqlite3"])
 def test_the_gap_of_an_imported_log_names_the_friction_of_the_elbow(home: Path, kind: str) -> None:
-    (log,) = map(str, WRITERS[kind](home, moved(friction=2.0)))
+    # Less would pass for the tolerance of the drive's velocity gain, which acts in the same way.
+    (log,) = map(str, WRITERS[kind](home, moved(friction=4.0)))
     model, mapping = str(home / "arm.xml"), home / "map.toml"
     told = ["import", "--guess", log, "--model", model, "--mapping", str(mapping)]
     assert main(told) == 0
@@ -130,7 +131,8 @@ def test_the_gap_of_an_imported_log_names_the_friction_of_the_elbow(home: Path, 
     result = json.loads((home / "gap" / "result.json").read_text())
     (effect,) = result["effects"]
     assert (effect["kind"], effect["where"]) == ("viscous_friction", "elbow")
-    assert result["gap"]["after"] < 0.2 * result["gap"]["before"]
+    before, after = result["gap"]["by_quantity"]["joint position [rad]"]
+    assert after < 0.2 * before
 
 
 # ------------------------------------------------------------------------- guesses
