@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from loose_env.cli.command import kept, settled
 from loose_env.cli.console import Console, OnRecording, Outcome, Output, OutputFolder
 from loose_env.errors import InvalidSetting, MissingExtra
+from loose_env.importing import drives_of, followers
 from loose_env.instrument import (
     PLAN,
     RECORDING,
@@ -24,7 +25,7 @@ from loose_env.instrument import (
     trend,
     write_plan,
 )
-from loose_env.recording import read_recording
+from loose_env.recording import load_model, read_recording
 
 PAGE = "plan.html"
 
@@ -34,8 +35,8 @@ class Inspect(Output):
     """Say from the model of an arm alone what a session could test.
 
     Reads an MJCF or URDF file, chooses poses as 'loose plan' does, and prints one screen: joints,
-    links, limits, the signal, and for every link and joint whether its load would reverse. Nothing
-    is written unless --json names a file.
+    links, limits, the signal, for every link and joint whether its load would reverse, and each
+    drive by its force law. Nothing is written unless --json names a file.
 
         loose inspect arm.xml --controller ur_rtde
         loose inspect arm.urdf --tool flange --payload-kg 1.5 --json -
@@ -51,7 +52,10 @@ class Inspect(Output):
         from loose_env.report import summary
 
         made, _ = plan(self.model, self.settings)
-        return Outcome(text=summary(made), json=made.to_json, warnings=made.notes)
+        model = load_model(self.model, package=self.settings.package_path)[1]
+        words = [f"drive {each.words}" for each in drives_of(model).values()] + followers(model)
+        text = "\n".join([summary(made), *words])
+        return Outcome(text=text, json=made.to_json, warnings=made.notes)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -120,7 +120,7 @@ class Import(Output):
     rate_hz: float | None = None
     """With --guess: sampling rate of files without times [Hz]."""
     mapping: Annotated[Path | None, arg(metavar="MAP")] = None
-    """Mapping file, .toml or .json."""
+    """Mapping file, TOML."""
     out: Annotated[Path | None, arg(metavar="RECORDING")] = None
     """Folder of the recording; a new one, or that of a plan."""
     model: Annotated[Path | None, arg(metavar="MODEL.xml")] = None

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from loose_env.importing import inverse_dynamics, median_step
+from loose_env.importing import Drive, drives_of, inverse_dynamics, median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -25,7 +25,6 @@ _KINDS: dict[int, Kind] = {
     int(mujoco.mjtSensor.mjSENS_GYRO): "turning",
 }
 _SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 BLOCK_S = 0.1
 """Length of the block means of slow signals [s]: a period at 10 Hz, where servos end."""
@@ -60,26 +59,6 @@ class Channel:
         return float(np.abs(self.there).max(initial=0.0))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Servo:
-    """Actuator of the model that drives one joint by a gain on its command."""
-
-    name: str
-    joint: str
-    gear: float
-    """Joint torque over actuator force [1]."""
-    gain: float
-    """Actuator force over command."""
-    follows: bool
-    """True for a position servo: its command is a position."""
-    motor: bool
-    """True if its force is the gain times the command, whatever the motion."""
-    lag: float
-    """Delay of slow motion behind the command of a position servo in the model [s]."""
-    limits: tuple[float, float] | None
-    """Limits of the command; None where it has none."""
-
-
 class Machine:
     """Names, limits and drives of a model, as the checks need them."""
 
@@ -91,11 +70,7 @@ class Machine:
             if int(model.jnt_type[j]) in _SINGLE and model.joint(j).name
         ]
         """Hinges and slides with a name."""
-        self.drives = {
-            model.actuator(a).name: self._drive(a)
-            for a in range(model.nu)
-            if int(model.actuator_trntype[a]) in _ON_JOINT and int(model.actuator_ctrlnum[a]) == 1
-        }
+        self.drives = {n: drive for n, drive in drives_of(model).items() if not drive.tendon}
         """Actuators on joints, by name."""
 
     def hinge(self, joint: str) -> bool:
@@ -112,26 +87,6 @@ class Machine:
         if not self.model.jnt_limited[j]:
             return None
         return float(self.model.jnt_range[j][0]), float(self.model.jnt_range[j][1])
-
-    def _drive(self, a: int) -> Servo:
-        m = self.model
-        gain, bias = float(m.actuator_gainprm[a][0]), m.actuator_biasprm[a]
-        fixed = int(m.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
-        affine = int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
-        limited = bool(m.actuator_ctrllimited[a])
-        follows = bool(affine and fixed and gain > 0 and np.isclose(bias[1], -gain))
-        gear, joint = float(m.actuator_gear[a][0]), int(m.actuator_trnid[a][0])
-        damping = float(m.dof_damping[int(m.jnt_dofadr[joint])]) - float(bias[2]) * gear**2
-        return Servo(
-            name=m.actuator(a).name,
-            joint=m.joint(joint).name,
-            gear=gear,
-            gain=gain if fixed and int(m.actuator_dyntype[a]) == 0 else 0.0,
-            follows=follows,
-            motor=fixed and not bias[:3].any(),
-            lag=damping / (gain * gear**2) if follows and gear else 0.0,
-            limits=tuple(map(float, m.actuator_ctrlrange[a])) if limited else None,  # type: ignore[arg-type]
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -253,7 +208,7 @@ def positions_of(machine: Machine, run: Run) -> dict[str, Channel]:
     return found
 
 
-def servos_of(machine: Machine, run: Run) -> list[tuple[Servo, Array]]:
+def servos_of(machine: Machine, run: Run) -> list[tuple[Drive, Array]]:
     """Position servos of a run with their commands as joint positions [rad or m], shape (T,)."""
     return [
         (drive, filled(run.time, run.controls[name]) / (drive.gear or 1.0))
@@ -277,7 +232,7 @@ def forces_of(
             filled(run.time, run.controls[name]) * drive.gain * drive.gear,
         )
         for name, drive in machine.drives.items()
-        if name in run.controls and drive.motor and drive.gain and driven.count(drive.joint) == 1
+        if name in run.controls and drive.motor and driven.count(drive.joint) == 1
     }
     if not commands_only:
         for joint, values in run.torques.items():

@@ -9,14 +9,17 @@ from loose_env.importing.mapping import ImportMapping, read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
 from loose_env.importing.proposal import Proposal, proposal_text, propose
 from loose_env.importing.resampling import median_step
-from loose_env.importing.targets import inverse_dynamics
+from loose_env.importing.targets import Drive, drives_of, followers, inverse_dynamics
 
 __all__ = [
+    "Drive",
     "ImportMapping",
     "ImportSettings",
     "Proposal",
     "command_delays",
+    "drives_of",
     "early_by",
+    "followers",
     "import_recording",
     "inverse_dynamics",
     "median_step",

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from loose_env.importing.resampling import median_step
-from loose_env.importing.targets import SMOOTHED, joint_targets, needed_torques
+from loose_env.importing.targets import SMOOTHED, Drive, drives_of, joint_targets, needed_torques
 from loose_env.recording import CommandTiming, Run
 from loose_env.typing import Array
 
@@ -80,23 +80,18 @@ def command_delays(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, Comm
         for each in targets
     }
     needed = needed_torques(model, positions, step)
-    found = {}
+    found, drives = {}, drives_of(model)
     for each in targets:
         drive = each.command[5:]
-        if each.name in needed and drive and _affine(model, drive):
+        if each.name in needed and drive and drives[drive].gain and not drives[drive].tendon:
             parts = [
                 (needed[each.name][k], positions[each.name][k], grid, run.time, held)
                 for k, (run, grid) in enumerate(zip(runs, grids, strict=True))
                 if drive in run.controls and np.ptp(held := _held(run, drive)) > 0
             ]
             if parts:
-                found[drive] = _delay(model, drive, step, parts)
+                found[drive] = _delay(drives[drive], step, parts)
     return {drive: delay for drive, delay in found.items() if np.isfinite([*delay]).all()}
-
-
-def _affine(model: mujoco.MjModel, drive: str) -> bool:
-    own = model.actuator(drive)
-    return bool(own.dyntype[0] == 0 and own.gaintype[0] == 0 and own.biastype[0] in (0, 1))
 
 
 def _read(run: Run, values: Array, grid: Array) -> Array:
@@ -109,12 +104,12 @@ def _held(run: Run, drive: str) -> Array:
     return CommandTiming().acting(run.time, run.controls[drive], run.time)
 
 
-def _delay(model: mujoco.MjModel, drive: str, step: float, parts: Sequence[_Part]) -> CommandDelay:
+def _delay(drive: Drive, step: float, parts: Sequence[_Part]) -> CommandDelay:
     interval = float(np.median([interval_of(time, held) for *_, time, held in parts]))
     lines = [(*part[:4], lines_of(*part[3:], interval)) for part in parts]
     late = 0.0
     for _ in range(_STEPS):
-        y, terms = _terms(model, drive, step, lines, late)
+        y, terms = _terms(drive, step, lines, late)
         late += _fitted(y, terms)
     piece = np.arange(len(y)) * _PIECES // max(len(y), 1)
     without = [_fitted(y[piece != k], terms[piece != k]) for k in range(_PIECES)]
@@ -126,12 +121,9 @@ def _fitted(y: Array, terms: Array) -> float:
     return float(np.linalg.lstsq(terms / size, y, rcond=None)[0][0] / size[0])
 
 
-def _terms(
-    model: mujoco.MjModel, drive: str, step: float, parts: Sequence[_Part], late: float,
-) -> tuple[Array, Array]:  # fmt: skip
+def _terms(drive: Drive, step: float, parts: Sequence[_Part], late: float) -> tuple[Array, Array]:
     """Torque (T,) that a drive does not give, and its change by delay and friction (T, 4)."""
-    own = model.actuator(drive)
-    gear, gain, (bias, stiff, damped) = float(own.gear[0]), float(own.gainprm[0]), own.biasprm[:3]
+    gear, gain, (bias, stiff, damped) = drive.gear, drive.gain, drive.bias
     left, columns = [], []
     for needed, position, grid, time, lines in parts:
         asked = np.interp(grid - late, time, lines)

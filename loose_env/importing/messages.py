@@ -82,7 +82,7 @@ class _Topic:
         try:
             if len(data) > _IMAGE and not strict:
                 raise InvalidData(f"{self.place}: its messages have {len(data)} bytes")
-            for words, labels, value in _numbers(decoder(data), "", 0):
+            for words, labels, value in _numbers(decoder(data), "", ()):
                 if labels is _STAMP:
                     self.stamps.setdefault(words, []).append(value)
                     continue
@@ -132,32 +132,35 @@ _STAMP = ("stamp",)
 """Mark of a field that holds a time."""
 
 
-def _numbers(here: Any, words: str, depth: int) -> Iterator[tuple[str, Any, Any]]:
-    """Fields of a message: name, names of the entries of an array or None or a mark, value."""
+def _numbers(here: Any, words: str, label: tuple[str, ...]) -> Iterator[tuple[str, Any, Any]]:
+    """Fields of a message: name, names of the entries of an array or None or a mark, value.
+
+    Names of entries hold for all arrays of their length, at whatever depth below.
+    """
     if isinstance(here, (bool, int, float, np.number)):
         yield words, None, float(here)
         return
     fields = _fields_of(type(here))  # type: ignore[arg-type]
-    if depth == _DEEPEST or not fields:
+    if words.count(".") == _DEEPEST or not fields:
         return
     if fields in (("sec", "nanosec"), ("secs", "nsecs")):
         yield words, _STAMP, getattr(here, fields[0]) * 10**9 + getattr(here, fields[1])
         return
-    label = next(filter(None, (_label(getattr(here, name, None)) for name in _LABELS)), ())
+    label = next(filter(None, (_label(getattr(here, name, None)) for name in _LABELS)), label)
     for name in fields:
         value = getattr(here, name)
         if name.endswith("covariance"):
             continue  # nine numbers that no column takes
         own = f"{words}.{name}" if words else name
         if not isinstance(value, (list, np.ndarray)):
-            yield from _numbers(value, own, depth + 1)
+            yield from _numbers(value, own, label)
         elif 0 < len(value) <= _MOST_ENTRIES:
             if isinstance(value, np.ndarray):
                 numbered = tuple(map(str, range(len(value))))
                 yield own, label if len(label) == len(value) else numbered, value.tolist()
             else:
                 for i, each in enumerate(value):
-                    yield from _numbers(each, f"{own}[{i}]", depth + 1)
+                    yield from _numbers(each, f"{own}[{i}]", label)
 
 
 @cache

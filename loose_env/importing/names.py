@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -26,7 +26,7 @@ acceleration: qdd ddq acc accel acceleration accelerometer qacc gyro gyroscope i
 velocity: velocity velocities vel qd dq qvel speed rate omega
 torque: effort torque torques tau moment force forces frc load
 current: current currents amps
-position: position positions pos q qpos angle angles encoder enc state ist
+position: position positions pos q qpos angle angles encoder enc state states ist
 """
 _WORDS: dict[str, set[str]] = {}
 """Quantity -> words that name it, in the order in which quantities are tried."""
@@ -66,15 +66,18 @@ class Meaning:
         return ""
 
 
-def meaning_of(key: ChannelKey, joints: Sequence[str] = (), beside: str = "") -> Meaning:
-    """Read the name of a channel, of a model with such joints; ``beside`` has further words.
+def meaning_of(
+    key: ChannelKey, joints: Mapping[str, Sequence[str]] | None = None, beside: str = ""
+) -> Meaning:
+    """Read the name of a channel by the names of each joint; ``beside`` has further words.
 
     Examples
     --------
     >>> found = meaning_of(ChannelKey("target_qd_3"))
     >>> found.role, found.of, found.index
     ('command', 'velocity', 3)
-    >>> found = meaning_of(ChannelKey("position[elbow]", "/joint_states"), ["elbow", "wrist"])
+    >>> joints = {"elbow": ["elbow", "bend"], "wrist": ["wrist"]}
+    >>> found = meaning_of(ChannelKey("position[bend]", "/joint_states"), joints)
     >>> found.role, found.joint
     ('position', 'elbow')
     """
@@ -87,7 +90,7 @@ def meaning_of(key: ChannelKey, joints: Sequence[str] = (), beside: str = "") ->
     elif numbered is not None:
         base, index = f"{numbered[1] or ''} {numbered[3]}", int(numbered[2])
     words = tuple(words_of(plain))
-    joint, own = _joint_of(words, joints)
+    joint, own = _joint_of(words, joints or {})
     rest = tuple(w for w in words_of(base) if w not in own)
     roles = _roles(set(rest) | set(words_of(beside)) if rest or beside else set(words))
     commanded = set(words_of(key.topic)) & _WORDS["command"]
@@ -120,23 +123,20 @@ def _roles(words: set[str]) -> list[str]:
     return [role for role, known in _WORDS.items() if words & known]
 
 
-def _joint_of(words: tuple[str, ...], joints: Sequence[str]) -> tuple[str, set[str]]:
-    """Joint that a name has, and the words by which: its whole name, or one that it alone has."""
-    sizes = {joint: _named(words, joint) for joint in joints}
+def _joint_of(words: tuple[str, ...], joints: Mapping[str, Sequence[str]]) -> tuple[str, set[str]]:
+    """Joint that a name has, and the words by which: a whole name of it, or one it alone has."""
+    sizes = {(joint, name): _named(words, name) for joint in joints for name in joints[joint]}
     most = max(sizes.values(), default=0)
     if most:
-        fitting = [joint for joint, size in sizes.items() if size == most]
-        own = set(words_of(fitting[0])) | {"joint"}
-        return (fitting[0], own) if len(fitting) == 1 else ("", set())
+        fitting = {joint: name for (joint, name), size in sizes.items() if size == most}
+        ((joint, name),) = fitting.items() if len(fitting) == 1 else (("", ""),)
+        return joint, set(words_of(name)) | {"joint"} if joint else set()
     known = set().union(*_WORDS.values()) | {"joint", "motor", "axis"}
-    everywhere = [word for joint in joints for word in set(words_of(joint))]
-    telling = {
-        word: joint for joint in joints for word in words_of(joint)
-        if everywhere.count(word) == 1 and len(word) >= _TELLING and word not in known
-    }  # fmt: skip
-    named = {telling[word] for word in words if word in telling}
-    joint = named.pop() if len(named) == 1 else ""
-    return joint, {word for word in words if joint and telling.get(word) == joint}
+    own = {j: {w for name in names for w in words_of(name)} for j, names in joints.items()}
+    of = {w: [j for j in own if w in own[j]] for w in words if len(w) >= _TELLING}
+    telling = {w: each[0] for w, each in of.items() if len(each) == 1 and w not in known}
+    joint = next(iter(telling.values())) if len({*telling.values()}) == 1 else ""
+    return joint, {w for w in telling if joint}
 
 
 def _named(words: tuple[str, ...], joint: str) -> int:

@@ -128,7 +128,7 @@ def propose(
     """
     logs, notes, unused = _sources(sources, rate_hz)
     runs = _runs(logs)
-    signals = _signals(logs, runs, [t.name for t in joint_targets(model)])
+    signals = _signals(logs, runs, {t.name: t.aliases for t in joint_targets(model)})
     roles = Roles(model, signals).found()
     columns, left = (*roles.lines.values(), *roles.open), roles.left()
     refused = "" if any(not c.startswith("ctrl.") for c in roles.lines) else _nothing(
@@ -151,7 +151,7 @@ def _nothing(
     names = ", ".join(dict.fromkeys(log.files[0].call for log in logs.values()))
     if roles.notes:  # the log has them, and the model no place for them
         return f"{names}: {'; '.join(roles.notes)[:600]}"
-    heard = "; ".join(f"{each.candidate.key}: {each.reason}" for each in left[:3])
+    heard = "; ".join(f"{each.candidate.key}: {each.reason}" for each in [*roles.open, *left][:3])
     found = ", ".join(f"{line.candidate.key} as {c}" for c, line in [*roles.lines.items()][:2])
     return (
         f"{names}: no channel is a measured position, velocity or torque of the model "
@@ -229,7 +229,9 @@ def _runs(logs: Mapping[str, LogSource]) -> list[dict[str, str]]:
 
 
 def _signals(
-    logs: Mapping[str, LogSource], runs: Sequence[Mapping[str, str]], joints: Sequence[str]
+    logs: Mapping[str, LogSource],
+    runs: Sequence[Mapping[str, str]],
+    joints: Mapping[str, Sequence[str]],
 ) -> list[Signal]:
     """All channels, on common times of some runs where they have samples."""
     read: list[dict[tuple[str, ChannelKey], Samples]] = []

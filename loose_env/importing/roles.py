@@ -68,6 +68,7 @@ _NEAR = 0.3
 1.2 standard deviations of the motion away."""
 _UNIT = 0.2
 """Most that its size speaks against a torque whose name tells nothing [1]."""
+_BY_NAME = "by its name"
 _ROWS = 2000
 """Rows of which torques are computed where several motions are tried."""
 _CLEARER = 0.1
@@ -202,7 +203,7 @@ class Roles:
                 if "" not in array and len(others) == len(lacking):
                     members |= dict(zip(lacking, others, strict=True))
                 named = any(s.meaning.joint for s in members.values())
-                words = "by its name" if named else "of the only joint"
+                words = _BY_NAME if named else "of the only joint"
                 found.append(Vector(members, words, named))
             own = sorted(own, key=lambda s: s.meaning.index or 0)
             order = next((o for o in (names, driven) if len(o) == len(own)), None)
@@ -283,7 +284,8 @@ class Roles:
                         relations[s.sort] = self._relation(s, moving)
                     own.append(_PRIOR[s.meaning.role] + (relations[s.sort][0] if near else 0.0))
             if own:
-                scored.append((float(np.mean(own) if vector.given else np.min(own)), -i, vector))
+                score = float(np.mean(own) if vector.given else np.min(own))
+                scored.append((score + 0.5 * (vector.words == _BY_NAME), -i, vector))
         if not any(score > 0.5 for score, *_ in scored):
             scored += self._by_dynamics(scored, relations)
         for score, _, vector in sorted(scored, key=lambda each: each[:2], reverse=True):
@@ -364,7 +366,8 @@ class Roles:
             s, _, reason = self.positions[joint]
             target = self.joints[joint]
             if scaling is None:
-                words = f"{reason}; its values or unit fit no unit of {joint!r}"
+                words = f"{reason}; its values {s.low:.6g} to {s.high:.6g} {s.unit} fit no unit of "
+                words += f"{joint!r}: give unit and scale"
                 self._open(target.position, s, Scaling(""), words)
                 del self.positions[joint]
                 continue
@@ -404,7 +407,6 @@ class Roles:
             match, s = table[i][k], candidates[k]
             if scores[i, k] >= ALIKE and not match.why:
                 chosen[k] = match
-                self.used.add(s.sort)
         per: dict[object, list[float]] = {}
         for k, match in chosen.items():
             if match.per > 0:
@@ -502,7 +504,8 @@ class Roles:
         if not named and evidence:  # a size in no unit speaks against it
             evidence -= _off_size(told)
         per = told.per if abs(told.alone) >= _TRUSTED or not named else 0.0
-        sign = -1 if value < 0 else 1
+        # A sign is exchanged by what is seen clearly alone.
+        sign = -1 if value < -_TRUSTED or (value < 0 and not named) else 1
         return Match(joint, "torque", evidence, f"{words}friction", "", sign, per)
 
     def _as_command(self, joint: str, s: Signal) -> Match:

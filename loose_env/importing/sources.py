@@ -33,31 +33,33 @@ def given_files(words: Sequence[str]) -> Given:
 
     A folder that is neither a bag nor a dataset stands for the logs in it.
     """
-    found: dict[str, Path] = {}
+    members: list[tuple[str, Path]] = []
     for word in words:
         name, equals, rest = word.partition("=")
         named = bool(equals) and "/" not in name and not Path(word).exists()
         path = Path(rest if named else word)
         if not path.is_file() and not path.is_dir():
             raise InvalidSetting(f"there is no file {str(path)!r}")
-        members = [path] if named or path.is_file() or _folder_opener(path) else _logs_in(path)
-        if not members:
+        own = [path] if named or path.is_file() or _folder_opener(path) else _logs_in(path)
+        if not own:
             raise InvalidData(
                 f"{path.resolve().name}: a folder without logs; read are folders of a ROS bag, of "
                 f"a LeRobot dataset ({INFO}), or of files that end in {', '.join(_OPENERS)}"
             )
-        names = [each.resolve().name for each in members]
-        for each in members:
-            own = each.resolve()
-            key = name if named else own.name
-            if names.count(key) > 1 or (key in found and found[key].resolve() != own and not named):
-                key = f"{own.parent.name}/{own.name}"
-            if key in found:
-                raise InvalidSetting(
-                    f"two sources are called {key!r}; give one as NAME=PATH, where NAME is the "
-                    "mapping's source or file"
-                )
-            found[key] = each
+        members += [(name if named else "", each) for each in own]
+    places = {path.resolve() for name, path in members if not name}
+    names = [each.name for each in places]
+    found: dict[str, Path] = {}
+    for name, path in members:
+        own_name = path.resolve().name
+        folder = f"{path.resolve().parent.name}/" * (names.count(own_name) > 1)
+        key = name or f"{folder}{own_name}"
+        if key in found:
+            raise InvalidSetting(
+                f"two sources are called {key!r}; give one as NAME=PATH, where NAME is the "
+                "mapping's source or file"
+            )
+        found[key] = path
     return found
 
 

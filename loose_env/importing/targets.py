@@ -30,8 +30,103 @@ from loose_env.typing import Array
 
 SMOOTHED = 9
 """Samples over which positions are averaged before they are differentiated twice."""
-Drive = Literal["position", "velocity", "torque"]
-"""Quantity that an actuator's control commands."""
+Quantity = Literal["position", "velocity", "torque"]
+"""Quantity that an actuator's command sets."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """Actuator at a joint or tendon by its force: gain · command + bias · (1, position, speed)."""
+
+    name: str
+    joints: tuple[str, ...]
+    """The joint that it drives, or those of its tendon."""
+    tendon: str
+    sets: Quantity
+    gear: float
+    """Joint torque over actuator force [1]."""
+    gain: float
+    """Actuator force over command; 0 where it is not constant."""
+    bias: tuple[float, float, float]
+    integrates: bool
+    """Whether its command is the rate of what it follows."""
+    lag: float
+    """Delay of slow motion behind the command of a position drive in the model [s]."""
+    unit: str
+    """Unit of the force at the joint."""
+    limits: tuple[float, float] | None
+    """Limits of the command; None where it has none."""
+
+    @property
+    def joint(self) -> str:
+        """The joint that it drives, or the first of its tendon."""
+        return self.joints[0]
+
+    @property
+    def follows(self) -> bool:
+        """True for a position servo, which rests where its command is."""
+        return self.sets == "position" and bool(np.isclose(self.bias[1], -self.gain))
+
+    @property
+    def motor(self) -> bool:
+        """True if its force is the gain times the command, whatever the motion."""
+        return bool(self.gain) and not any(self.bias)
+
+    @property
+    def words(self) -> str:
+        """The drive as a person is told of it."""
+        turn = "rad" if self.unit == "N·m" else "m"
+        per = {"position": f"/{turn}", "velocity": f"·s/{turn}", "torque": " per unit of command"}
+        size = max(self.gain, -self.bias[2]) if self.sets == "velocity" else self.gain
+        stiff = -self.bias[1] if self.integrates else size
+        unit = f"{self.unit}{per['position' if self.integrates else self.sets]}"
+        kind = {"position": "position drive", "velocity": "velocity drive", "torque": "motor"}
+        law = f"{stiff * self.gear ** (1 + (self.sets != 'torque')):.3g} {unit}"
+        law = law if self.gain or self.integrates else "a force that is not linear in its command"
+        where = " and ".join(self.joints) + (f" by tendon {self.tendon}" if self.tendon else "")
+        return f"{self.name}: {kind[self.sets]} of {where}, {law}" + (
+            ", which integrates its command" if self.integrates else "")  # fmt: skip
+
+
+def drives_of(model: mujoco.MjModel) -> dict[str, Drive]:
+    """Actuators of one command at a joint or a fixed tendon, by name.
+
+    Examples
+    --------
+    >>> xml = '''<mujoco><worldbody><body><joint name="turn"/><geom size=".1"/></body></worldbody>
+    ... <actuator><velocity name="spin" joint="turn" kv="20"/></actuator></mujoco>'''
+    >>> drives_of(mujoco.MjModel.from_xml_string(xml))["spin"].words
+    'spin: velocity drive of turn, 20 N·m·s/rad'
+    """
+    found = {}
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    for a in range(model.nu):
+        own, at = model.actuator(a), int(model.actuator_trnid[a, 0])
+        joints, tendon = [at], ""
+        if int(model.actuator_trntype[a]) == int(mujoco.mjtTrn.mjTRN_TENDON):
+            parts = slice(model.tendon_adr[at], model.tendon_adr[at] + model.tendon_num[at])
+            fixed = np.all(model.wrap_type[parts] == int(mujoco.mjtWrap.mjWRAP_JOINT))
+            joints, tendon = model.wrap_objid[parts].tolist() * bool(fixed), model.tendon(at).name
+        elif int(model.actuator_trntype[a]) not in kinds:
+            continue
+        if not joints or model.actuator_ctrlnum[a] != 1:
+            continue
+        bias = np.where(own.biastype == mujoco.mjtBias.mjBIAS_AFFINE, own.biasprm[:3], 0.0)
+        integrates = bool(own.dyntype[0] == mujoco.mjtDyn.mjDYN_INTEGRATOR and bias[1])
+        linear = own.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED and own.dyntype[0] == 0
+        gear, gain = float(own.gear[0]), float(own.gainprm[0]) * bool(linear)
+        damping = float(model.dof_damping[model.jnt_dofadr[joints[0]]]) - bias[2] * gear**2
+        sets: Quantity = "velocity" if integrates else (
+            "position" if bias[1] else "velocity" if bias[2] and gain else "torque")  # fmt: skip
+        slides = model.jnt_type[joints[0]] == mujoco.mjtJoint.mjJNT_SLIDE
+        found[own.name] = Drive(
+            name=own.name, joints=tuple(model.joint(j).name for j in joints), tendon=tendon,
+            sets=sets, gear=gear, gain=gain, bias=tuple(bias.tolist()), integrates=integrates,
+            lag=float(damping / (gain * gear**2)) if gain and gear else 0.0,
+            unit="N" if slides else "N·m",
+            limits=tuple(own.ctrlrange.tolist()) if own.ctrllimited[0] else None,
+        )  # fmt: skip
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +141,9 @@ class JointTarget:
     velocity: str
     torque: str
     command: str
-    drive: Drive
+    drive: Quantity
+    aliases: tuple[str, ...]
+    """Names that a channel may call it by: its own, and those of its drive and sensors."""
 
     @property
     def columns(self) -> tuple[str, str, str, str]:
@@ -57,11 +154,12 @@ class JointTarget:
 def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
     """List the joints with one coordinate and a name, in the model's order."""
     known = ModelColumns.of(model).known
-    found = []
+    found, drives = [], drives_of(model)
     for name, sensors in joint_sensors(model).items():
         joint = model.joint(name).id
         low, high = map(float, model.jnt_range[joint])
-        drive, kind = _drive(model, joint)
+        own = [d for d in drives.values() if name == d.joint]
+        drive, kind = (own[0].name, own[0].sets) if len(own) == 1 else ("", "torque")
         columns = {
             "position": f"sensor.{sensors.position[0]}" if sensors.position else "",
             "velocity": f"sensor.{sensors.velocity[0]}" if sensors.velocity else "",
@@ -74,6 +172,7 @@ def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
                 slide=model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE,
                 limits=(low, high) if model.jnt_limited[joint] else None,
                 drive=kind,
+                aliases=(name, *filter(None, [drive, *sensors.position, *sensors.velocity])),
                 **{role: column * (column in known) for role, column in columns.items()},
             )
         )
@@ -106,7 +205,7 @@ def tool_sensors(
         own, told = dict[str, Signal](), True
         for s in free:
             stated, named = quantity_of(s.unit), bool(set(s.meaning.words) & words)
-            alone = quantity == "acceleration" and stated == quantity
+            alone = stated == quantity
             # A file's name may be all that says acceleration: then gravity has to be in it.
             beside = quantity == s.meaning.role and not set(s.meaning.words) & _TURNING
             if s.meaning.axis and (alone or ((named or beside) and stated in ("", quantity))):
@@ -152,6 +251,26 @@ def inverse_dynamics(
     return torques
 
 
+def couplings_of(model: mujoco.MjModel) -> dict[str, tuple[int, Array]] | None:
+    """Leader of each joint that follows another, -1 for none, and its polynomial (5,).
+
+    None where other equality constraints are active, which close loops.
+    """
+    active = [int(i) for i in np.flatnonzero(model.eq_active0)]
+    if any(int(model.eq_type[i]) != int(mujoco.mjtEq.mjEQ_JOINT) for i in active):
+        return None
+    pairs = {i: (int(model.eq_obj1id[i]), int(model.eq_obj2id[i])) for i in active}
+    return {model.joint(one).name: (two, model.eq_data[i, :5]) for i, (one, two) in pairs.items()}
+
+
+def followers(model: mujoco.MjModel) -> list[str]:
+    """Joints that follow others, in words."""
+    return [
+        f"joint {joint} follows {model.joint(leader).name if leader >= 0 else 'a constant'}"
+        for joint, (leader, _) in (couplings_of(model) or {}).items()
+    ]
+
+
 def needed_torques(
     model: mujoco.MjModel, joints: Mapping[str, Sequence[Array]], step: float, every: int = 1
 ) -> dict[str, list[Array]]:
@@ -165,13 +284,9 @@ def needed_torques(
     """
     if model.nq != model.nv or model.nv == 0 or not joints:
         return {}
-    joint_kind = int(mujoco.mjtEq.mjEQ_JOINT)
-    couplings = {}
-    for i in map(int, np.flatnonzero(model.eq_active0)):
-        if int(model.eq_type[i]) != joint_kind:
-            return {}
-        follower, leader = (int(ids[i]) for ids in (model.eq_obj1id, model.eq_obj2id))
-        couplings[model.joint(follower).name] = (leader, model.eq_data[i, :5])
+    couplings = couplings_of(model)
+    if couplings is None:
+        return {}
     names = [model.joint(j).name for j in range(model.njnt)]
     if not set(names) - set(couplings) <= set(joints):
         return {}
@@ -196,22 +311,6 @@ def needed_torques(
         for j, name in enumerate(names):
             found[name].append(torque[:, j])
     return found
-
-
-def _drive(model: mujoco.MjModel, joint: int) -> tuple[str, Drive]:
-    """Name of the only actuator of a joint, "" where it has none or several, and its kind."""
-    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    own = [
-        i
-        for i in range(model.nu)
-        if int(model.actuator_trntype[i]) in kinds and model.actuator_trnid[i, 0] == joint
-    ]
-    if len(own) != 1:
-        return "", "torque"
-    bias, affine = model.actuator_biasprm[own[0]], mujoco.mjtBias.mjBIAS_AFFINE
-    kind: Drive = "position" if bias[1] else "velocity" if bias[2] else "torque"
-    return model.actuator(own[0]).name, (
-        kind if model.actuator_biastype[own[0]] == affine else "torque")  # fmt: skip
 
 
 # ------------------------------------------------------------------------- units

@@ -38,6 +38,30 @@ def test_inspect_says_what_a_session_could_test(capsys: Capture) -> None:
     assert "link3" in shown and "not tested" in shown
 
 
+def test_inspect_names_drives_and_couplings_as_what_they_are(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    finger = '<body name="{0}" pos=".3 0 0"><joint name="{0}" type="slide" axis="0 1 0"/>'
+    finger += '<geom size=".01" mass=".05"/></body>'
+    text = f"""<mujoco><worldbody><body name="a"><joint name="lift" axis="0 1 0" armature=".1"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/>
+    <body name="b" pos=".3 0 0"><joint name="bend" axis="0 1 0"/><site name="tip" pos=".3 0 .1"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/>
+    {finger.format("left")}{finger.format("right")}</body></body></worldbody>
+    <tendon><fixed name="both"><joint joint="left" coef="1"/><joint joint="right" coef="1"/></fixed>
+    </tendon><equality><joint joint1="right" joint2="left"/></equality>
+    <actuator><velocity name="v" joint="lift" kv="2e6"/><intvelocity name="i" joint="bend"
+    kp="100" actrange="-3 3"/><position name="p" tendon="both" kp="50"/></actuator></mujoco>"""
+    (tmp_path / "arm.xml").write_text(text)
+    assert main(["inspect", str(tmp_path / "arm.xml")]) == 0
+    assert capsys.readouterr().out.splitlines()[-4:] == [
+        "drive v: velocity drive of lift, 2e+06 N·m·s/rad",
+        "drive i: velocity drive of bend, 100 N·m/rad, which integrates its command",
+        "drive p: position drive of left and right by tendon both, 50 N/m",
+        "joint right follows left",
+    ]
+
+
 def test_a_plan_is_written_for_the_machine_and_goes_on(home: Path, tmp_path: Path) -> None:
     out = tmp_path / "session"
     assert main(["plan", ARM, "--controller", "ros2_jtc", "--out", str(out)]) == 0

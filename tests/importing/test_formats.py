@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -13,6 +14,7 @@ import pytest
 
 from loose_env.cli.main import main
 from loose_env.importing import proposal_text, propose
+from loose_env.importing.messages import _numbers
 from loose_env.recording import Recording, read_recording
 from tests.importing.arm_log import (
     ARM,
@@ -291,6 +293,57 @@ def test_a_position_with_the_unit_of_another_quantity_is_left(home: Path, motion
     proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL)
     assert "sensor.shoulder_lift_pos" not in {e.column for e in proposal.columns if not e.open}
     assert [left.candidate.key.channel for left in proposal.unassigned] == ["shoulder_lift_pos [g]"]
+
+
+def test_files_of_a_folder_are_one_run(home: Path, motion: Motion) -> None:
+    for k, folder in enumerate((home / "a", home / "b")):
+        folder.mkdir()
+        for name, own in (("states", motion.position), ("commands", motion.command)):
+            columns = dict(zip(JOINTS, np.roll(own, 100 * k, axis=0).T, strict=True))
+            written(folder / f"{name}.csv", {"time": motion.time, **columns})
+    proposal = propose([str(home / "a"), str(home / "b")], MODEL)
+    runs = [sorted(run.values()) for run in proposal.runs]
+    assert runs == [[f"{k}/commands.csv", f"{k}/states.csv"] for k in "ab"]
+    assert len([each for each in proposal.columns if not each.open]) == 6
+
+
+def test_a_channel_may_have_the_name_of_a_drive_and_a_tendon_one_command(
+    home: Path, motion: Motion
+) -> None:
+    driven = '<position name="bend" joint="elbow" kp="200" kv="10"/>'
+    tendon = ARM.replace(driven, driven.replace('joint="elbow"', 'tendon="belt"')).replace(
+        "<actuator>", '<tendon><fixed name="belt"><joint joint="elbow" coef="1"/></fixed></tendon>'
+        "<actuator>")  # fmt: skip
+    names = ("pan", "lift", "bend")
+    columns = dict(zip([f"{n} actual" for n in names], motion.position.T, strict=True))
+    columns |= dict(zip([f"{n} cmd" for n in names], motion.command.T, strict=True))
+    path = written(home / "log.csv", {"time": motion.time, **columns})
+    found = {c.column: c for c in propose([path], mujoco.MjModel.from_xml_string(tendon)).columns}
+    for joint, name in zip(JOINTS, names, strict=True):
+        assert found[f"sensor.{joint}_pos"].candidate.key.channel == f"{name} actual"
+        assert found[f"ctrl.{name}"].candidate.key.channel == f"{name} cmd"
+
+
+def test_values_in_no_known_unit_are_named_where_nothing_else_is(
+    home: Path, motion: Motion
+) -> None:
+    columns = {f"{j}_enc": 1e5 * motion.position[:, i] for i, j in enumerate(JOINTS)}
+    refused = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL).refused
+    assert "elbow_enc: position by its name" in refused and "give unit and scale" in refused
+
+
+def test_names_of_joints_hold_for_all_arrays_of_a_message() -> None:
+    @dataclass
+    class Point:
+        positions: np.ndarray
+
+    @dataclass
+    class State:
+        joint_names: list[str]
+        actual: Point
+
+    message = State(["elbow", "pan"], Point(np.array([1.0, 2.0])))
+    assert [*_numbers(message, "", ())] == [("actual.positions", ("elbow", "pan"), [1.0, 2.0])]
 
 
 def test_a_word_that_one_joint_alone_has_names_it(home: Path, motion: Motion) -> None:
