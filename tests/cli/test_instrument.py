@@ -43,7 +43,7 @@ def test_inspect_names_drives_and_couplings_as_what_they_are(
 ) -> None:
     finger = '<body name="{0}" pos=".3 0 0"><joint name="{0}" type="slide" axis="0 1 0"/>'
     finger += '<geom size=".01" mass=".05"/></body>'
-    text = f"""<mujoco><worldbody><body name="a"><joint name="lift" axis="0 1 0" armature=".1"/>
+    text = f"""<mujoco><worldbody><body name="a"><joint name="lift" axis="0 0 1" armature=".1"/>
     <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/>
     <body name="b" pos=".3 0 0"><joint name="bend" axis="0 1 0"/><site name="tip" pos=".3 0 .1"/>
     <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/>
