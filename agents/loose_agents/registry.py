@@ -47,11 +47,7 @@ from loose_agents.policies.classical import (
     LocalAgent,
     arm_class,
 )
-from loose_agents.policies.link_finding import (
-    LinkFindingAgent,
-    SpaceLinkFindingAgent,
-    SpaceLinkFindingSettings,
-)
+from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.policies.rhythm import RhythmAgent
 from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
@@ -114,23 +110,15 @@ def _classical(
 
 
 def _classical_literal(problem: Problem, seed: int) -> Agent:
-    if len(problem.arm.axes) == 3:
-        # In space; its thresholds follow from the mismatch and need no tuning.
-        return SpaceLinkFindingAgent(problem, SpaceLinkFindingSettings(policy="turns"), seed=seed)
     settings = _tuned_search(f"{problem.arm.name}-classical_literal")
+    agent = LinkFindingAgent(problem, LinkFindingSettings(**settings), seed=seed)
     if not settings:
         warnings.warn(
             f"classical_literal is not tuned for arm {problem.arm.name!r}: it plays with untuned "
             "thresholds; scripts/agents/tune_link_finding.py tunes them",
             stacklevel=2,
         )
-    return LinkFindingAgent(problem, LinkFindingSettings(**settings), seed=seed)
-
-
-def _images(problem: Problem, seed: int) -> Agent:
-    shared = classical_settings(problem)
-    settings = SpaceLinkFindingSettings(significance=shared.significance, healthy_poses=2)
-    return SpaceLinkFindingAgent(problem, settings, seed=seed)
+    return agent
 
 
 def _tuned_search(name: str) -> dict[str, Any]:
@@ -182,11 +170,7 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     ),
     "classical_literal": (
         _classical_literal,
-        "the thesis's link finding to the letter: lowest correlation, two poses compared",
-    ),
-    "images": (
-        _images,
-        "predicted directions of every hypothesis, all joints at once",
+        "the thesis's link finding to the letter, in the plane: two poses compared",
     ),
     "constant": (
         _of("constant"),

@@ -1,25 +1,17 @@
-"""Link finding by turns of direction: tests, search over links, next poses, motion shape."""
+"""Link finding by turns of direction: tests, next poses, shape of motion."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from loose_env.arms import Arm, LinearArm, LinearPose
-from loose_env.diagnosis.directions import (
-    DirectionSighting,
-    LinkPosterior,
-    ToolFrames,
-)
-from loose_env.diagnosis.prediction import RecordStatistics, SensorFloor, predict, shut_seats
+from loose_env.arms import LinearArm, LinearPose
+from loose_env.diagnosis.prediction import RecordStatistics, SensorFloor, predict
 from loose_env.errors import InvalidData
-from loose_env.excitation import Excitation, at_levels
-from loose_env.inference import overlap
+from loose_env.excitation import Excitation
 from loose_env.io import Checked, Count, NonNegative, NonNegativeCount
 from loose_env.statistics import ComparativeIndex, axial_difference, comparative_index
 from loose_env.typing import Array
@@ -81,37 +73,14 @@ class Sighting:
         )
 
 
-def judge_axes(
-    before: ArrayLike,
-    after: ArrayLike,
-    *,
-    move: float,
-    settings: LinkFindingSettings,
-    axis: ArrayLike = (0.0, 0.0, 1.0),
-) -> Finding:
-    """Say whether the direction turned when one joint moved (steps 5 to 8 of 4.2.2).
-
-    The axis of the rotation between the directions is estimated by z* = (p x p*) / sin(-move)
-    (4.31). In the plane it is a number times the normal: 0 if the direction stayed, 1 if it turned
-    by the whole move. As the sign of a direction is unknown, so is that of z*: both z* and -z* are
-    held against the axis of the joint. In space z* has the length of the axis only for a direction
-    across it: at an angle b from the axis it is off by e, tan(e) = cot(b) / cos(move / 2).
-    """
-    if abs(np.sin(move)) < 1e-6:
-        return "unclear"
-    p, turned = (np.append(np.asarray(v, dtype=float), [0.0])[:3] for v in (before, after))
-    estimate = np.cross(p, turned) / np.sin(-move)
-    if np.linalg.norm(estimate) < settings.still:
-        return "still"
-    line = np.asarray(axis, dtype=float)
-    off = min(np.linalg.norm(estimate - line), np.linalg.norm(estimate + line))
-    return "turned" if off < settings.turned else "unclear"
-
-
 def judge_turn(
     before: Sighting, after: Sighting, joint: int, settings: LinkFindingSettings
 ) -> Finding:
-    """Say whether the planar direction turned when a joint moved (4.31), see `judge_axes`.
+    """Say whether the direction turned when one joint moved (steps 5 to 8 of 4.2.2).
+
+    The axis of the rotation between the directions is z* = (p x p*) / sin(-move) (4.31), in the
+    plane a number times the normal: 0 if the direction stayed, 1 if it turned by the whole move. As
+    the sign of a direction is unknown, so is that of z*.
 
     Parameters
     ----------
@@ -122,9 +91,13 @@ def judge_turn(
     settings : LinkFindingSettings
         Holds the two thresholds.
     """
-    axes = [(np.cos(seen.direction), np.sin(seen.direction)) for seen in (before, after)]
-    move = float(after.pose[joint - 1] - before.pose[joint - 1])
-    return judge_axes(*axes, move=move, settings=settings)
+    move = np.sin(after.pose[joint - 1] - before.pose[joint - 1])
+    if abs(move) < 1e-6:
+        return "unclear"
+    size = abs(np.sin(after.direction - before.direction) / move)
+    if size < settings.still:
+        return "still"
+    return "turned" if abs(size - 1) < settings.turned else "unclear"
 
 
 def next_joint(order: Order, low: int, high: int) -> int:
@@ -166,319 +139,6 @@ def backlash_joint(
         rms.append(float(np.sqrt(np.mean(np.square(off)))))
     best = int(np.argmin(rms))
     return best + 1 if np.degrees(rms[best]) <= settings.backlash_angle else None
-
-
-JointChoice = Literal["one", "all"]
-
-
-def blind_joints(
-    frames: ToolFrames,
-    pose: ArrayLike,
-    direction: ArrayLike,
-    *,
-    moves: ArrayLike = (np.pi / 2,),
-    least: float = np.radians(20.0),
-) -> NDArray[np.bool_]:
-    """Joints whose own move cannot visibly turn a direction seen in a pose (n,).
-
-    Those are joints that slide, and hinges with an axis along the direction: at an angle b from the
-    axis, a move D turns it by 2 asin(sin(b) sin(D / 2)). Of several moves [rad] the one counts that
-    turns it most; ``least`` is some three standard deviations of the difference of two directions.
-    """
-    p = np.zeros(3)
-    p[list(frames.arm.axes)] = np.asarray(direction, dtype=float)
-    along = frames.axes(pose)[0] @ (p / np.linalg.norm(p))
-    sine = np.sqrt(np.maximum(0.0, 1 - along**2))
-    turn = 2 * np.arcsin(np.abs(np.outer(sine, np.sin(np.asarray(moves, dtype=float) / 2))))
-    turn = np.minimum(turn, np.pi - turn).max(axis=1)  # axial
-    return np.asarray(frames.slides | (turn < least))
-
-
-def candidate_poses(
-    arm: Arm,
-    pose: ArrayLike,
-    moves: ArrayLike,
-    *,
-    joints: JointChoice,
-    sliding: Sequence[bool] | NDArray[np.bool_],
-    most: int = 2048,
-    rng: np.random.Generator | None = None,
-) -> Array:
-    """Poses that one move reaches within the ranges (C, n); the first is the pose itself.
-
-    Joints that slide stay: they cannot turn a direction. So does joint 1, which carries the
-    whole arm along and changes nothing in the tool frame.
-
-    Parameters
-    ----------
-    arm : Arm
-        The arm, for its ranges.
-    pose, moves : array_like (n,), (m,)
-        Current pose [rad, or m], and moves of one hinge [rad]; staying is always among them.
-    joints : {"one", "all"}
-        Joints that move.
-    sliding : sequence of bool (n,)
-        Joints that slide.
-    most : int
-        With more combinations than this, as many are drawn, beside the moves of single joints.
-    rng : numpy.random.Generator, optional
-        Source of that draw; always the same one by default.
-    """
-    q = np.asarray(pose, dtype=float)
-    options: list[Array] = []
-    for j, limits in enumerate(arm.joint_ranges):
-        steps = np.zeros(1)
-        if j > 0 and not sliding[j]:
-            steps = np.concatenate([steps, np.asarray(moves, dtype=float)])
-            steps = steps[np.sort(np.unique(steps, return_index=True)[1])]  # zero stays first
-            if limits is not None:
-                there = q[j] + steps
-                fits = (there >= limits[0] - 1e-9) & (there <= limits[1] + 1e-9)
-                fits[0] = True
-                steps = steps[fits]
-        options.append(q[j] + steps)
-    single = [q]
-    for j, choices in enumerate(options):
-        for value in choices[1:]:
-            single.append(np.where(np.arange(arm.n) == j, value, q))
-    if joints == "one":
-        return np.array(single)
-    if np.prod([float(len(o)) for o in options]) <= most:
-        grid = np.meshgrid(*options, indexing="ij")
-        return np.stack([g.ravel() for g in grid], axis=1)
-    generator = np.random.default_rng(0) if rng is None else rng
-    drawn = np.stack([generator.choice(o, size=most) for o in options], axis=1)
-    return np.vstack([single, drawn])
-
-
-def choose_move(
-    frames: ToolFrames,
-    posterior: LinkPosterior,
-    candidates: ArrayLike,
-    *,
-    sd: float | ArrayLike,
-    count: int = 1,
-    chunk: int = 1024,
-) -> tuple[NDArray[np.intp], Array]:
-    """Choose the poses whose next direction tells the remaining hypotheses best apart.
-
-    Each hypothesis predicts a direction in each candidate. Two of them, an angle d apart, are
-    confused no more often than exp(-d² / 8 s²), with s the standard deviation of measurement and
-    prediction together (Bhattacharyya's bound). The candidate with the least confusion over all
-    pairs wins, pairs weighted by their probabilities.
-
-    Parameters
-    ----------
-    frames : ToolFrames
-        The arm's rotations.
-    posterior : LinkPosterior
-        Prior knowledge.
-    candidates : array_like (C, n)
-        Poses to choose from, ``chunk`` of them weighted at once.
-    sd : float or array_like (C, 2 n)
-        Standard deviation that the next direction is expected to have, in each pose under each
-        hypothesis [rad].
-    count : int
-        Number of the best candidates to return.
-
-    Returns
-    -------
-    index : ndarray of int (count,)
-        The best candidates, best first; among equals the order of the candidates.
-    confusion : ndarray (count,)
-        Their remaining share of confusion, 0 to 1; 1: nothing can be told apart.
-    """
-    spread = np.asarray(sd, dtype=float)
-    rows, n = np.atleast_2d(np.asarray(candidates, dtype=float)), frames.arm.n
-    weight = posterior.probabilities
-    alive = np.flatnonzero(weight > 1e-4 * weight.max())
-    one, other = np.triu_indices(len(alive), 1)
-    if not len(one):
-        return np.arange(min(count, len(rows))), np.zeros(min(count, len(rows)))
-    pair = weight[alive][one] * weight[alive][other]
-    own = np.concatenate([posterior.direction_sd**2, np.zeros(n)])[alive]
-    own = 0.5 * (own[one] + own[other])
-    spread = np.broadcast_to(spread, (len(rows), len(weight)))[:, alive]
-    confusion = np.empty(len(rows))
-    for start in range(0, len(rows), chunk):
-        part = rows[start : start + chunk]
-        slide = np.einsum("ckij,kj->cki", frames.images(part), posterior.directions)
-        seen = np.concatenate([slide, frames.unit_lines(part)], axis=1)[:, alive]
-        cosine = np.abs(np.einsum("cpi,cpi->cp", seen[:, one], seen[:, other]))
-        angle = np.arccos(np.minimum(cosine, 1.0))
-        errors = spread[start : start + chunk] ** 2
-        variance = 0.5 * (errors[:, one] + errors[:, other]) + own
-        confusion[start : start + chunk] = overlap(angle**2, variance) @ pair
-    best = np.argsort(confusion, kind="stable")[:count]
-    return best, confusion[best] / pair.sum()
-
-
-@dataclass(frozen=True, kw_only=True)
-class TurnSearch:
-    """Links in question: low..high. Each judged move gives a new search.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> frames = ToolFrames(planar(3))
-    >>> search = TurnSearch.over(3)
-    >>> poses = np.array([[0.0, 0.4, 0.1], [0.0, 1.9, 0.1]])
-    >>> seen = frames.images(poses)[:, 1] @ [0.6, 0.8]  # a slide at link 2
-    >>> before, after = (DirectionSighting.of(q, p, 0.05) for q, p in zip(poses, seen))
-    >>> found = search.after(frames, before, after, joint=2, rules=LinkFindingSettings())
-    >>> found.low, found.high
-    (2, 3)
-    """
-
-    low: int
-    """Lowest link in question."""
-    high: int
-    """Highest link in question."""
-    tries: int = 0
-    """Moves of the present joint that decided nothing."""
-
-    @classmethod
-    def over(cls, links: int) -> TurnSearch:
-        """Begin with every link of an arm in question."""
-        return cls(low=1, high=links)
-
-    def joint(
-        self,
-        frames: ToolFrames,
-        seen: DirectionSighting,
-        *,
-        moves: Array,
-        rules: LinkFindingSettings,
-        can_move: NDArray[np.bool_] | None = None,
-    ) -> int | None:
-        """Joint to move next from where a direction was seen; None if nothing is left to do.
-
-        Joints that cannot turn the direction by one of the moves [rad], or that their ranges hold,
-        are passed over for the nearest other one. Where only those are left, the links in question
-        cannot be told apart from this pose.
-        """
-        if self.low >= self.high:
-            return None
-        blind = blind_joints(frames, seen.pose, seen.direction, moves=moves)
-        if can_move is not None:
-            blind = blind | ~can_move
-        wanted = next_joint(rules.order, self.low, self.high)
-        seeing = [j for j in range(self.low + 1, self.high + 1) if not blind[j - 1]]
-        return min(seeing, key=lambda j: abs(j - wanted)) if seeing else None
-
-    def after(
-        self,
-        frames: ToolFrames,
-        before: DirectionSighting,
-        after: DirectionSighting,
-        *,
-        joint: int,
-        rules: LinkFindingSettings,
-        visible: bool = True,
-    ) -> TurnSearch:
-        """Narrow the links by what the move of a joint did (steps 5 to 8 of 4.2.2).
-
-        ``before`` and ``after`` are directions in two poses that differ in that joint, from 1,
-        alone, else InvalidData. Without a visible direction the move is one more try; out of
-        retries, the nearer threshold decides.
-        """
-        moved = after.pose - before.pose
-        if np.abs(np.delete(moved, joint - 1)).max(initial=0.0) > 1e-6:
-            raise InvalidData(
-                f"a turn is judged by the move of joint {joint} alone; the poses differ by {moved}"
-            )
-        judged = partial(
-            judge_axes,
-            before.direction,
-            after.direction,
-            move=float(moved[joint - 1]),
-            axis=frames.axes(after.pose)[0, joint - 1] if frames.dimension == 3 else (0, 0, 1),
-        )
-        finding = judged(settings=rules) if visible else "unclear"
-        if finding == "unclear":
-            if self.tries < rules.retries:
-                return replace(self, tries=self.tries + 1)
-            nearer = LinkFindingSettings(still=0.5, turned=np.finfo(float).max)
-            finding = judged(settings=nearer)
-        if finding == "turned":
-            return TurnSearch(low=self.low, high=max(self.low, joint - 1))
-        return TurnSearch(low=min(self.high, joint), high=self.high)
-
-    def link(self, rules: LinkFindingSettings) -> int:
-        """Link to name now: the end at which the order of the search began."""
-        return self.high if rules.order == "inward" else self.low
-
-
-_LEAST = 0.05
-"""Openness below which a seat counts as shut."""
-
-
-def expected_openness(
-    linear: LinearArm, posterior: LinkPosterior, poses: ArrayLike, *, level: float
-) -> Array:
-    """Expected openness of seats in several poses, all joints excited (C, 2 n), 0 shut to 1 free.
-
-    Gravity along a slide holds it shut until the excitation overcomes it. With F the rms force that
-    the shut seat transmits along its slide and G the weight it carries along it, the share is
-    F / sqrt(F² + G²). Friction is unknown, and the same in all poses.
-    """
-    shares = []
-    for row in np.atleast_2d(np.asarray(poses, dtype=float)):
-        at = linear.at(row)
-        excitation, _ = at_levels(at, np.full(linear.arm.n, level), duration=1.0)
-        torque = np.array(excitation.torque_rms)
-        force, load = shut_seats(at, torque, posterior.directions[:, None])
-        size = np.hypot(force, load)
-        shares.append(np.divide(force, size, out=np.zeros_like(size), where=size > 0))
-    return np.array(shares)
-
-
-def choose_open_move(
-    frames: ToolFrames,
-    linear: LinearArm,
-    posterior: LinkPosterior,
-    candidates: ArrayLike,
-    *,
-    sd: float,
-    level: float,
-    shortlist: int = 12,
-) -> Array:
-    """Choose the pose that discriminates best between seats, gravity considered (n,).
-
-    The ``shortlist`` best candidates by direction alone are looked at again with each hypothesis's
-    standard deviation divided by how open its seat would be there.
-
-    Parameters
-    ----------
-    frames, linear
-        The arm's rotations and its linear model.
-    posterior : LinkPosterior
-        Prior knowledge.
-    candidates : array_like (C, n)
-        Poses to choose from.
-    sd : float
-        Standard deviation of the direction of an open seat [rad].
-    level : float
-        Excitation: rms acceleration of the tool from each joint [m/s²].
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> from loose_env.diagnosis import DirectionSighting, link_posterior
-    >>> arm = planar(2)
-    >>> frames = ToolFrames(arm)
-    >>> known = link_posterior(frames, [DirectionSighting.of([0, 0.5], [0.6, 0.8], 0.05)])
-    >>> where = candidate_poses(arm, [0, 0.5], [-1.0, 1.5], joints="one", sliding=frames.slides)
-    >>> where[choose_move(frames, known, where, sd=0.05)[0]].tolist()
-    [[0.0, 2.0]]
-    >>> choose_open_move(frames, LinearArm(arm), known, where, sd=0.05, level=4.0).tolist()
-    [0.0, 2.0]
-    """
-    rows = np.atleast_2d(np.asarray(candidates, dtype=float))
-    best, _ = choose_move(frames, posterior, rows, sd=sd, count=shortlist)
-    shares = expected_openness(linear, posterior, rows[best], level=level)
-    again, _ = choose_move(frames, posterior, rows[best], sd=sd / np.maximum(shares, _LEAST))
-    return np.asarray(rows[best[again[0]]])
 
 
 @dataclass(frozen=True, kw_only=True)

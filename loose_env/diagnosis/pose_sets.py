@@ -1,7 +1,9 @@
-"""Pose sets chosen before measurement, by strategy; scattered axes, limit on link accuracy."""
+"""Pose sets by strategy, and pose by pose from a posterior over links; limit on link accuracy."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -10,7 +12,6 @@ from scipy.optimize import brentq
 
 from loose_env.arms import Arm
 from loose_env.diagnosis.directions import ToolFrames, log_mean_bingham
-from loose_env.diagnosis.link_finding import candidate_poses
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.inference import overlap
 from loose_env.kinematics import chebyshev_poses, choose_poses, worst_push
@@ -170,6 +171,112 @@ def _rms(width: float, dimension: int) -> float:
     return float(np.sqrt(weight @ _POLAR**2 / weight.sum() / (dimension - 1)))
 
 
+def candidate_poses(
+    frames: ToolFrames, pose: Array, moves: Array, *, most: int, rng: np.random.Generator
+) -> Array:
+    """Poses that one move of every hinge reaches within the ranges (C, n); the first is the pose.
+
+    Joints that slide stay: they cannot turn a direction. So does joint 1, which carries the whole
+    arm along. Of more than ``most`` combinations of moves [rad] as many are drawn, beside the moves
+    of single joints.
+    """
+    arm, options = frames.arm, []
+    for j, limits in enumerate(arm.joint_ranges):
+        steps = np.zeros(1)
+        if j > 0 and not frames.slides[j]:
+            steps = np.concatenate([steps, moves])
+            steps = steps[np.sort(np.unique(steps, return_index=True)[1])]  # zero stays first
+            if limits is not None:
+                there = pose[j] + steps
+                fits = (there >= limits[0] - 1e-9) & (there <= limits[1] + 1e-9)
+                fits[0] = True
+                steps = steps[fits]
+        options.append(pose[j] + steps)
+    if np.prod([float(len(o)) for o in options]) <= most:
+        grid = np.meshgrid(*options, indexing="ij")
+        return np.stack([g.ravel() for g in grid], axis=1)
+    each = np.arange(arm.n)
+    single = [np.where(each == j, q, pose) for j, own in enumerate(options) for q in own[1:]]
+    drawn = np.stack([rng.choice(o, size=most) for o in options], axis=1)
+    return np.vstack([pose, *single, drawn])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinkPosterior:
+    """Posterior over the loose link, from the directions of several poses."""
+
+    probabilities: Array
+    """Probability of each link (n,)."""
+    directions: Array
+    """Direction that fits each link best, in the link's own frame, axial (n, d)."""
+    sd: Array
+    """Its rms standard deviation over the directions across (n,) [rad]."""
+
+
+def link_posterior(
+    frames: ToolFrames, poses: Sequence[Array], seen: Sequence[Array], *, width: float
+) -> LinkPosterior:
+    """Weigh all links by the directions seen in several poses.
+
+    The direction in the link is summed out (uniform beforehand).
+
+    Parameters
+    ----------
+    frames : ToolFrames
+        The arm's rotations.
+    poses, seen : sequence of ndarray (n,), (d,)
+        Poses [rad or m], and the axis seen in each, a unit vector in the tool frame.
+    width : float
+        Width of the axes' scatter, as `bingham_width` gives it [rad].
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> frames = ToolFrames(planar(2))
+    >>> poses = np.array([[0.0, 0.3], [0.0, 1.6]])
+    >>> seen = frames.images(poses)[:, 0] @ [0.8, 0.6]  # a slide at link 1
+    >>> found = link_posterior(frames, poses, seen, width=0.05)
+    >>> found.probabilities.argmax(), np.abs(found.directions[0]).round(6).tolist()
+    (0, [0.8, 0.6])
+    """
+    axes, images = np.array(seen), frames.images(np.array(poses))
+    across = (np.eye(axes.shape[1]) - axes[:, :, None] * axes[:, None]) / width**2
+    carried = np.einsum("tkia,tij,tkjb->kab", images, across, images)
+    log = log_mean_bingham(carried)
+    share = np.exp(log - log.max())
+    values, vectors = np.linalg.eigh(carried)
+    spread = 1 / np.maximum(values[:, 1:] - values[:, :1], 1.0)
+    return LinkPosterior(
+        probabilities=share / share.sum(),
+        directions=vectors[:, :, 0],
+        sd=np.sqrt(spread.mean(axis=1)),
+    )
+
+
+def choose_move(
+    frames: ToolFrames, posterior: LinkPosterior, candidates: Array, *, sd: float
+) -> int:
+    """Choose the pose whose next direction tells the remaining links best apart.
+
+    Each link predicts a direction in each candidate (C, n). Two of them, an angle d apart, are
+    confused no more often than exp(-d² / 8 s²), with s the standard deviation of measurement
+    and prediction together (Bhattacharyya's bound). The candidate with the least confusion over all
+    pairs wins, pairs weighted by their probabilities.
+    """
+    weight = posterior.probabilities
+    alive = np.flatnonzero(weight > 1e-4 * weight.max())
+    one, other = np.triu_indices(len(alive), 1)
+    if not len(one):
+        return 0
+    pair = weight[alive][one] * weight[alive][other]
+    own = posterior.sd[alive] ** 2
+    slides = np.einsum("ckij,kj->cki", frames.images(candidates), posterior.directions)[:, alive]
+    cosine = np.abs(np.einsum("cpi,cpi->cp", slides[:, one], slides[:, other]))
+    angle = np.arccos(np.minimum(cosine, 1.0))
+    confusion = overlap(angle**2, sd**2 + 0.5 * (own[one] + own[other])) @ pair
+    return int(np.argmin(confusion))
+
+
 PLANNED: dict[str, str] = {
     "random": "every joint anywhere in its range",
     "largest differences": "random poses of which the joints differ most (4.2.3)",
@@ -302,15 +409,7 @@ class PoseSets:
         turning = ~self.frames.slides
         turning[0] = False  # carries the whole arm along and turns nothing in the tool frame
         while len(poses) < count:
-            where = candidate_poses(
-                self.arm,
-                poses[-1],
-                self.moves,
-                joints="all",
-                sliding=self.frames.slides,
-                most=_COMBINATIONS,
-                rng=rng,
-            )
+            where = candidate_poses(self.frames, poses[-1], self.moves, most=_COMBINATIONS, rng=rng)
             moved = np.abs(where - poses[-1])[:, turning] > 1e-9
             whole = where[moved.sum(axis=1) == moved.sum(axis=1).max()]
             confusion = link_confusion(self.frames, np.array(poses), whole, sd=self.sd)

@@ -4,7 +4,6 @@ from loose_env.rig.plant import Plant, PlantShop
 from loose_env.rig.records import Job, Measurement, Records, Rig, Trials
 from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import (
-    RecordedRig,
     SimulatedRig,
     SlotRig,
     decimation_filter,
@@ -18,7 +17,6 @@ __all__ = [
     "Measurement",
     "Plant",
     "PlantShop",
-    "RecordedRig",
     "Records",
     "ReducedRig",
     "Rig",

@@ -44,9 +44,9 @@ from loose_env.report import comparison_text
 EPISODES = 4000
 """Episodes of a published comparison."""
 
-CLASSICAL = ("classical", "classical_literal", "images", "always_healthy", "always_unsure")
-"""Reference first, then what every comparison shows beside it: the method's letter, its way by
-predicted directions, and the constant baselines."""
+CLASSICAL = ("classical", "classical_literal", "always_healthy", "always_unsure")
+"""Reference first, then what every comparison shows beside it: the method's letter, where the arm
+is in the plane, and the constant baselines."""
 
 BOOTSTRAP_SEED = 0
 """Seed of the resamples behind the intervals."""
@@ -107,7 +107,8 @@ def names_of(options: Options, problem: Problem) -> list[str]:
     if not (named or crossed):
         trained = weights_path(f"posterior-{setting_name(problem)}").is_dir()
         usual = ["greedy", "constant"] if trained else ["posterior/greedy"]
-        named = [*usual, "random", *CLASSICAL]
+        flat = len(problem.arm.axes) == 2
+        named = [*usual, "random", *(n for n in CLASSICAL if flat or n != "classical_literal")]
     return list(dict.fromkeys([*named, *crossed]))
 
 

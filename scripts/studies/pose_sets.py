@@ -25,7 +25,6 @@ from loose_env.arms import Arm, planar, six_axis
 from loose_env.cli.command import command, one_of
 from loose_env.diagnosis import (
     PLANNED,
-    DirectionSighting,
     PoseSets,
     bingham_width,
     candidate_poses,
@@ -132,17 +131,13 @@ def greedy_poses(
     """Maximise the separation of the candidate links' images, pose by pose."""
     frames, width = sets.frames, bingham_width(sd, sets.frames.dimension)
     noise, draw = rngs
-    n = sets.arm.n
-    prior = np.concatenate([np.ones(n), np.zeros(n)])
-    poses, sightings = [case.start], []
+    poses: list[Array] = [case.start]
+    seen: list[Array] = []
     while len(poses) < count:
-        seen = case.seen(frames.images(poses[-1]), width, noise)[0]
-        sightings.append(DirectionSighting.of(poses[-1], seen, width))
-        known = link_posterior(frames, sightings, prior=prior)
-        where = candidate_poses(
-            sets.arm, poses[-1], MOVES, joints="all", sliding=frames.slides, most=192, rng=draw
-        )
-        poses.append(where[choose_move(frames, known, where, sd=sd)[0][0]])
+        seen.append(case.seen(frames.images(poses[-1]), width, noise)[0])
+        known = link_posterior(frames, poses, seen, width=width)
+        where = candidate_poses(frames, poses[-1], MOVES, most=192, rng=draw)
+        poses.append(where[choose_move(frames, known, where, sd=sd)])
     return np.array(poses)
 
 

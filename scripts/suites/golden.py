@@ -165,11 +165,11 @@ def gap_environment() -> dict[str, Any]:
 # ------------------------------------------------------------------------------- agents
 
 EPISODES = 20
-AGENTS = ("classical", "greedy", "images", "ppo")
+AGENTS = ("classical", "greedy", "ppo")
 
 
 def agents() -> dict[str, Any]:
-    """Twenty episodes of four agents on the same arms."""
+    """Twenty episodes of three agents on the same arms."""
     return {name: _episodes(name, "loose_env/Vera-v0", {}, range(EPISODES)) for name in AGENTS}
 
 

@@ -89,9 +89,9 @@ def test_the_method_finds_the_loose_link(
     monkeypatch.chdir(tmp_path)
     names = run(ROOT / "docs" / "method.md")
     assert "structural_looseness@link3, along" in capsys.readouterr().out
-    found, hidden = names["found"], names["hidden"]
+    pool, hidden = names["pool"], names["hidden"]
     true = np.array(hidden.direction) / np.linalg.norm(hidden.direction)
-    direction = found.directions[names["best"]]
+    direction = pool.directions[names["best"]]
     assert np.degrees(np.arccos(min(1.0, abs(float(direction @ true))))) < 10.0
 
 

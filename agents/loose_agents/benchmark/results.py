@@ -37,7 +37,7 @@ from loose_env.io import NonNegativeCount, read_result_file, restored, whole_of
 from loose_env.typing import Array
 
 _UNTRAINED = ("always_healthy", "always_unsure", "random", "classical", "classical_literal",
-              "outward", "inward", "bisection", "local", "images", "rhythm")  # fmt: skip
+              "outward", "inward", "bisection", "local", "rhythm")  # fmt: skip
 
 
 def training_of(agent: str, problem: Problem) -> int | None:
