@@ -26,7 +26,7 @@ _FALLS = 5.0
 """Factor by which the largest jump falls where values were wrapped around or had a sign bit."""
 _PERIODS = (2 * np.pi, 360.0, *(float(2**b) for b in (8, 10, 12, 13, 14, 16, 17, 20, 24, 32)))
 _SIGN_BITS = (10, 11, 15, 31)
-_SIZES = (1.0, 180 / math.pi, math.pi / 180, 30 / math.pi, 1 / 6, 60.0)
+SIZES = (1.0, 180 / math.pi, math.pi / 180, 30 / math.pi, 1 / 6, 60.0)
 """Ratios of a velocity to the derivative of a position, in all their units."""
 _TOLD = 0.2
 """Most that a size in no unit speaks against a velocity, and least correlation of one [1]."""
@@ -238,7 +238,7 @@ def speed_in(position: Signal, s: Signal) -> Speed:
     pairs = zip(position.rates, s.smooth, strict=True)
     value = max((correlation(rates, own) for rates, own in pairs), key=abs)
     ratio = max(abs(slope(position.rates[1], s.smooth[1])), 1e-12)
-    off = 0.0 if s.unit else min(abs(math.log(ratio / each)) for each in _SIZES)
+    off = 0.0 if s.unit else min(abs(math.log(ratio / each)) for each in SIZES)
     lead = 0.0
     if abs(value) > _TOLD:
         like, here = likeness(s.smooth[1], position.rates[1], s.step), abs(value)

@@ -93,7 +93,8 @@ def meaning_of(
     joint, own = _joint_of(words, joints or {})
     rest = tuple(w for w in words_of(base) if w not in own)
     roles = _roles(set(rest) | set(words_of(beside)) if rest or beside else set(words))
-    commanded = set(words_of(key.topic)) & _WORDS["command"]
+    wanted = len(rest) > 1 and rest[-1] == "d"  # q_d, tau_J_d: desired
+    commanded = wanted or set(words_of(key.topic)) & _WORDS["command"]
     if commanded and "command" not in roles and "other" not in roles:
         roles = ["command", *roles]
     role = roles[0] if roles else ""

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from loose_env.importing.evidence import (
+    SIZES,
     Likeness,
     Signal,
     Torque,
@@ -32,6 +33,7 @@ from loose_env.importing.evidence import (
 )
 from loose_env.importing.names import Meaning, Role
 from loose_env.importing.targets import (
+    NEAR,
     JointTarget,
     Scaling,
     admits,
@@ -41,6 +43,7 @@ from loose_env.importing.targets import (
     position_scalings,
     rate_unit,
     tool_sensors,
+    vector_orders,
 )
 from loose_env.importing.units import quantity_of, unit_named
 from loose_env.typing import Array
@@ -148,6 +151,7 @@ class Roles:
 
     def found(self) -> Roles:
         """All roles, in the order in which one rests on the other."""
+        self.places: dict[int, str] = {}
         self.vectors = self._vectors()
         self.places = {s.sort: j for v in self.vectors if v.given for j, s in v.members.items()}
         self._take_positions()
@@ -174,9 +178,9 @@ class Roles:
         return s.meaning
 
     def _label(self, s: Signal) -> str:
-        """Joint that a channel names; the only one where it names none."""
+        """Joint that a channel has by its name or place in a vector; else the only one, or ""."""
         only = next(iter(self.joints)) if len(self.joints) == 1 else ""
-        return s.meaning.joint or only
+        return s.meaning.joint or self.places.get(s.sort, only)
 
     def _vectors(self) -> list[Vector]:
         """Channels that belong together by their names, by brackets, or by their order."""
@@ -184,7 +188,7 @@ class Roles:
         groups: dict[tuple[object, ...], list[Signal]] = {}
         rest: list[Signal] = []
         names = [*self.joints]
-        driven = [t.name for t in self.joints.values() if t.command]
+        orders = vector_orders(self.model)
         for s in self.signals:
             if s.meaning.joint or len(names) == 1:
                 of = s.meaning.vector if s.meaning.joint else s.sort
@@ -206,12 +210,14 @@ class Roles:
                 words = _BY_NAME if named else "of the only joint"
                 found.append(Vector(members, words, named))
             own = sorted(own, key=lambda s: s.meaning.index or 0)
-            order = next((o for o in (names, driven) if len(o) == len(own)), None)
-            if order is None and len(own) > len(names) and own[0].meaning.role:
-                order = names
-            if order is not None and own:
-                place = dict(zip(order, own, strict=False))
+            order = next((o for o in orders if own and len(o) == len(own)), None)
+            if order is not None:
+                place = {j: s for j, s in zip(order, own, strict=True) if j}
                 found.append(Vector(place, "by its place in the vector", True))
+            elif len(own) > len(names) and own[0].meaning.role:
+                for k in range(len(own) - len(names) + 1):
+                    words = f"{k} to {k + len(names) - 1} of the {len(own)} entries of its vector"
+                    found.append(Vector(dict(zip(names, own[k:], strict=False)), words, False))
             else:
                 rest += own
         return [*found, *self._blocks(sorted(rest, key=lambda s: s.sort))]
@@ -254,7 +260,7 @@ class Roles:
         score, words = (-3.0 if is_of else 0.0), ""
         if rate > is_of:
             score, words = 1.0 + rate, f"{other.key} is its derivative ({rate:.2f})"
-        follows, leads = 0.0, False
+        follows, apart, leads = -math.inf, 0.0, False
         for d in others:
             same = {quantity_of(d.unit), quantity_of(s.unit)} - {""}
             if d is s or len(same) > 1 or d.meaning.role not in ("", "position", "command"):
@@ -266,10 +272,12 @@ class Roles:
             ):  # joints that move together lead each other, too
                 continue
             leads |= like.lag < -_TOGETHER * self.step
-            if like.lag > _TOGETHER * self.step and like.correlation > follows:
-                follows = like.correlation
+            # Of two sensors of a joint, one before its gear, a command is in the unit of the other.
+            size = min(abs(math.log(abs(slope(d.runs, s.runs)) * each)) for each in SIZES)
+            if like.lag > _TOGETHER * self.step and like.correlation - size > follows:
+                follows, apart = like.correlation, min(size, 0.5)
                 words = words or f"follows {d.key} by {like.lag:.3g} s ({like.correlation:.2f})"
-        return score + (2.0 if follows else -2.0 if leads else 0.0), words
+        return score + (2.0 - apart if follows > -math.inf else -2.0 if leads else 0.0), words
 
     def _take_positions(self) -> None:
         moving = [s for s in self._free() if s.meaning.role != "other"][:_MOST]
@@ -400,13 +408,14 @@ class Roles:
         table = [[self._match(j, role, s) for s in candidates] for j, role in places]
         scores = np.array([[self._score(m, s) for m, s in zip(row, candidates, strict=True)]
                            for row in table]).reshape(len(places), len(candidates))  # fmt: skip
+        self._share(scores, [role for _, role in places], candidates)
         near = np.array([[_NAME * m.near for m in row] for row in table]).reshape(scores.shape)
+        open_to = np.array([[not m.why for m in row] for row in table]).reshape(scores.shape)
         order = _ORDER * np.outer(np.arange(len(places)), np.arange(len(candidates)))
         chosen: dict[int, Match] = {}
-        for i, k in zip(*linear_sum_assignment(-scores - near - order), strict=True):
-            match, s = table[i][k], candidates[k]
-            if scores[i, k] >= ALIKE and not match.why:
-                chosen[k] = match
+        for i, k in np.transpose(linear_sum_assignment(-(scores + near) * open_to - order)):
+            if scores[i, k] >= ALIKE and open_to[i, k]:
+                chosen[k] = table[i][k]
         per: dict[object, list[float]] = {}
         for k, match in chosen.items():
             if match.per > 0:
@@ -423,6 +432,15 @@ class Roles:
         for k, s in enumerate(candidates):
             if k not in chosen:
                 self._leave(s, [(scores[i, k], row[k]) for i, row in enumerate(table)])
+
+    def _share(self, scores: Array, roles: Sequence[Role], candidates: Sequence[Signal]) -> None:
+        """Draw scores to the mean of their vector's in a role, whose channels have one role."""
+        of = [self._vector_of(s) for s in candidates]
+        for role, own in itertools.product(dict.fromkeys(roles), dict.fromkeys(of)):
+            rows = [i for i, each in enumerate(roles) if each == role]
+            columns = [k for k, each in enumerate(of) if each == own]
+            best = scores[np.ix_(rows, columns)].max(axis=0)
+            scores[np.ix_(rows, columns)] += _NAME * (best.mean() - best)
 
     def _leave(self, s: Signal, scored: Sequence[tuple[float, Match]]) -> None:
         """Tell why a channel has no role, and what it is most like."""
@@ -450,10 +468,11 @@ class Roles:
         """Evidence, and what the name is worth beside it."""
         if match.evidence <= 0.0:
             return match.evidence
-        label = self._label(s) or self.places.get(s.sort, "")
+        label = self._label(s)
         role = "torque" if s.meaning.role == "current" else s.meaning.role
         own = (label == match.joint) - (label not in ("", match.joint))
-        return match.evidence + _NAME * ((role == match.role) + 0.5 * own)
+        other = role == "velocity" and match.role == "command"
+        return match.evidence + _NAME * ((role == match.role) + 0.5 * own - 0.5 * other)
 
     def _match(self, joint: str, role: Role, s: Signal) -> Match:
         """Evidence of a channel in a role at a joint; none where name or unit contradict."""
@@ -467,7 +486,7 @@ class Roles:
                 return self._as_velocity(joint, s)
             if role == "torque" and (named or own == ""):
                 return self._as_torque(joint, s, named)
-            if role == "command" and (named or own in ("", "position")) and takes:
+            if role == "command" and (named or own in ("", "position", "velocity")) and takes:
                 return self._as_command(joint, s)
         return Match(joint, role)
 
@@ -481,6 +500,10 @@ class Roles:
         sign = 1 if told.evidence >= 0 else -1
         return Match(joint, "velocity", abs(told.evidence), words, why, sign)
 
+    def _speed(self, s: Signal) -> float:
+        """Most that a channel is like the derivative of a position."""
+        return max(abs(speed_in(p, s).correlation) for p, _, _ in self.positions.values())
+
     def _explained(self, joint: str, s: Signal) -> Torque:
         """What there is of a joint's torque in a channel."""
         if joint not in self.needed or joint not in self.rates:
@@ -489,7 +512,7 @@ class Roles:
 
     def _as_torque(self, joint: str, s: Signal, named: bool) -> Match:
         # A torque is of the joint that its name or its place in a vector tells, or of none.
-        if (self._label(s) or self.places.get(s.sort, "")) not in ("", joint):
+        if self._label(s) not in ("", joint):
             return Match(joint, "torque")
         stated = quantity_of(s.unit) in ("torque", "force") or s.defined
         if not self.needed and named and stated and self._label(s):
@@ -526,6 +549,8 @@ class Roles:
             why = f"it lags by {-like.lag:.3g} s: no command"
         elif s.meaning.role == "position" and like.lag < self.step:
             why = "a second sensor of it"
+        elif s.meaning.role == "velocity" and drive != "velocity" and value < self._speed(s):
+            why = "it is more like a velocity"
         elif not s.meaning.role and drive != "torque":
             load = max((self._explained(j, s).whole for j in self.needed), key=abs, default=0.0)
             if abs(load) > value > 0:
@@ -542,12 +567,16 @@ class Roles:
     def _add_velocity(self, match: Match, s: Signal) -> None:
         target = self.joints[match.joint]
         ratio = slope(self.rates[match.joint], s.smooth[1])
-        unit = s.unit or rate_unit(ratio, target.slide)
+        scaling = Scaling(s.unit or rate_unit(ratio, target.slide))
+        if not scaling.unit:  # steps, ticks or percent of the position in a second
+            p, own, _ = self.positions[match.joint]
+            per, unit = abs(slope(p.rates[1], s.smooth[1])), "m/s" if target.slide else "rad/s"
+            scaling = Scaling(unit if abs(math.log(per)) < math.log(NEAR) else "", own.factor)
         words = f"velocity of {match.joint!r}; {abs(ratio):.3g} times {match.words}"
         if not target.velocity:
             self.why[s.sort] = f"velocity of {match.joint!r}, for which the model has no sensor"
-        elif unit:
-            self._add(target.velocity, s, Scaling(unit), match.sign, words)
+        elif scaling.unit:
+            self._add(target.velocity, s, scaling, match.sign, words)
         else:
             self._open(target.velocity, s, Scaling("rad/s"), f"{words}: no unit is")
 
@@ -611,7 +640,7 @@ class Roles:
 
     def _exchanged(self, commands: Mapping[str, Signal]) -> None:
         """Exchange the states of joints that follow each other's commands if the torques say so."""
-        label = {j: s.meaning.joint for j, s in commands.items()}
+        label = {j: self._label(s) for j, s in commands.items()}
         for a, b in itertools.combinations(label, 2):
             if (label[a], label[b]) != (b, a):
                 continue

@@ -179,6 +179,27 @@ def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
     return found
 
 
+def vector_orders(model: mujoco.MjModel) -> list[list[str]]:
+    """Joints of the entries of a vector, "" for none: all of them, and MuJoCo's own arrays.
+
+    Examples
+    --------
+    >>> xml = '''<mujoco><worldbody><body><freejoint/><geom size=".1"/><body><joint name="turn"/>
+    ... <geom size=".1"/></body></body></worldbody></mujoco>'''
+    >>> vector_orders(mujoco.MjModel.from_xml_string(xml))[3]
+    ['', '', '', '', '', '', 'turn']
+    """
+    single = [t.name for t in joint_targets(model)]
+    drives = {d.name: d.joint for d in drives_of(model).values()}
+    orders = [single, [drives.get(model.actuator(a).name, "") for a in range(model.nu)]]
+    for count, places in ((model.nq, model.jnt_qposadr), (model.nv, model.jnt_dofadr)):
+        order = [""] * count
+        for name in single:
+            order[int(places[model.joint(name).id])] = name
+        orders.append(order)
+    return orders
+
+
 _TURNING = {"gyro", "gyroscope", "angular"}
 _GRAVITY = 0.2
 """Share by which the mean over a second of an accelerometer that no name tells may be
@@ -324,7 +345,7 @@ _NORMALISED = 102.0
 """Largest value taken as normalised to 100 [1]: a calibrated end, and a margin."""
 _TICKS = 4096
 """Ticks a turn of the servos whose words are logged as they are."""
-_NEAR = 1.5
+NEAR = 1.5
 """Factor within which a ratio of rates counts as that of a unit [1]."""
 _AGAINST = {"rad": 0.0, "m": 0.0, "deg": 0.5, "mm": 0.5, "ticks": 0.5, "normalised": 2.0}
 """What speaks against a unit where values fit: the rarer one."""
@@ -428,9 +449,10 @@ def _ways(joint: JointTarget, s: Signal, *, signed: bool) -> dict[str, Scaling]:
         if s.low >= -1 and not (signed and not s.unit):
             words = "normalised to 0..100 of the limits"
             found["normalised"] = Scaling(unit, (top - bottom) / 100, bottom, words)
-    if s.whole and not joint.slide and s.low >= 0 and s.high < _TICKS:
-        words = f"ticks of {_TICKS} a turn, {_TICKS // 2} at zero"
-        found["ticks"] = Scaling("rad", 2 * math.pi / _TICKS, -math.pi, words)
+    if s.whole and not joint.slide and s.high < _TICKS:
+        zero = 0 if s.low < 0 else _TICKS // 2
+        words = f"ticks of {_TICKS} a turn, {zero} at zero"
+        found["ticks"] = Scaling("rad", 2 * math.pi / _TICKS, -math.pi * (zero > 0), words)
     return found
 
 
@@ -520,4 +542,4 @@ def rate_unit(ratio: float, slide: bool) -> str:
         return ""
     away = {unit: abs(math.log(abs(ratio) / each)) for unit, each in units.items()}
     best = min(away, key=lambda each: away[each])
-    return best if away[best] < math.log(_NEAR) else ""
+    return best if away[best] < math.log(NEAR) else ""

@@ -332,6 +332,23 @@ def test_values_in_no_known_unit_are_named_where_nothing_else_is(
     assert "elbow_enc: position by its name" in refused and "give unit and scale" in refused
 
 
+def test_channels_are_what_they_do_beside_like_names(home: Path, motion: Motion) -> None:
+    tick, words = 2 * np.pi / 4096, {"time": motion.time}
+    for i, joint in enumerate(JOINTS):
+        own, speed = np.round(motion.position[:, i] / tick), np.round(motion.velocity[:, i] / tick)
+        words |= {f"motor_pos_{joint}": 101 * motion.position[:, i], f"q_{joint}": own + 2048,
+                  f"qd_{joint}": np.round(motion.command[:, i] / tick) + 2048,
+                  f"speed_{joint}": np.where(speed < 0, 2**15 - speed, speed),
+                  f"tau_{joint}_d": motion.torque[:, i]}  # fmt: skip
+    proposal = propose([written(home / "log.csv", words)], MODEL)
+    found = {e.column: (e.candidate.key.channel, e.scaling.factor) for e in proposal.columns}
+    for joint, drive in zip(JOINTS, COMMANDS, strict=True):
+        assert found[f"sensor.{joint}_pos"] == (f"q_{joint}", pytest.approx(tick))
+        assert found[f"ctrl.{drive}"] == (f"qd_{joint}", pytest.approx(tick))
+        assert found[f"sensor.{joint}_vel"] == (f"speed_{joint}", pytest.approx(tick))
+        assert f"torque.{joint}" not in found
+
+
 def test_names_of_joints_hold_for_all_arrays_of_a_message() -> None:
     @dataclass
     class Point:
