@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -23,11 +23,10 @@ from loose_env.gap import (
     Effect,
     Hypothesis,
     HypothesisSet,
+    Library,
     MotionBank,
     Outlook,
     Shape,
-    battery,
-    brief_library,
     motion_bank,
     motion_library,
     outlook,
@@ -102,7 +101,7 @@ class HiddenMachine:
     def run(self, motion: int, rng: np.random.Generator) -> Array:
         """Measure a motion of the library: readings with noise (n, C); NaN if it diverged."""
         arm = self.bank.arm
-        commands = self.bank.library[motion].commands(arm)
+        commands = self.bank.library[motion].commands(arm.limits)
         return arm.measured(arm.simulate(self.hypothesis, commands, self.factors), rng)
 
 
@@ -266,7 +265,7 @@ class ModelGapSettings(Checked):
     kinds: Annotated[tuple[str, ...], _KINDS] = ()
     """Kinds of effect that are hidden and considered; none for the whole catalogue but those that
     the sensors cannot show."""
-    library: Literal["battery", "brief", "whole"] = "battery"
+    library: Library = "battery"
     """Motions: the fixed battery of three; that and twelve brief ones; the whole library of 40."""
     max_motions: Count = 12
     """Motions an episode may take; after the last one only a verdict is left."""
@@ -606,12 +605,11 @@ def make_model_gap(*, model: str | Path | None = None, **arguments: Any) -> Mode
 
 @lru_cache(maxsize=4)
 def _bank(
-    path: str, tolerance: float, max_speed: float, kinds: tuple[str, ...], library: str
+    path: str, tolerance: float, max_speed: float, kinds: tuple[str, ...], library: Library
 ) -> MotionBank:
     """Evidence of the motions of an arm, shared by the environments of a process."""
     arm = read_servo_arm(path, tolerance=tolerance, max_speed=max_speed)
-    motions = {"whole": motion_library, "brief": brief_library, "battery": battery}[library](arm)
-    return motion_bank(arm, motions, kinds, say=_say)
+    return motion_bank(arm, motion_library(arm, library), kinds, say=_say)
 
 
 def _say(words: str) -> None:

@@ -1,7 +1,7 @@
 """Model error: find, identify and correct the physical effects that a simulation lacks.
 
 Data flow: model -> runs -> simulator -> core -> output -> servo_arm -> motions -> next_motion
--> explain, session; bank and belief use the core's columns for `Gap-v0`.
+-> explain; bank and belief use the core's columns for `Gap-v0`.
 """
 
 from loose_env.gap.bank import VISIBLE, MotionBank, Shape, motion_bank
@@ -9,18 +9,18 @@ from loose_env.gap.belief import Belief, HypothesisSet, Outlook, outlook
 from loose_env.gap.core.find import Answer, find_gap
 from loose_env.gap.core.residual import Correlation, Overlay, Played
 from loose_env.gap.core.tolerances import GapSettings, Tolerances
-from loose_env.gap.explain import GapSolution, check_gap, explain_gap, solve_gap, write_gap
+from loose_env.gap.explain import (
+    GapSolution,
+    check_gap,
+    explain_gap,
+    solve_gap,
+    try_effect,
+    write_gap,
+)
 from loose_env.gap.model.effect import DrivenEffect, Effect, JointEffect, Parameter
 from loose_env.gap.model.effects.catalogue import effect_class, read_effects, register
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.motions import (
-    Motion,
-    battery,
-    brief_library,
-    check_motion,
-    motion_library,
-    scaled_to_fit,
-)
+from loose_env.gap.motions import Library, Motion, check_motion, motion_library
 from loose_env.gap.next_motion import (
     NEXT_MOTION,
     NextMotion,
@@ -51,7 +51,6 @@ from loose_env.gap.output.result import (
 )
 from loose_env.gap.runs import join_recordings, note_source, read_source
 from loose_env.gap.servo_arm import ServoArm, read_servo_arm
-from loose_env.gap.session import GapSession
 
 __all__ = [
     "NEXT_MOTION",
@@ -68,7 +67,6 @@ __all__ = [
     "ExportSettings",
     "Gap",
     "GapResult",
-    "GapSession",
     "GapSettings",
     "GapSolution",
     "Hypothesis",
@@ -76,6 +74,7 @@ __all__ = [
     "Identifiability",
     "JointEffect",
     "JointExcitation",
+    "Library",
     "Motion",
     "MotionBank",
     "NamedEffect",
@@ -92,8 +91,6 @@ __all__ = [
     "TolerancePull",
     "Tolerances",
     "VisibleEffect",
-    "battery",
-    "brief_library",
     "check_gap",
     "check_motion",
     "choose_next",
@@ -116,8 +113,8 @@ __all__ = [
     "read_servo_arm",
     "read_source",
     "register",
-    "scaled_to_fit",
     "solve_gap",
+    "try_effect",
     "write_export",
     "write_gap",
     "write_model",

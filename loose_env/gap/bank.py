@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.gap.core.balance import Balance, scaled
+from loose_env.gap.core.balance import USUAL, Balance, Forces, scaled
 from loose_env.gap.core.catalogue import Term, shapes, terms_of
 from loose_env.gap.core.evidence import Grid, grid_of
 from loose_env.gap.core.find import Say, silent
@@ -29,7 +29,7 @@ from loose_env.gap.core.motion import RunMotion, low_passed, rates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.motions import Motion, battery, check_motion
+from loose_env.gap.motions import Motion, check_motion, motion_library
 from loose_env.gap.servo_arm import RATE, ServoArm
 from loose_env.recording import CommandTiming
 from loose_env.typing import Array, IndexArray
@@ -80,10 +80,8 @@ _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loo
 class Shape:
     """One shape of a candidate, with its columns in the bank."""
 
-    term: Term
-    """Effect, axes and columns along the battery."""
-    at: tuple[int, ...]
-    """Its columns in the bank."""
+    term: Term  # Effect, axes and columns along the battery
+    at: tuple[int, ...]  # Its columns in the bank
 
     @property
     def name(self) -> str:
@@ -140,7 +138,7 @@ class MotionEvidence:
 
     def residual(self, measured: Along) -> Array:
         """Residual of a measured motion in the rows of the columns (R,)."""
-        return self.whitened(measured.residuals() - self.nominal)
+        return self.whitened(measured.residual - self.nominal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,10 +148,8 @@ class MotionBank:
     arm: ServoArm
     library: tuple[Motion, ...]
     shapes: tuple[Shape, ...]
-    evidence: tuple[MotionEvidence, ...]
-    """By motion."""
-    reference: tuple[int, ...]
-    """Motions on which effects are sized."""
+    evidence: tuple[MotionEvidence, ...]  # By motion
+    reference: tuple[int, ...]  # Motions on which effects are sized
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -195,21 +191,15 @@ class MotionBank:
         own = self.beyond[np.ix_(shape.at, shape.at)]
         return float(np.sqrt(max(float(coefficients @ own @ coefficients), 0.0)))
 
-    @cached_property
+    @property
     def seconds(self) -> Array:
         """Machine time of each motion [s] (M,)."""
         return np.array([found.seconds for found in self.evidence])
 
-    @cached_property
+    @property
     def wear(self) -> Array:
         """Integral of the squared torque shares of each motion [s] (M,)."""
         return np.array([found.wear for found in self.evidence])
-
-    def index_of(self, motion: Motion) -> int:
-        """Index of a motion in the library; InvalidData if it is not in it."""
-        if motion not in self.library:
-            raise InvalidData(f"{motion.description} is not in the library of this bank")
-        return self.library.index(motion)
 
     def strength(self, shape: Shape, axis: int = 0) -> float:
         """Length of a column on the motions of reference [noise standard deviations]."""
@@ -263,7 +253,7 @@ def motion_bank(
     """
     import joblib  # its start takes a quarter of a second
 
-    on = battery(arm) if reference is None else reference
+    on = motion_library(arm, "battery") if reference is None else reference
     at = tuple(k for k, motion in enumerate(library) if motion in on) or (0,)
     memory = joblib.Memory(cache, verbose=0)
     along = memory.cache(_evidence, ignore=["arm", "shaped", "say", "words"])
@@ -291,7 +281,7 @@ def _played(
     """Motion of one run by its readings, in the band of all motions, for one balance."""
     step, joints, own = 1.0 / RATE, len(arm.joints), arm.driven
     thin = max(1, int(RATE / (6 * _BAND_HZ)))
-    whole = np.tile(arm.rest_position, (len(readings), 1))
+    whole = np.tile(arm.rest[0], (len(readings), 1))
     whole[:, own] = low_passed(readings[:, :joints], _BAND_HZ, step)
     torques = np.full_like(whole, np.nan)
     torques[:, own] = low_passed(readings[:, joints:], _BAND_HZ, step)
@@ -319,16 +309,16 @@ def _played(
 
 def _shapes_of(arm: ServoArm, motions: Sequence[Motion], kinds: Sequence[str]) -> list[Shape]:
     """Shapes of all candidates, with the priors that they have along some motions."""
-    runs = []
-    for commands in (motion.commands(arm) for motion in motions):
-        readings = arm.simulate(Hypothesis(), commands)
-        runs.append(_played(arm, arm.controls(commands), readings, "forward"))
-    measured = replace(runs[0], runs=tuple(run for each in runs for run in each.runs))
+    each = [
+        _played(arm, arm.controls(commands), arm.simulate(Hypothesis(), commands), "forward")
+        for commands in (motion.commands(arm.limits) for motion in motions)
+    ]
+    measured = replace(each[0], runs=tuple(run for own in each for run in own.runs))
     balance = Balance(scaled(Balance(arm.machine, measured)), measured)
     balance.residual[:] = 0.0
     found: list[Shape] = []
     at = len(arm.uncertain)
-    driven = {"all", *(arm.model.actuator(int(k)).name for k in arm.actuators)}
+    driven = {"all", *(arm.model.actuator(int(k)).name for k in arm.servos[1])}
     wanted = kinds or [kind for kind in CATALOGUE if kind not in EXCLUDED]
     for effect in candidates(balance.machine, wanted):
         first = type(effect).variants_at(balance.machine, effect.where)[0]
@@ -360,7 +350,7 @@ class Along:
     """Both force balances along a motion whose readings (n, 2 J) are positions and torques."""
 
     def __init__(self, arm: ServoArm, motion: Motion, readings: Array) -> None:
-        self.arm, controls = arm, arm.controls(motion.commands(arm))
+        self.arm, controls = arm, arm.controls(motion.commands(arm.limits))
         # a torque is read at the beginning of a step, whose command is that of its middle
         half = 0.5 * arm.machine.time_step
         *self.balances, self._read = (
@@ -368,7 +358,8 @@ class Along:
             for form, early in (("forward", 0.0), ("inverse", 0.0), ("forward", half))
         )
 
-    def residuals(self) -> Array:
+    @property
+    def residual(self) -> Array:
         """Missing forces by commands and by torques (2, T, J)."""
         return np.stack([own.residual[:, self.arm.driven] for own in self.balances])
 
@@ -385,22 +376,18 @@ class Along:
         """Change by every column of some terms (2, T, J)."""
 
         @cache
-        def forces(effect: Effect, values: tuple[float, ...]) -> list[tuple[Array, Array]]:
-            whole = [own.forces(effect, np.array(values)) for own in self.balances]
-            found = [(each.smooth, each.dry) for each in whole]
+        def forces(effect: Effect, values: tuple[float, ...]) -> list[Forces]:
+            found = [own.forces(effect, np.array(values)) for own in self.balances]
             if effect.drives:  # measured torques are those of the drives, whatever these lack
-                read = self._read.forces(effect, np.array(values))
-                found[1] = whole[0].smooth - read.smooth, np.zeros_like(read.dry)
+                found[1] = found[0].less(self._read.forces(effect, np.array(values)))
             return found
 
         for term in terms:
+            ways = [own.directions[term.contact or USUAL] for own in self.balances]
             for values in term.axes:
-                pairs = zip(forces(term.effect, values), self.balances, strict=True)
-                yield np.nan_to_num([
-                    (smooth + dry * own.directions[term.contact] if term.contact else smooth)
-                    [:, self.arm.driven]
-                    for (smooth, dry), own in pairs
-                ])  # fmt: skip
+                pairs = zip(forces(term.effect, values), ways, strict=True)
+                whole = [each.with_contact(way)[:, self.arm.driven] for each, way in pairs]
+                yield np.nan_to_num(whole)
 
 
 def _evidence(
@@ -409,19 +396,17 @@ def _evidence(
     """Play a motion with the nominal model, and whiten the columns of all shapes along it."""
     say(f"columns of {len(shaped)} shapes along {words}: {motion.description}")
     planned, _ = check_motion(motion, arm)
-    along = Along(arm, motion, arm.simulate(Hypothesis(), motion.commands(arm)))
-    nominal = along.residuals()
+    along = Along(arm, motion, arm.simulate(Hypothesis(), motion.commands(arm.limits)))
+    nominal = along.residual
     for balance in along.balances:
         balance.residual[:] = 0.0  # what the nominal model leaves is no knock
-    found = MotionEvidence(
-        np.empty((0, 0), np.float32), nominal,
-        tuple(
-            tuple(grid_of(balance, int(j), taper=_TAPER) for j in arm.driven)
-            for balance in along.balances
-        ),
-        len(planned.desired) / RATE,
-        float(np.sum((planned.torque / arm.torque_limits) ** 2)) / RATE,
-    )  # fmt: skip
+    grids = tuple(
+        tuple(grid_of(balance, int(j), taper=_TAPER) for j in arm.driven)
+        for balance in along.balances
+    )
+    wear = float(np.sum((planned.torque / arm.torque_limits) ** 2)) / RATE
+    seconds, nothing = len(planned.desired) / RATE, np.empty((0, 0), np.float32)
+    found = MotionEvidence(nothing, nominal, grids, seconds, wear)
     own, terms = np.eye(len(arm.uncertain)), (shape.term for shape in shaped)
     series = np.stack([*map(along.tolerances, own), *along.columns(terms)], axis=-1)
     return replace(found, rows=found.whitened(series).astype(np.float32))

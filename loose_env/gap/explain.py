@@ -12,15 +12,19 @@ import numpy as np
 from scipy.special import softmax
 
 from loose_env.doctor import Finding as Preflight
+from loose_env.errors import InvalidSetting
 from loose_env.gap.core import residual
-from loose_env.gap.core.decision import Finding, held_out_rms
-from loose_env.gap.core.evidence import weight_of
+from loose_env.gap.core.catalogue import shapes, shows, terms_of
+from loose_env.gap.core.decision import Finding, decide, held_out_rms
+from loose_env.gap.core.evidence import append, weight_of
 from loose_env.gap.core.exact import LARGE
 from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, silent
 from loose_env.gap.core.identifiability import identifiability
 from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
 from loose_env.gap.core.selection import Selection
 from loose_env.gap.core.tolerances import GapSettings
+from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effects.catalogue import effect_class
 from loose_env.gap.model.effects.inertia import payload_notes
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import naming_notes
@@ -224,6 +228,61 @@ def check_gap(
     """
     with silent():
         return identifiability(evidence_of(recording, settings or GapSettings(), say))
+
+
+def try_effect(answer: Answer, effect: type[Effect] | str, where: str) -> NamedEffect:
+    """Fit one effect, in its best shape, beside the others of an answer.
+
+    Parameters
+    ----------
+    answer : Answer
+        Result of `find_gap`, or `answer` of a solution.
+    effect : class of an effect, or str
+        The effect, which need not be registered, or its identifier in the catalogue.
+    where : str
+        Its location.
+
+    Returns
+    -------
+    NamedEffect
+        Values, intervals and gain on held-out data; `doubt` says why it would not be named.
+
+    Raises
+    ------
+    UnknownName
+        If there is no such effect, or it cannot be there.
+    InvalidSetting
+        If the recording does not show the effect at all.
+
+    Examples
+    --------
+    >>> answer = find_gap(recording)  # doctest: +SKIP
+    >>> try_effect(answer, "coulomb_friction", "joint2").doubt  # doctest: +SKIP
+    'its interval includes no effect'
+    """
+    selection, fit = answer.selection, answer.decision.fit
+    evidence, balance = selection.evidence, selection.evidence.balance
+    own, machine = effect_class(effect) if isinstance(effect, str) else effect, balance.machine
+    own(machine, where)  # raises for other locations
+    name = own.kind, where
+    with silent():
+        terms = [t for t in evidence.terms if t.name == name and type(t.effect) is own]
+        forms = [own(machine, where, v) for v in own.variants_at(machine, where) if not terms]
+        for form in (form for form in forms if shows(balance, form)):
+            terms += [t for axes in shapes(balance, form) for t in terms_of(balance, form, *axes)]
+        if not terms:
+            raise InvalidSetting(
+                f"these motions do not show {own.kind} at {where}; record one in which it acts"
+            )
+        new = [term for term in terms if id(term) not in evidence.places]
+        append(evidence, *new)
+        for counted in ("_places", "_shapes") if new else ():  # anew, with what was added
+            selection.__dict__.pop(counted, None)
+        rest = [term for term in fit.terms if term.name != name]
+        fits = [selection.solve((*rest, term)) for term in terms]
+        best = min(fits, key=lambda f: (not f.allowed, f.total))
+        findings = decide(selection, best).findings
+        return named_effect(next(f for f in findings if f.term.name == name))
 
 
 def write_gap(

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
 from annotated_types import Gt
 
 from loose_env.errors import InvalidSetting
-from loose_env.gap.servo_arm import RATE, MotionLimits, PlannedMotion, ServoArm, followed
+from loose_env.gap.servo_arm import MotionLimits, PlannedMotion, ServoArm
 from loose_env.io import Checked, NonNegativeCount, Positive, Rule
 from loose_env.typing import Array, IndexArray
 
-T = TypeVar("T")
 MotionKind = Literal[
     "slow_triangle", "constant_speed", "chirp", "multisine", "steps", "holds", "random"
 ]
 """Kinds of excitation."""
+Library = Literal["battery", "brief", "whole"]
+"""Libraries of motions."""
 _RAMP = 0.25  # fade of an excitation at either end [s]
 _STEP_S = 0.04  # time that a step takes [s]: what a servo's controller lets through
 _LOWEST = 0.5  # lowest frequency of a chirp and of a multisine [Hz]
@@ -83,8 +84,8 @@ class Motion(Checked):
         where = f" about ({pose})" if pose else ""
         return f"{self.kind.replace('_', ' ')} of {which}, {size}{where}"
 
-    def commands(self, arm: ServoArm | MotionLimits) -> Array:
-        """Desired positions of the arm's driven joints at its samples (n, J) [rad, m].
+    def commands(self, limits: MotionLimits) -> Array:
+        """Desired positions of an arm's driven joints at its samples (n, J) [rad, m].
 
         Within the ranges of the joints and the speed limits; torque and collisions are
         `check_motion`'s.
@@ -95,7 +96,6 @@ class Motion(Checked):
             If the joints or the centre pose are not those of the arm, or the motion leaves a
             joint's range.
         """
-        limits = arm.limits if isinstance(arm, ServoArm) else arm
         count, rate, unit = len(limits.joints), limits.rate, limits.unit
         if max(self.joints) >= count:
             raise InvalidSetting(f"the arm drives {count} joints, got {self.joints!r}")
@@ -259,50 +259,33 @@ def check_motion(motion: Motion, arm: ServoArm) -> tuple[PlannedMotion, str]:
     >>> check_motion(Motion(kind="slow_triangle", joints=(1,), amplitude=0.2, speed=0.2), arm)[1]
     ''
     """
-    desired, model = motion.commands(arm), arm.model
-    controls, data = arm.controls(desired), mujoco.MjData(model)
-    data.qpos[:] = arm.rest_position
-    data.qpos[arm.driven] = arm.home
-
-    def command(row: int) -> None:
-        data.ctrl[:] = controls[row]
-
-    # joints are hinges and slides: one position and one speed each
-    where = (arm.driven, arm.driven)
-    planned = followed(model, data, desired, 1 / RATE, where, command)
+    planned = arm.play(motion.commands(arm.limits))
     return planned, arm.limits.refusal(planned)
 
 
-def scaled_to_fit(motion: Motion, arm: ServoArm) -> tuple[Motion, PlannedMotion]:
-    """Reduce amplitude and speed of a motion until it fits the arm's limits.
-
-    Raises
-    ------
-    InvalidSetting
-        If it does not fit at a twentieth of its size either: in its centre pose, say.
-    """
-    fitting, planned, reason = scaled_until(motion, partial(check_motion, arm=arm))
-    if planned is None:
-        raise InvalidSetting(
-            f"{fitting.description} does not fit the arm: {reason}; give another centre pose"
-        )
-    return fitting, planned
-
-
-def scaled_until(
-    motion: Motion, checked: Callable[[Motion], tuple[T | None, str]], tries: int = 8
-) -> tuple[Motion, T | None, str]:
-    """Reduce a motion until a check has nothing against it; with what it found, or the reason."""
-    try:
-        found, reason = checked(motion)
-    except InvalidSetting as error:
-        found, reason = None, str(error)
-    if not reason or tries < 2:
-        return motion, None if reason else found, reason
-    too_far = any(words in reason for words in ("touch", "its range", "would move"))
-    slower = motion.speed if too_far else _SHRINK * motion.speed
-    smaller = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
-    return scaled_until(smaller, checked, tries - 1)
+def fitting(
+    wanted: Iterable[Motion],
+    checked: Callable[[Motion], tuple[PlannedMotion | None, str]],
+    tries: int = 8,
+) -> tuple[list[tuple[Motion, PlannedMotion]], list[tuple[Motion, str]]]:
+    """Motions against which a check has nothing, reduced until it has; reasons of the others."""
+    found, refused = list[tuple[Motion, PlannedMotion]](), list[tuple[Motion, str]]()
+    for asked in dict.fromkeys(wanted):
+        motion = asked
+        for left in range(tries, 0, -1):
+            try:
+                planned, reason = checked(motion)
+            except InvalidSetting as error:
+                planned, reason = None, str(error)
+            if planned is not None and not reason:
+                found.append((motion, planned))
+            if not reason or left == 1:
+                break
+            too_far = any(words in reason for words in ("touch", "its range", "would move"))
+            slower = motion.speed if too_far else _SHRINK * motion.speed
+            motion = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
+        refused += [(asked, reason)] * bool(reason)
+    return found, refused
 
 
 def loaded_poses(
@@ -325,10 +308,35 @@ def loaded_poses(
     return (found[np.argmin(loads)], found[np.argmax(loads)]) if found else (home, home)
 
 
-def motion_library(arm: ServoArm) -> tuple[Motion, ...]:
-    """Motions of an arm that fit its limits, reduced where need be, and brief ones of each kind."""
-    poses = loaded_poses(arm.model, arm.rest_position, arm.driven, arm.limits, arm.torque_limits)
-    return _fitting([*long_motions(*poses), *_brief_motions(arm)], arm)
+def motion_library(arm: ServoArm, which: Library = "whole") -> tuple[Motion, ...]:
+    """Motions that fit the limits of an arm, reduced where need be.
+
+    Parameters
+    ----------
+    arm : ServoArm
+        The arm.
+    which : str
+        "battery", which an experienced engineer runs: slow triangle, multisine and steps of all
+        joints; "brief" for that and brief excitations of each kind; "whole" for about 40 motions.
+
+    Raises
+    ------
+    InvalidSetting
+        If none fits.
+    """
+    every = tuple(range(len(arm.joints)))
+    wanted = _battery(every)
+    if which == "whole":
+        rest, limits = arm.rest[0], arm.limits
+        wanted = long_motions(*loaded_poses(arm.model, rest, arm.driven, limits, arm.torque_limits))
+    if which != "battery":
+        wanted += _brief_motions(every)
+    found, _ = fitting(wanted, partial(check_motion, arm=arm))
+    if not found:
+        raise InvalidSetting(
+            "no motion fits the arm: its home pose touches something or takes its torque limits"
+        )
+    return tuple(dict.fromkeys(motion for motion, _ in found))
 
 
 def long_motions(small: Array, large: Array) -> list[Motion]:
@@ -362,28 +370,12 @@ def long_motions(small: Array, large: Array) -> list[Motion]:
     ]
 
 
-def brief_library(arm: ServoArm) -> tuple[Motion, ...]:
-    """Brief motions of an arm and its battery: a library of few motions, soon computed."""
-    return _fitting([*battery(arm), *_brief_motions(arm)], arm)
-
-
-def _fitting(wanted: Sequence[Motion], arm: ServoArm) -> tuple[Motion, ...]:
-    """Motions that fit the limits of an arm, reduced where need be, each once."""
-    tried = [scaled_until(motion, partial(check_motion, arm=arm)) for motion in wanted]
-    fitting = [motion for motion, planned, _ in tried if planned is not None]
-    if not fitting:
-        raise InvalidSetting(
-            "no motion fits the arm: its home pose touches something or takes its torque limits"
-        )
-    return tuple(dict.fromkeys(fitting))
-
-
-def _brief_motions(arm: ServoArm) -> tuple[Motion, ...]:
+def _brief_motions(every: tuple[int, ...]) -> list[Motion]:
     """Excitations of 0.5 to 3 s about home: a second motion need not cost the way to a pose."""
     # a servo settles in a tenth of a second
-    brief = partial(Motion, joints=tuple(range(len(arm.joints))), pause=0.1)
+    brief = partial(Motion, joints=every, pause=0.1)
     noise = partial(brief, kind="random", speed=1.8)
-    return (
+    return [
         noise(amplitude=0.5, seconds=0.5, seed=3),
         noise(amplitude=0.5, seconds=1.0, seed=3),
         noise(amplitude=0.5, seconds=1.0, seed=9),
@@ -396,18 +388,13 @@ def _brief_motions(arm: ServoArm) -> tuple[Motion, ...]:
         brief(kind="holds", amplitude=0.7, speed=1.8, seconds=3.0, seed=2),
         brief(kind="slow_triangle", amplitude=0.1, speed=0.3, seconds=1.5),
         brief(kind="constant_speed", amplitude=0.5, speed=1.2, seconds=2.0),
-    )
+    ]
 
 
-def battery(arm: ServoArm) -> tuple[Motion, ...]:
-    """Battery that an experienced engineer runs: slow triangle, multisine and steps, all joints."""
-    every = tuple(range(len(arm.joints)))
-    return tuple(scaled_to_fit(motion, arm)[0] for motion in _battery(every))
-
-
-def _battery(every: tuple[int, ...]) -> tuple[Motion, ...]:
-    return (
-        Motion(kind="slow_triangle", joints=every, amplitude=0.3, speed=0.3, seconds=8.0),
-        Motion(kind="multisine", joints=every, amplitude=0.4, speed=1.2, seconds=8.0),
-        Motion(kind="steps", joints=every, amplitude=0.06, speed=1.5, seconds=5.0),
-    )
+def _battery(every: tuple[int, ...]) -> list[Motion]:
+    both = partial(Motion, joints=every)
+    return [
+        both(kind="slow_triangle", amplitude=0.3, speed=0.3, seconds=8.0),
+        both(kind="multisine", amplitude=0.4, speed=1.2, seconds=8.0),
+        both(kind="steps", amplitude=0.06, speed=1.5, seconds=5.0),
+    ]

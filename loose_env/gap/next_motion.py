@@ -30,7 +30,7 @@ from loose_env.gap.core.selection import Form, Set, SetFit, neighbours
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, addresses
-from loose_env.gap.motions import Motion, loaded_poses, long_motions, scaled_until
+from loose_env.gap.motions import Motion, fitting, loaded_poses, long_motions
 from loose_env.gap.output.corrected_model import step_for
 from loose_env.gap.runs import steady_activations
 from loose_env.gap.servo_arm import SLIDE, MotionLimits, PlannedMotion, followed
@@ -564,13 +564,13 @@ def choose_next(
             return None
         player = Player(answer.recording, balance.machine, balance.motion, corrected)
         limits = limits_of(balance.machine, balance.motion, settings)
-        fitting, refused = _played(player, limits, settings, motions)
-        say(f"next motion: {len(fitting)} motions, {len(pairs)} open pairs")
+        found, refused = _played(player, limits, settings, motions)
+        say(f"next motion: {len(found)} motions, {len(pairs)} open pairs")
         questions = Questions(answer, pairs, player)
-        told = [questions.gains(planned) for _, planned in fitting]
-        seconds = [planned.time[-1] + _SETUP_S for _, planned in fitting]
+        told = [questions.gains(planned) for _, planned in found]
+        seconds = [planned.time[-1] + _SETUP_S for _, planned in found]
         best = int(np.argmax(np.divide([gains.value for gains in told], seconds)))
-        (motion, planned), gains = fitting[best], told[best]
+        (motion, planned), gains = found[best], told[best]
     if not gains.tells:
         say("next motion: none tells more than the same runs once more")
         return None
@@ -583,7 +583,7 @@ def choose_next(
             **{name: getattr(limits, name).tolist() for name in ("low", "high", "speed", "torque")},
             "sources": dict(zip(("position", "speed", "torque"), limits.sources, strict=True)),
         },
-        settings=asdict(settings), considered=len(fitting), refused=refused,
+        settings=asdict(settings), considered=len(found), refused=refused,
         columns=tuple(table_of(run)),
     )  # fmt: skip
     return chosen, run
@@ -596,36 +596,30 @@ def _played(
     wanted: Sequence[Motion] | None,
 ) -> tuple[list[tuple[Motion, PlannedMotion]], tuple[tuple[str, str], ...]]:
     """Motions that keep the limits under the corrected model, and the reasons of the others."""
-    unit = limits.unit
+    unit, machine, tries = limits.unit, player.machine, 1
     fast = replace(limits, speed=unit * np.max(limits.speed / unit))  # slower ones are reduced
+    if wanted is None:
+        tries, least = _TRIES, min(_SHORTEST_S, settings.next_seconds)
+        torque = np.where(np.isfinite(limits.torque), limits.torque, machine.load_scales)
+        every = np.arange(len(limits.joints))
+        poses = loaded_poses(machine.model, limits.home, every, limits, torque)
+        wanted = [replace(m, seconds=max(m.seconds, least)) for m in long_motions(*poses)]
 
     def checked(motion: Motion) -> tuple[PlannedMotion | None, str]:
         desired = motion.commands(fast)
-        if len(desired) > settings.next_seconds * player.rate + 1:
+        if len(desired) > settings.next_seconds * limits.rate + 1:
             return None, f"it takes longer than {settings.next_seconds:g} s"
         planned = player.play(desired)
         return planned, limits.refusal(planned)
 
-    tries, machine = 1, player.machine
-    if wanted is None:
-        tries, least = _TRIES, min(_SHORTEST_S, settings.next_seconds)
-        torque = np.where(np.isfinite(limits.torque), limits.torque, machine.load_scales)
-        driven = np.arange(len(limits.joints))
-        poses = loaded_poses(machine.model, limits.home, driven, limits, torque)
-        wanted = [replace(m, seconds=max(m.seconds, least)) for m in long_motions(*poses)]
-    found, refused = [], []
-    for motion in dict.fromkeys(wanted):
-        fitting, planned, reason = scaled_until(motion, checked, tries)
-        if planned is not None:
-            found.append((fitting, planned))
-        else:
-            refused.append((motion.described(limits.joints), reason))
+    found, others = fitting(wanted, checked, tries)
+    refused = tuple((motion.described(limits.joints), reason) for motion, reason in others)
     if not found:
         raise InvalidData(
             f"no motion fits the machine; of {len(refused)} tried the first does not, since "
             f"{refused[0][1]}"
         )
-    return found, tuple(refused)
+    return found, refused
 
 
 def write_next_motion(folder: Path, motion: NextMotion, run: Run) -> list[Path]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated
@@ -18,9 +18,10 @@ from loose_env.arms import load_spec
 from loose_env.errors import InvalidData
 from loose_env.gap.model.hypothesis import JOINT, Hypothesis, scale
 from loose_env.gap.model.nominal_model import NominalModel, mass_matrix
-from loose_env.gap.runs import SETTLE, Channel, Trial
+from loose_env.gap.runs import SETTLE, Channel, align_run
 from loose_env.gap.simulator import Simulator
 from loose_env.io import Checked, Positive, Rule
+from loose_env.recording import CommandTiming, Run
 from loose_env.typing import Array, IndexArray
 
 SLIDE = 0.2  # limits of slides over those of hinges: metres for radians
@@ -250,14 +251,14 @@ class ServoArm(Checked):
         return self._prepared.copy().compile()
 
     @cached_property
+    def servos(self) -> tuple[IndexArray, IndexArray]:
+        """Indices of the joints with a position servo, and of the servo of each (J,)."""
+        return _servos(self.spec.copy().compile())
+
+    @property
     def driven(self) -> IndexArray:
         """Indices of the joints with a position servo (J,)."""
-        return _servos(self.spec.copy().compile())[0]
-
-    @cached_property
-    def actuators(self) -> IndexArray:
-        """Index of the servo of each driven joint (J,)."""
-        return _servos(self.model)[1]
+        return self.servos[0]
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -265,24 +266,25 @@ class ServoArm(Checked):
         return tuple(self.model.joint(int(k)).name for k in self.driven)
 
     @cached_property
-    def home(self) -> Array:
-        """Home pose: key "home", else the first key, else the middle of each range (J,)."""
-        model, pose = self.model, self.rest_position
-        if self._key is None:
-            pose = np.where(model.jnt_limited, model.jnt_range.mean(axis=1), pose)
-        return np.asarray(pose[self.driven])
+    def rest(self) -> tuple[Array, Array]:
+        """Home pose of all joints (nq,), with the inputs of all actuators there (nu,).
 
-    @cached_property
-    def _key(self) -> int | None:
-        """Number of the key of the home pose; None without keys."""
-        names = [self.model.key(k).name for k in range(self.model.nkey)]
-        return (names.index("home") if "home" in names else 0) if names else None
+        Key "home", else the first key, else the middle of the range of each driven joint.
+        """
+        model = self.model
+        names = [model.key(k).name for k in range(model.nkey)]
+        if names:
+            key = names.index("home") if "home" in names else 0
+            return model.key_qpos[key].copy(), model.key_ctrl[key].copy()
+        pose = model.qpos0.copy()
+        limited = self.driven[model.jnt_limited[self.driven].astype(bool)]
+        pose[limited] = model.jnt_range[limited].mean(axis=1)
+        return pose, np.zeros(model.nu)
 
     @property
-    def rest_position(self) -> Array:
-        """Positions of all joints with the driven ones anywhere: of the home pose's key (nq,)."""
-        pose = self.model.qpos0 if self._key is None else self.model.key_qpos[self._key]
-        return np.array(pose, dtype=float)
+    def home(self) -> Array:
+        """Home pose of the driven joints (J,)."""
+        return np.asarray(self.rest[0][self.driven])
 
     @cached_property
     def limits(self) -> MotionLimits:
@@ -339,11 +341,21 @@ class ServoArm(Checked):
 
     def controls(self, commands: Array) -> Array:
         """Inputs of all actuators (n, nu) for desired positions of the driven joints (n, J)."""
-        given = np.zeros((len(commands), self.model.nu))
-        if self._key is not None:
-            given[:] = self.model.key_ctrl[self._key]
-        given[:, self.actuators] = commands
+        given = np.tile(self.rest[1], (len(commands), 1))
+        given[:, self.servos[1]] = commands
         return given
+
+    def play(self, desired: Array) -> PlannedMotion:
+        """Play desired positions (n, J) on the nominal model, contacts and stops included."""
+        controls, data = self.controls(desired), mujoco.MjData(self.model)
+        data.qpos[:] = self.rest[0]
+
+        def command(row: int) -> None:
+            data.ctrl[:] = controls[row]
+
+        # joints are hinges and slides: one position and one speed each
+        where = (self.driven, self.driven)
+        return followed(self.model, data, desired, 1 / RATE, where, command)
 
     def simulate(
         self, hypothesis: Hypothesis, commands: Array, factors: Array | None = None
@@ -364,25 +376,16 @@ class ServoArm(Checked):
         ndarray (n, 2 J)
             Positions and torques; NaN where the simulation diverged.
         """
-        count, position = len(commands), self.rest_position
-        position[self.driven] = self.home
-        steps = round((count - 1) / (RATE * self.machine.time_step)) + 1
-        controls = self.acting(commands)[:steps]
-        trial = Trial(
-            name="motion", form="forward", time=np.arange(count) / RATE,
-            measured=np.zeros((count, len(self.channels))), step=self.machine.time_step,
-            steps=steps, controls=controls, position=position,
-            speed=np.zeros(self.model.nv), resting=True,
+        controls = dict(zip(self.machine.actuators, self.controls(commands).T, strict=True))
+        run = Run(
+            name="motion", time=np.arange(len(commands)) / RATE, controls=controls,
+            commands=dict.fromkeys(controls, CommandTiming(mode="linear")),
         )  # fmt: skip
+        trial = align_run(run, self.machine, self.channels, step=self.machine.time_step)
+        trial = replace(trial, position=self.rest[0], resting=True)
         machine = self.machine if factors is None else NominalModel(self.off(factors))
         simulator = Simulator(machine, [trial], self.channels, threads=1)
         return simulator.predict([hypothesis])[0][0]
-
-    def acting(self, commands: Array) -> Array:
-        """Commands along lines from sample to sample, at the middles of steps (n · parts, nu)."""
-        given, parts = self.controls(commands), round(1.0 / (RATE * self.machine.time_step))
-        at = (np.arange(len(given) * parts) + 0.5) / parts
-        return np.stack([np.interp(at, np.arange(len(given)), own) for own in given.T], axis=1)
 
     def measured(self, readings: Array, rng: np.random.Generator) -> Array:
         """Add encoder noise, quantisation and torque noise to readings (n, 2 J)."""

@@ -18,11 +18,7 @@ from loose_agents.rl.gap_policy import LearnedGapAgent
 from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.envs import GapPrices, ModelGapEnv, ModelGapSettings
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
-from loose_env.gap import (
-    brief_library,
-    motion_bank,
-    read_servo_arm,
-)
+from loose_env.gap import motion_bank, motion_library, read_servo_arm
 from loose_env.registration import GAP_ID
 from scripts.model_gap.train import Options, train
 from tests.gap.cases.small_bank import small_bank
@@ -111,7 +107,7 @@ def test_arms_of_six_axes_have_episodes(file: Path) -> None:
     if not file.is_file():
         pytest.skip("the model lies beside the repository, not in it")
     arm = read_servo_arm(file)
-    motions = brief_library(arm)[3:5]
+    motions = motion_library(arm, "brief")[3:5]
     bank = motion_bank(arm, motions, ("viscous_friction",), reference=motions[:1], cache=None)
     made = ModelGapEnv(bank)
     hidden = bank.names[0]

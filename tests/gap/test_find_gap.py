@@ -11,13 +11,13 @@ import pytest
 
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap import (
-    GapSession,
     GapSettings,
     Tolerances,
     check_gap,
     explain_gap,
     find_gap,
     solve_gap,
+    try_effect,
 )
 from loose_env.gap.core.find import evidence_of, relinearised, silent
 from loose_env.gap.core.residual import overlays
@@ -120,32 +120,17 @@ def test_the_check_says_what_could_be_seen(recording: Recording) -> None:
     assert near < wide
 
 
-def test_effects_are_tried_and_added_one_at_a_time(recording: Recording, tmp_path: Path) -> None:
-    session = GapSession(recording, FEW)
-    before = session.held_out
-    late = session.try_effect("viscous_friction", "shoulder")
-    friction = session.try_effect("coulomb_friction", "elbow")
-    assert friction.accepted and not late.accepted and friction.before == before > friction.after
+def test_an_effect_is_tried_beside_the_others(recording: Recording) -> None:
+    answer = find_gap(recording, FEW)
+    late, friction = (
+        try_effect(answer, kind, where)
+        for kind, where in (("viscous_friction", "shoulder"), ("coulomb_friction", "elbow"))
+    )
+    assert late.doubt and not friction.doubt
     assert friction.parameters["torque"] == pytest.approx(FRICTION, rel=0.2)
-    assert str(friction).startswith("coulomb_friction@elbow: torque ")
-    assert "coulomb_friction@elbow" in friction._repr_html_()
-    session.add(friction)
-    assert session.held_out == friction.after and session.added == (friction.effect,)
-    with pytest.raises(InvalidSetting, match=r"before coulomb_friction@elbow was added"):
-        session.add(late)
-    (file,) = session.write_model(tmp_path / "model.xml")
-    assert mujoco.MjModel.from_xml_path(str(file)).dof_frictionloss[1] > 0.5 * FRICTION
-    assert len(session.residual_force("elbow")) == len(session.motion("elbow")[0])
-    for given, reason in (
-        (("rust", "elbow"), "rust"),
-        (("coulomb_friction", "knee"), "knee"),
-    ):
-        with pytest.raises(UnknownName, match=reason):
-            session.try_effect(*given)
-    with pytest.raises(InvalidSetting, match="needs a location"):
-        session.try_effect("coulomb_friction")
-    with pytest.raises(UnknownName, match="no joint 'knee'"):
-        session.residual_force("knee")
+    for given in (("rust", "elbow"), ("coulomb_friction", "knee")):
+        with pytest.raises(UnknownName, match=given[0]):
+            try_effect(answer, *given)
 
 
 def broken(recording: Recording, **changes: object) -> list[Run]:
@@ -205,7 +190,7 @@ def test_the_stretch_that_is_shown_of_a_joint_is_one_in_which_it_moves(
         replace(run, sensors=run.sensors | {"encoder2": still}) if run.name != "run-02.csv" else run
         for run in recording.runs
     ]
-    selection = GapSession(replace(recording, runs=tuple(runs)), FEW).selection
+    selection = evidence_of(replace(recording, runs=tuple(runs)), FEW, lambda _: None)
     balance = selection.evidence.balance
     large, small = np.ones_like(balance.residual), np.zeros_like(balance.residual)
     large[np.abs(balance.speed) < 0.01] = 100.0

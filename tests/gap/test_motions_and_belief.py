@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
@@ -23,9 +24,8 @@ from loose_env.gap import (
     motion_bank,
     outlook,
     read_servo_arm,
-    scaled_to_fit,
 )
-from loose_env.gap.motions import MotionKind
+from loose_env.gap.motions import MotionKind, fitting
 from tests.gap.cases.small_bank import LIBRARY, small_bank
 
 GOOD = Motion(kind="chirp", joints=(0,), amplitude=0.1, speed=1.0)
@@ -42,7 +42,7 @@ def test_a_motion_starts_and_ends_at_rest_at_home_within_amplitude_and_speed(
 ) -> None:
     motion = Motion(kind=kind, joints=(0, 2), amplitude=0.2, speed=9.0, seconds=3.0)
 
-    commands = motion.commands(arm)
+    commands = motion.commands(arm.limits)
 
     off = commands - arm.home
     assert np.all(off[0] == 0) and np.all(off[-1] == 0)
@@ -56,7 +56,7 @@ def test_a_motion_about_another_pose_goes_there_and_back(arm: ServoArm) -> None:
     centre = (0.5, -1.0, 0.8)
     motion = Motion(kind="steps", joints=(1,), amplitude=0.05, speed=1.0, centre=centre)
 
-    commands = motion.commands(arm)
+    commands = motion.commands(arm.limits)
 
     assert np.allclose(commands[len(commands) // 2], centre, atol=0.11)
     assert np.allclose(commands[[0, -1]], arm.home)
@@ -67,19 +67,19 @@ def test_a_motion_that_leaves_a_range_is_refused_and_then_reduced(arm: ServoArm)
     motion = Motion(kind="holds", joints=(2,), amplitude=0.5, speed=1.5, centre=centre)
 
     with pytest.raises(InvalidSetting, match=r"takes joint3 to .* its range is"):
-        motion.commands(arm)
-    fitting, _ = scaled_to_fit(motion, arm)
+        motion.commands(arm.limits)
+    ((smaller, _),), refused = fitting([motion], partial(check_motion, arm=arm))
 
-    assert fitting.amplitude < motion.amplitude
-    assert not check_motion(fitting, arm)[1]
+    assert smaller.amplitude < motion.amplitude and not refused
+    assert not check_motion(smaller, arm)[1]
 
 
 def test_a_motion_into_the_table_is_refused(arm: ServoArm) -> None:
     low = Motion(kind="holds", joints=(1,), amplitude=0.1, speed=1.0, centre=(0.0, 0.5, 0.4))
 
     assert "touch" in check_motion(low, arm)[1]
-    with pytest.raises(InvalidSetting, match=r"does not fit the arm: .* would touch"):
-        scaled_to_fit(low, arm)
+    found, ((_, reason),) = fitting([low], partial(check_motion, arm=arm))
+    assert not found and "would touch" in reason
 
 
 def test_a_weak_drive_gets_a_smaller_motion() -> None:
@@ -89,10 +89,10 @@ def test_a_weak_drive_gets_a_smaller_motion() -> None:
     arm = ServoArm(spec)
     motion = Motion(kind="chirp", joints=(1,), amplitude=0.4, speed=1.8)
 
-    fitting, planned = scaled_to_fit(motion, arm)
+    ((slower, planned),), _ = fitting([motion], partial(check_motion, arm=arm))
 
     assert "reach the range of its force" in check_motion(motion, arm)[1]
-    assert fitting.speed < motion.speed and np.abs(planned.torque[:, 1]).max() <= 0.8 * 45.0
+    assert slower.speed < motion.speed and np.abs(planned.torque[:, 1]).max() <= 0.8 * 45.0
 
 
 def believed(machine: HiddenMachine, motions: tuple[int, ...] = (0, 1), seed: int = 0) -> Belief:
@@ -223,7 +223,11 @@ def test_a_stored_bank_is_read_and_a_broken_one_computed_anew(tmp_path: Path) ->
         (lambda arm: replace(GOOD, kind="waltz"), InvalidSetting, "kind must be .*slow_triangle"),
         (lambda arm: replace(GOOD, highest=0.5), InvalidSetting, r"highest must be above 0\.5 Hz"),
         (lambda arm: replace(GOOD, amplitude=0.0), InvalidSetting, "amplitude must be positive"),
-        (lambda arm: replace(GOOD, joints=(5,)).commands(arm), InvalidSetting, "drives 3 joints"),
+        (
+            lambda arm: replace(GOOD, joints=(5,)).commands(arm.limits),
+            InvalidSetting,
+            "drives 3 joints",
+        ),
         (lambda arm: MachineDraw(probabilities=(0.5, 0.1, 0.1)), InvalidSetting, "sum to 1"),
         (lambda arm: hidden("rust@joint1"), InvalidSetting, "no candidate 'rust@joint1'; cand"),
     ],

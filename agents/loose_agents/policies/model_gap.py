@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_agents.base import EpisodeAgent
 from loose_env.envs import GapObservation, ModelGapEnv
 from loose_env.errors import UnknownName
-from loose_env.gap import battery
+from loose_env.gap import motion_library
 from loose_env.typing import Array
 
 GAP_AGENTS = ("random", "battery", "brief", "greedy")
@@ -92,7 +92,7 @@ def make_gap_agent(
 
 
 def _battery(env: ModelGapEnv) -> list[int]:
-    return [env.bank.index_of(motion) for motion in battery(env.bank.arm)]
+    return [env.motions.index(motion) for motion in motion_library(env.bank.arm, "battery")]
 
 
 def _briefest(env: ModelGapEnv) -> list[int]:

@@ -11,48 +11,32 @@ from numpy.typing import NDArray
 
 from loose_env.typing import Array
 
-GRAVITY = 9.81
-"""Acceleration of free fall [m/s²]; the world's z axis points up."""
-BAR_CENTRE = 0.48
-"""Centre of mass of a bar over its length."""
+GRAVITY = 9.81  # acceleration of free fall [m/s²]; the world's z axis points up
+BAR_CENTRE = 0.48  # centre of mass of a bar over its length
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Machine:
     """A nominal serial machine: arrays with a row a link, from the base; a slide's in m, N, kg."""
 
-    name: str
-    """A word for the machine; never written into a recording."""
+    name: str  # A word for the machine; never written into a recording
     hanging: Array | None
     """Joint positions in which it hangs at rest with its drives off, if there are any."""
-    slide: NDArray[np.bool_]
-    """Joints that slide; the others turn."""
-    axis: Array
-    """Axis of the joint, a unit vector in the link's frame."""
-    offset: Array
-    """Origin of the link's frame in the frame of the link before [m]."""
-    end: Array
-    """Distal end of the link, in its own frame [m]."""
-    mass: Array
-    """Mass [kg]."""
-    com: Array
-    """Centre of mass in the link's frame [m]."""
+    slide: NDArray[np.bool_]  # Joints that slide; the others turn
+    axis: Array  # Axis of the joint, a unit vector in the link's frame
+    offset: Array  # Origin of the link's frame in the frame of the link before [m]
+    end: Array  # Distal end of the link, in its own frame [m]
+    mass: Array  # Mass [kg]
+    com: Array  # Centre of mass in the link's frame [m]
     inertia: Array
     """Moments of inertia about the centre of mass, along the link's frame [kg m²]."""
-    armature: Array
-    """Inertia of the rotor, seen at the joint [kg m²]."""
-    damping: Array
-    """Viscous damping of the joint [N m s/rad]."""
-    kp: Array
-    """Position gain of the servo [N m/rad]."""
-    kv: Array
-    """Velocity gain of the servo [N m s/rad]."""
-    limit: Array
-    """Largest torque of the servo [N m]."""
-    home: Array
-    """Middle of the joint's range of motion [rad]."""
-    reach: Array
-    """Half of the joint's range of motion [rad]."""
+    armature: Array  # Inertia of the rotor, seen at the joint [kg m²]
+    damping: Array  # Viscous damping of the joint [N m s/rad]
+    kp: Array  # Position gain of the servo [N m/rad]
+    kv: Array  # Velocity gain of the servo [N m s/rad]
+    limit: Array  # Largest torque of the servo [N m]
+    home: Array  # Middle of the joint's range of motion [rad]
+    reach: Array  # Half of the joint's range of motion [rad]
 
     @property
     def joints(self) -> int:

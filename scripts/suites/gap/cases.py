@@ -48,10 +48,8 @@ from scripts.suites.gap.worlds import (
     rounded,
 )
 
-SEED = 53_001
-"""Seed of the development numbers."""
-FORMAT = "gap-truth/2"
-"""Format of a file of truth."""
+SEED = 53_001  # seed of the development numbers
+FORMAT = "gap-truth/2"  # format of a file of truth
 _TURN = ("one", "two", "none", "one", "many", "one", "outside", "two", "none", "one")
 """What is missing in sixty successive numbers, ten for each world: nothing, one effect, two, four
 to six, or one that the catalogue lacks."""
@@ -60,8 +58,7 @@ VISIBLE = 5.0
 tolerances explains, exceeds the noise."""
 EQUAL = 2.0
 """The same of what is left of it with another effect in its place, below which both are right."""
-TRIES = 60
-"""Draws until effects can be seen."""
+TRIES = 60  # draws until effects can be seen
 FRICTIONS = ("coulomb_friction", "viscous_friction", "load_friction", "asymmetric_friction")
 """What most joints lack."""
 ALIKE = (
@@ -80,8 +77,7 @@ ALIKE = (
 """Kinds that data may not separate; whether they do is computed for each case."""
 
 
-Names = tuple[tuple[str, str], ...]
-"""Kinds and places that together are a right answer."""
+Names = tuple[tuple[str, str], ...]  # kinds and places that together are a right answer
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -121,18 +117,14 @@ def role_of(number: int) -> str:
 
 # ------------------------------------------------------------------------------- visibility
 
-BAND = 20.0
-"""Band in which torques are compared [Hz]."""
+BAND = 20.0  # band in which torques are compared [Hz]
 STEP = {"zero": 1e-4, "offset": 1e-3}
 """Step of a tolerance for a difference quotient, where it is not 0.002."""
 FINE = 2e-4
 """Integration step of recordings [s], at most; the servos and gears here are ten times slower."""
-COARSE = 1e-3
-"""Integration step while effects are drawn [s]; recordings take a finer one."""
-SMOOTH = 8e-3
-"""Speed over which friction turns over then, at least [rad/s]."""
-SEEN = 4.0
-"""Length of the run by which effects are drawn [s]."""
+COARSE = 1e-3  # integration step while effects are drawn [s]; recordings take a finer one
+SMOOTH = 8e-3  # speed over which friction turns over then, at least [rad/s]
+SEEN = 4.0  # length of the run by which effects are drawn [s]
 THIN = 4
 """Of trajectories one sample in this many is looked at and counted for all: what effects do
 changes little in between."""
@@ -357,8 +349,7 @@ def draw_effects(
     return effects, tuple(scores)
 
 
-WILD = 0.4
-"""Share of a joint's half range by which a machine that still works is off, at most."""
+WILD = 0.4  # share of a joint's half range by which a machine that still works is off, at most
 
 
 def _sane(effects: Effects, visibility: Visibility) -> bool:

@@ -51,8 +51,7 @@ KIND, AXIS, ORIGIN, MASS, COM, INERTIA, ARMATURE, CARRIED = 0, 1, 4, 7, 8, 11, 2
 """First columns of a body: kind (0 hinge, 1 slide), axis (3), offset (3), mass, centre of mass
 (3), inertia matrix by rows (9), rotor inertia, share of its weight that something else carries."""
 BODY = 22
-WORK = 36
-"""Length of a body's row of working space."""
+WORK = 36  # length of a body's row of working space
 _R, _O, _W, _V, _AL, _AO, _OM, _IN = 0, 9, 12, 15, 18, 21, 24, 27
 # rotation (9), origin (3), joint's motion vector about the world's origin (w 3, v 3), angular
 # acceleration (3), acceleration of the origin (3), angular velocity (3), inertia in the world (9)
@@ -439,32 +438,22 @@ def needed(bodies, damping, gravity, q, v, a):  # type: ignore[no-untyped-def]
 class Signals(NamedTuple):
     """What happened at every sample (or at every step inside a sample), or what was read."""
 
-    position: Array
-    """What perfect encoders say, of shape (T, n) [rad or m]."""
-    velocity: Array
-    """Velocities at the motors, of shape (T, n)."""
-    acceleration: Array
-    """Proper acceleration of the tool in its frame, of shape (T, 3) [m/s²]."""
-    torque: Array
-    """Torques that the drives ask for, of shape (T, n) [N m or N]."""
-    joint_acceleration: Array
-    """Accelerations of the joints, of shape (T, n); never recorded."""
+    position: Array  # What perfect encoders say, of shape (T, n) [rad or m]
+    velocity: Array  # Velocities at the motors, of shape (T, n)
+    acceleration: Array  # Proper acceleration of the tool in its frame, of shape (T, 3) [m/s²]
+    torque: Array  # Torques that the drives ask for, of shape (T, n) [N m or N]
+    joint_acceleration: Array  # Accelerations of the joints, of shape (T, n); never recorded
 
 
 @dataclasses.dataclass(kw_only=True)
 class System:
     """A true arm in arrays: n drives, N >= n degrees of freedom."""
 
-    bodies: Array
-    """Figures of the bodies, of shape (N, BODY)."""
-    laws: NDArray[np.void]
-    """Laws in the degrees of freedom, (N,) of `LAW`."""
-    drives: NDArray[np.void]
-    """Drives in the order of the joints, (n,) of `DRIVE`."""
-    gravity: Array
-    """Acceleration of free fall in the world, of shape (3,) [m/s²]."""
-    tool: Array
-    """The tool in the last body's frame, of shape (3,) [m]."""
+    bodies: Array  # Figures of the bodies, of shape (N, BODY)
+    laws: NDArray[np.void]  # Laws in the degrees of freedom, (N,) of `LAW`
+    drives: NDArray[np.void]  # Drives in the order of the joints, (n,) of `DRIVE`
+    gravity: Array  # Acceleration of free fall in the world, of shape (3,) [m/s²]
+    tool: Array  # The tool in the last body's frame, of shape (3,) [m]
     cable: Array
     """A coupling of two joints: their degrees of freedom, ratio, stiffness, rest of a spring,
     friction and rotor inertia of a motor that turns with both; shape (7,)."""
@@ -472,10 +461,8 @@ class System:
     """A force at the tool in its frame (3) [N], its frequency [Hz] and phase [rad]; shape (5,)."""
     proximal: NDArray[np.int64]
     """Body that carries the proximal end of each link, of shape (n,)."""
-    torque_gain: Array
-    """Measured over true torque, of shape (n,)."""
-    torque_offset: Array
-    """Constant of the measured torque, of shape (n,) [N m or N]."""
+    torque_gain: Array  # Measured over true torque, of shape (n,)
+    torque_offset: Array  # Constant of the measured torque, of shape (n,) [N m or N]
     rotation: Array = dataclasses.field(default_factory=lambda: np.eye(3))
     """Reading of the accelerometer = rotation @ truth, of shape (3, 3)."""
     sensors: dict[str, dict[str, Any]] = dataclasses.field(

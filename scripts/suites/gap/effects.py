@@ -19,14 +19,10 @@ from scripts.suites.gap.dynamics import System, exactly
 
 SERVO, TORQUE, FREE = ("servo", "torque", "free")
 """Commands to sensors, motion to torque, free response."""
-ACCELEROMETER = "tool_acc"
-"""Name of the accelerometer at the tool."""
-STOP_LOAD = 30.0
-"""Force that usually presses a loose seat to its stops [N]."""
-SEAT_DAMPING = 5.0
-"""Damping of a loose seat's guide [N s/m]."""
-SLIDE_SPEED = 0.2
-"""Speed of a slide [m/s] that counts like 1 rad/s of a hinge."""
+ACCELEROMETER = "tool_acc"  # name of the accelerometer at the tool
+STOP_LOAD = 30.0  # force that usually presses a loose seat to its stops [N]
+SEAT_DAMPING = 5.0  # damping of a loose seat's guide [N s/m]
+SLIDE_SPEED = 0.2  # speed of a slide [m/s] that counts like 1 rad/s of a hinge
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -35,8 +31,7 @@ class Place:
 
     name: str
     """Name in the model: of a joint, body, actuator or sensor; or `tool`, `base`, `all`."""
-    index: int
-    """Number of the joint or link from 0; -1 for `all`."""
+    index: int  # Number of the joint or link from 0; -1 for `all`
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -375,18 +370,14 @@ def _misread(at: At, factor: float = 1.0, torque: float = 0.0) -> None:
 class Kind:
     """A kind of effect: where it can be, how large, and what it does to the true arm."""
 
-    places: Callable[[Machine], list[Place]]
-    """Where it can sit on an arm."""
+    places: Callable[[Machine], list[Place]]  # Where it can sit on an arm
     bounds: tuple[float, float]
     """Least and largest size that machines have and that is outside tolerances."""
-    unit: str
-    """Unit of the size, of `_UNITS`."""
-    forms: str
-    """Initials of the forms of recording that can show it."""
+    unit: str  # Unit of the size, of `_UNITS`
+    forms: str  # Initials of the forms of recording that can show it
     results: str
     """Parameters that a result has too, and units: T a torque or force, A an angle or way."""
-    act: Callable[..., None]
-    """Change of the arm or its sensors by the parameters, in place."""
+    act: Callable[..., None]  # Change of the arm or its sensors by the parameters, in place
     draw: Draw | None = None
     """All its parameters, from a size; the size is the first result if not given."""
 

@@ -13,10 +13,8 @@ from scripts.suites.blind import columns_table, share
 from scripts.suites.gap.cases import FORMAT
 from scripts.suites.gap.worlds import WORLDS
 
-Named = tuple[str, str]
-"""Kind and place."""
-Marks = dict[str, Any]
-"""Marks of one case: numbers and words only, a row of the suite."""
+Named = tuple[str, str]  # kind and place
+Marks = dict[str, Any]  # marks of one case: numbers and words only, a row of the suite
 UNEXPLAINED = "unexplained"
 
 

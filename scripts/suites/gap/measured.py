@@ -16,9 +16,10 @@ from tyro.conf import Positional
 
 from loose_env.cli.command import command
 from loose_env.errors import LooseEnvError
-from loose_env.gap import GapSettings, GapSolution, NamedEffect, solve_gap
+from loose_env.gap import GapSettings, NamedEffect, explain_gap
 from loose_env.io import plain
 from loose_env.recording import Recording, read_recording
+from loose_env.report import gap_text
 from scripts.suites.rows import Row, add, kept
 
 _NAMED = 3
@@ -31,15 +32,11 @@ def row_of(recording: Recording, settings: GapSettings) -> Row:
     """Result of a recording, and the processor time it took [s]; prints what was found."""
     begun, row = time.process_time(), {"recording": recording.folder.name}
     try:
-        solution = solve_gap(recording, settings, say=partial(print, file=sys.stderr, flush=True))
+        found = explain_gap(recording, settings, say=partial(print, file=sys.stderr, flush=True))
     except LooseEnvError as error:
         return row | {"error": str(error), "held_out": []}
-    found, seconds = solution.result, time.process_time() - begun
-    motion = solution.answer.selection.evidence.balance.motion
-    print(
-        f"== {row['recording']}: {motion.runs[0].form}, band {motion.band:.1f} Hz, {seconds:.1f} s"
-    )
-    print("\n".join(f"  {line}" for line in _lines(solution)), flush=True)
+    seconds = time.process_time() - begun
+    print(f"== {row['recording']}: {seconds:.1f} s\n{gap_text(found, warnings=False)}", flush=True)
     return row | {
         "seconds": seconds,
         "held_out": list(found.held_out_runs),
@@ -50,51 +47,35 @@ def row_of(recording: Recording, settings: GapSettings) -> Row:
     }
 
 
-def _lines(solution: GapSolution) -> list[str]:
-    """Exact fits, effects, and verdicts joint by joint."""
-    result, answer = solution.result, solution.answer
-    lines = []
-    for fit in answer.exact:
-        sets = ", ".join(f"{term.effect.kind}@{term.effect.where}" for term in fit.terms)
-        lines.append(f"exact {fit.total:.0f}: {sets}; rms {fit.rms.round(1)}")
-    for word, effects in (("NAMED", result.effects), ("     ", result.doubtful)):
-        for e in effects:
-            gains = " ".join(f"{gain:+.0f} by {way}" for way, gain in e.held_out_gain.items())
-            sure = f"p {e.probability:.2f}, z {e.z:.1f}, held-out {gains}"
-            lines.append(f"{word} {_words(e)} {e.variant}; {sure}")
-    rivals = [f"{kind}@{where} {p:.2f}" for p, kind, where in answer.decision.rivals[:8]]
-    lines += [f"rivals: {', '.join(rivals)}"] if rivals else []
-    for c in result.channels:
-        kinds = ", ".join(e.kind for e in c.effects)
-        lines.append(f"{c.channel}: {c.verdict} {kinds} ({c.before:.3g} -> {c.after:.3g})")
-    return lines
-
-
-def table(rows: Sequence[Row]) -> str:
-    """Rows in Markdown."""
-    lines = [
-        "| recording | held out | named | error before [rad] | after [rad] | ratio | CPU [s] |",
-        "|---|---|---|---:|---:|---:|---:|",
-    ]
-    for row in rows:
-        if row["error"] is not None:
-            lines.append(f"| {row['recording']} | | refused: {row['error']} | | | | |")
-            continue
-        numbers = "| | | "
-        if row["rmse"] is not None:
-            before, after = row["rmse"]
-            numbers = f"| {before:.4f} | {after:.4f} | {after / before:.2f} "
-        names = [f"`{Path(name).stem}`" for name in row["held_out"]]
-        held = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} runs"
-        first = f"| {row['recording']} | {held} | {row['named']} "
-        lines.append(f"{first}{numbers}| {row['seconds']:.0f} |")
-    return "\n".join(lines)
-
-
 def _words(effect: NamedEffect) -> str:
     """Kind and location with the values and their intervals."""
     values = ", ".join(f"{name} {effect.value_in_words(name)}" for name in effect.parameters)
     return f"`{effect.kind}` at {effect.where}: {values}"
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Rows in Markdown."""
+    heads = (
+        "recording",
+        "held out",
+        "named",
+        "error before [rad]",
+        "after [rad]",
+        "ratio",
+        "CPU [s]",
+    )
+    lines = [f"| {' | '.join(heads)} |", "|---|---|---|---:|---:|---:|---:|"]
+    for row in rows:
+        cells = ["", f"refused: {row['error']}", "", "", "", ""]
+        if row["error"] is None:
+            names = [f"`{Path(name).stem}`" for name in row["held_out"]]
+            held = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} runs"
+            before, after = row["rmse"] or (0.0, 0.0)
+            errors = f"{before:.4f}", f"{after:.4f}", f"{after / (before or 1.0):.2f}"
+            cells = [held, row["named"], *(errors if before else ("", "", ""))]
+            cells.append(f"{row['seconds']:.0f}")
+        lines.append(f"| {' | '.join((row['recording'], *cells))} |")
+    return "\n".join(lines)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,8 +20,7 @@ from scripts.suites.gap.effects import (
     apply_effect,
 )
 
-SAMPLE = 1e-3
-"""Time between two samples where a log has no rate of its own [s]."""
+SAMPLE = 1e-3  # time between two samples where a log has no rate of its own [s]
 WORLDS = ("exact", "servo", "torque", "free", "rough", "shaken")
 """Worlds, by the number's remainder."""
 IDEAL = ("exact", "shaken")
@@ -32,28 +31,21 @@ TOLERANCES = {
 }  # fmt: skip
 """Largest error of a model: shares, centres as shares of the link's length, zeros [rad, m], torques
 as shares of the limit. A model errs by half of that, a standard deviation, and never by more."""
-SHIFT = 0.5
-"""Largest shift of the commands [samples], of either sign."""
-FADE = 0.6
-"""Time over which a motion grows from rest [s]."""
-EFFORT = 0.55
-"""Share of a drive's limit that the largest acceleration commanded may take."""
+SHIFT = 0.5  # largest shift of the commands [samples], of either sign
+FADE = 0.6  # time over which a motion grows from rest [s]
+EFFORT = 0.55  # share of a drive's limit that the largest acceleration commanded may take
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Motion:
     """One run's commands."""
 
-    commands: Array
-    """Positions commanded, of shape (T, n) [rad or m]."""
+    commands: Array  # Positions commanded, of shape (T, n) [rad or m]
     release: int | None = None
     """Sample at which the drives go off and the recording starts; with drives if not given."""
-    excited: int | None = None
-    """Joint that is shaken, counted from 0."""
-    pose: Array | None = None
-    """Pose held, of shape (n,)."""
-    family: str = ""
-    """A word for the motion."""
+    excited: int | None = None  # Joint that is shaken, counted from 0
+    pose: Array | None = None  # Pose held, of shape (n,)
+    family: str = ""  # A word for the motion
 
 
 def _minimum_jerk(x: Any) -> Array:
@@ -167,16 +159,11 @@ SLIDE_SCALE = 0.05
 class Noise:
     """White noise of a recording's sensors, standard deviations."""
 
-    step: Array
-    """Steps of the encoders, of shape (n,) [rad or m]."""
-    position: Array
-    """Noise of the encoders before their steps, of shape (n,)."""
-    velocity: Array
-    """Noise of the tachometers, of shape (n,) [rad/s or m/s]."""
-    acceleration: float
-    """Noise of an axis of the accelerometer [m/s²]."""
-    torque: Array
-    """Noise of the measured torques, of shape (n,) [N m or N]."""
+    step: Array  # Steps of the encoders, of shape (n,) [rad or m]
+    position: Array  # Noise of the encoders before their steps, of shape (n,)
+    velocity: Array  # Noise of the tachometers, of shape (n,) [rad/s or m/s]
+    acceleration: float  # Noise of an axis of the accelerometer [m/s²]
+    torque: Array  # Noise of the measured torques, of shape (n,) [N m or N]
 
     @classmethod
     def draw(cls, machine: Machine, rng: np.random.Generator, sample: float) -> Noise:
@@ -264,23 +251,16 @@ class Setup:
     straight: bool = False
     """Whether the drives go in straight lines from command to command; they hold each if not."""
     world: str = IDEAL[0]
-    form: str = SERVO
-    """Form of the recording."""
-    sample: float = SAMPLE
-    """Time between two samples of the log [s]."""
+    form: str = SERVO  # Form of the recording
+    sample: float = SAMPLE  # Time between two samples of the log [s]
     noise: Noise
-    speeds: bool = True
-    """Whether velocities are recorded."""
-    accelerometer: bool = False
-    """Whether the tool has one."""
-    torques: bool = False
-    """Whether torques are recorded."""
-    garbage: str = ""
-    """Column that says nothing."""
+    speeds: bool = True  # Whether velocities are recorded
+    accelerometer: bool = False  # Whether the tool has one
+    torques: bool = False  # Whether torques are recorded
+    garbage: str = ""  # Column that says nothing
     ignored: tuple[str, ...] = ()
     """Places of which answers count neither for nor against a tool."""
-    spoiled: tuple[int, ...] = ()
-    """Joints where no effect is put."""
+    spoiled: tuple[int, ...] = ()  # Joints where no effect is put
 
     @property
     def ideal(self) -> bool:
@@ -322,8 +302,7 @@ class Setup:
         return Signals(*(values[motion.release or 0 :] for values in signals))
 
 
-STOP_FORCE = 100.0
-"""Force of a blow on the stops of a slide by which the steps are chosen [N]."""
+STOP_FORCE = 100.0  # force of a blow on the stops of a slide by which the steps are chosen [N]
 
 
 def _steps_inside(system: System, machine: Machine, least: int, sample: float) -> int:
