@@ -93,10 +93,7 @@ class HiddenMachine:
     @property
     def hypothesis(self) -> Hypothesis:
         """The machine as a hypothesis."""
-        return Hypothesis(
-            effects=tuple(e.effect for e in self.effects),
-            values=tuple(e.values for e in self.effects),
-        )
+        return Hypothesis().with_effects([(each.effect, each.values) for each in self.effects])
 
     def run(self, motion: int, rng: np.random.Generator) -> Array:
         """Measure a motion of the library: readings with noise (n, C); NaN if it diverged."""
@@ -285,7 +282,7 @@ _MOST = 20.0
 
 @dataclass(frozen=True, kw_only=True)
 class GapObservation:
-    """Layout of the observation; each slice is an attribute.
+    """Layout of the observation; each slice is an attribute, in the table of `ModelGapEnv`.
 
     Examples
     --------
@@ -302,27 +299,16 @@ class GapObservation:
     """Sets that a verdict can name (R)."""
 
     probability: slice = field(init=False)
-    """Log10 of the probability that each candidate is missing, at least 10⁻⁶ (N)."""
     evidence: slice = field(init=False)
-    """Log evidence x [nats] of each candidate alone, as sign(x) ln(1 + |x|) (N)."""
     parameter: slice = field(init=False)
-    """Log10 of each candidate's visibility on the battery, were it alone (N)."""
     interval: slice = field(init=False)
-    """Standard deviation of that (N)."""
     sets: slice = field(init=False)
-    """Log10 of the probabilities of the R most probable sets (R)."""
     members: slice = field(init=False)
-    """Number of effects in each of them (R)."""
     taken: slice = field(init=False)
-    """Repetitions of each motion so far (M)."""
     rest: slice = field(init=False)
-    """Rms of each motion's latest residual that no candidate spans, less 1 [noise sd] (M)."""
     information: slice = field(init=False)
-    """Expected information of each motion about the missing set [nats] (M)."""
     gain: slice = field(init=False)
-    """Expected gain in the reward of the best verdict by each motion (M)."""
     spent: slice = field(init=False)
-    """Minutes of machine time, wear [s], motions over the most, log10 of the misfit (4)."""
 
     def __post_init__(self) -> None:
         """Lay the groups one after the other."""
@@ -489,38 +475,36 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         if action >= len(self.motions):
             return self._verdict(action - len(self.motions))
         if self.taken >= self.settings.max_motions:
-            self._over = True
-            return self._observed(), prices.wrong, True, False, self._info()
+            return self._ended(prices.wrong)
         readings = self.machine.run(action, self.np_random)
         self.seconds += float(self.bank.seconds[action])
         self.wear += float(self.bank.wear[action])
         reward = -float(self.motion_prices[action])
         if not np.isfinite(readings).all():
-            self._over = True
-            info = {**self._info(), "failure": "the simulation of the machine diverged"}
-            return self._observed(), reward, False, True, info
+            failure = "the simulation of the machine diverged"
+            return self._ended(reward, truncated=True, failure=failure)
         self.belief.add(action, readings)
         return self._observed(), reward, False, False, self._info()
 
     def _verdict(self, rank: int) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         assert self.machine is not None
+        truth, prices = self.machine.names, self.settings.prices
         if not self.action_masks()[len(self.motions) + rank]:  # it names nothing
-            self._over = True
-            missed = {**self._info(), "truth": self.machine.names, "is_success": False}
-            return self._observed(), self.settings.prices.wrong, True, False, missed
+            return self._ended(prices.wrong, truth=truth, is_success=False)
         named = self.belief.posterior.sets[rank]
-        truth, error = self.machine.names, self.parameter_error(named)
-        reward = self.settings.prices.verdict(named.names, truth, parameter_error=error)
+        error = self.parameter_error(named)
+        return self._ended(
+            prices.verdict(named.names, truth, parameter_error=error),
+            verdict=named.names, truth=truth, is_success=named.names == truth,
+            parameter_error=error, probability=named.probability,
+        )  # fmt: skip
+
+    def _ended(
+        self, reward: float, *, truncated: bool = False, **info: Any
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """The last step of an episode."""
         self._over = True
-        info = {
-            **self._info(),
-            "verdict": named.names,
-            "truth": truth,
-            "is_success": named.names == truth,
-            "parameter_error": error,
-            "probability": named.probability,
-        }
-        return self._observed(), reward, True, False, info
+        return self._observed(), reward, not truncated, truncated, {**self._info(), **info}
 
     def parameter_error(self, named: HypothesisSet) -> float:
         """Mean relative error of the parameters of the effects that are rightly named; else 1.

@@ -442,24 +442,19 @@ def _indistinguishable(bank: MotionBank) -> set[str]:
     As the mass of a link that only turns about the vertical and the inertia of its rotor.
     """
     gram = beyond(np.sum([e.gram for e in bank.evidence], axis=0), bank.nuisances)
-    of = {name: [s for s in bank.shapes if s.name == name] for name in bank.names}
-    found: set[str] = set()
-
-    def left(shape: Shape, other: Shape) -> float:
-        """Squared length of a shape's largest signature beside another one."""
-        at, beside = list(shape.at), list(other.at)
-        free = np.diag(1e-9 * np.diag(gram)[beside] + 1e-300)
-        rest = unexplained(
-            np.diag(gram)[at], gram[np.ix_(beside, at)], gram[np.ix_(beside, beside)], free
-        )
-        most = VISIBLE[1] ** 2 / np.maximum(np.diag(bank.beyond)[at], 1e-12)
-        return float(np.max(rest * (1.0 if shape.term.law else np.minimum(most, 1e12))))
-
+    own, most = np.diag(gram), VISIBLE[1] ** 2 / np.maximum(np.diag(bank.beyond), 1e-12)
+    left = np.empty((len(bank.shapes), len(bank.shapes)))
+    for row, at in zip(left, (list(shape.at) for shape in bank.shapes), strict=True):
+        free = np.diag(1e-9 * own[at] + 1e-300)
+        rest = unexplained(own, gram[at], gram[np.ix_(at, at)], free)
+        # squared length of the largest signature of every other shape beside this one
+        sized = rest * np.minimum(most, 1e12)
+        row[:] = [max((rest if s.term.law else sized)[list(s.at)]) for s in bank.shapes]
+    alike, found = left < _INDISTINGUISHABLE_Z**2, set[str]()
     for number, name in enumerate(bank.names):
-        for earlier in bank.names[:number]:
-            if earlier not in found and all(
-                any(left(one, other) < _INDISTINGUISHABLE_Z**2 for other in of[earlier])
-                for one in of[name]
-            ):
+        one = bank.candidate == number
+        for earlier in range(number):
+            others = alike[bank.candidate == earlier][:, one]
+            if bank.names[earlier] not in found and np.all(np.any(others, axis=0)):
                 found.add(name)
     return found

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import resources
 from math import inf, isfinite, nan
@@ -207,31 +207,26 @@ class _Joint:
 
 
 def _joint(model: mujoco.MjModel, joint: int) -> _Joint:
-    """Read a joint from a compiled model."""
-    at_joint = np.isin(model.actuator_trntype, AT_JOINT)
+    """Read a joint from a compiled model, with the actuator of affine force that drives it."""
+    dof, at_joint = int(model.jnt_dofadr[joint]), np.isin(model.actuator_trntype, AT_JOINT)
+    alone = _Joint(
+        name=str(model.joint(joint).name), turns=bool(model.jnt_type[joint] == MOVING[0]),
+        armature=float(model.dof_armature[dof]), frictionloss=float(model.dof_frictionloss[dof]),
+        viscous=float(model.dof_damping[dof]),
+    )  # fmt: skip
     there = np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))
     # an actuator without a command, as effects add them, is no drive
     own = [int(k) for k in there if model.actuator_ctrlnum[k] > 0]
-    names = ", ".join(str(model.actuator(k).name) for k in own)
-    drive: dict[str, Any] = {}
+    name = ", ".join(str(model.actuator(k).name) for k in own)
+    if not own:
+        return alone
     if len(own) > 1:
-        drive["undriven"] = f"several actuators drive it ({names})"
-    elif own and affine_actuators(model)[own[0]] and not model.actuator_gainprm[own[0], 1:3].any():
-        drive = _drive(model, joint, own[0])
-    elif own:
-        drive["undriven"] = f"the force of {names} is not linear in command, position and speed"
-    dof = int(model.jnt_dofadr[joint])
-    return _Joint(
-        name=str(model.joint(joint).name), turns=bool(model.jnt_type[joint] == MOVING[0]),
-        armature=float(model.dof_armature[dof]), frictionloss=float(model.dof_frictionloss[dof]),
-        viscous=float(model.dof_damping[dof]), **drive,
-    )  # fmt: skip
-
-
-def _drive(model: mujoco.MjModel, joint: int, k: int) -> dict[str, Any]:
-    """Fields of a joint that an actuator of affine force drives."""
-    name, gain = str(model.actuator(k).name), float(model.actuator_gainprm[k, 0])
-    gear = float(model.actuator_gear[k, 0])
+        return replace(alone, undriven=f"several actuators drive it ({name})")
+    k = own[0]
+    if not affine_actuators(model)[k] or model.actuator_gainprm[k, 1:3].any():
+        words = f"the force of {name} is not linear in command, position and speed"
+        return replace(alone, undriven=words)
+    gain, gear = float(model.actuator_gainprm[k, 0]), float(model.actuator_gear[k, 0])
     bias, stiff, damped = (float(v) for v in model.actuator_biasprm[k][:3])
     remarks = [f"the constant force of {name}"] if bias else []
     # a motor with a voltage limit loses torque with speed, the reverse of a velocity servo's sign
@@ -252,14 +247,13 @@ def _drive(model: mujoco.MjModel, joint: int, k: int) -> dict[str, Any]:
         remarks.append(f"{limits}: the smaller one is exported")
     scale = f"the torque of {name} per command, {gear * gain:.4g}"
     scaled = mode == "effort" and abs(gear * gain - 1.0) > 1e-9
-    return {
-        "drive": name, "mode": mode, "stiffness": -(gear**2) * stiff + 0.0,
-        "damping": (gear**2) * (float(model.actuator_damping[k]) - damped) + 0.0,
-        "effort_limit": min(low, high) if len(ends) > 1 else None, "gear": gear,
-        "effort_gain": gear * gain, "delay": float(model.actuator_delay[k]),
-        "remarks": tuple(remarks),
-        "scale": (f"{scale}; multiply the effort targets by it",) * scaled,
-    }  # fmt: skip
+    return replace(
+        alone, drive=name, mode=mode, stiffness=-(gear**2) * stiff + 0.0,
+        damping=(gear**2) * (float(model.actuator_damping[k]) - damped) + 0.0,
+        effort_limit=min(low, high) if len(ends) > 1 else None, gear=gear,
+        effort_gain=gear * gain, delay=float(model.actuator_delay[k]), remarks=tuple(remarks),
+        scale=(f"{scale}; multiply the effort targets by it",) * scaled,
+    )  # fmt: skip
 
 
 # Parameters with their intervals: mujoco.sysid, ranges
@@ -553,21 +547,29 @@ def _module(
     made = {joint.name: configured(joint, lost) for joint in source.joints}
     configs = {name: own for name, own in made.items() if own is not None}
     left = [*source.not_carried(carried, remedy=remedy), *lost]
-    lines = [f'"""Actuators for {target}, identified by \'loose gap\'.', ""]
-    lines += [f"Delays are counted in physics steps of {_number(source.step)} s."]
-    lines += ["", "Not expressed:", *(f"- {words}" for words in left)] if left else []
-    lines += ['"""', ""]
     kinds = sorted({kind for kind, _ in configs.values()})
-    lines += [f"from {package} import (", *(f"    {kind}," for kind in kinds), ")"] if kinds else []
+    lines = [f"from {package} import (", *(f"    {kind}," for kind in kinds), ")"] if kinds else []
     lines += ["", f"ACTUATORS = {'{' if keyed else '('}"]
     for name, (kind, own) in configs.items():
-        lines.append(f"    {f'{name!r}: ' * keyed}{kind}(")
-        given = {field: value for field, value in own.items() if value is not None}
-        lines += [f"        {field}={_number(value)}," for field, value in given.items()]
-        lines.append("    ),")
-    text = "\n".join([*lines, "}" if keyed else ")", ""])
+        lines += _configured(kind, own, 4, f"{name!r}: " * keyed)
+    text = _python(target, source, left, [*lines, "}" if keyed else ")", ""])
     name = f"{package.partition('.')[0]}_actuators.py"
     return Export(files={name: text}, not_expressed=tuple(left), notes=notes)
+
+
+def _python(target: str, source: _Source, left: Sequence[str], lines: Sequence[str]) -> str:
+    """Python text that says at its head for what it is and what it does not contain."""
+    head = [f'"""Actuators for {target}, identified by \'loose gap\'.', ""]
+    head += [f"Delays are counted in physics steps of {_number(source.step)} s."]
+    head += ["", "Not expressed:", *(f"- {words}" for words in left)] if left else []
+    return "\n".join([*head, '"""', "", *lines])
+
+
+def _configured(kind: str, own: _Fields, indent: int, key: str) -> list[str]:
+    """Python lines of one configuration."""
+    given = {field: value for field, value in own.items() if value is not None}
+    fields = [f"    {field}={_number(value)}," for field, value in given.items()]
+    return [" " * indent + line for line in (f"{key}{kind}(", *fields, "),")]
 
 
 # URDF
@@ -706,7 +708,7 @@ def _bam(source: _Source) -> Export:
     if servo not in SERVOS:
         raise InvalidSetting(
             f"BAM needs the servo of the joints: give --servo with one of {', '.join(SERVOS)}"
-            + (f"; got {servo!r}" if servo else "")
+            + f"; got {servo!r}" * bool(servo)
         )
     left = list(source.not_carried(_BY_BAM))
     files = {}
@@ -730,26 +732,22 @@ def _drivebam(source: _Source) -> Export:
     resistance, error_gain and max_current.
     """
     left = list(source.not_carried(_BY_BAM | {"command_delay": _ALL}))
-    lines = [f'"""Actuators for DriveBam; delays are in physics steps of {source.step:g} s.', ""]
-    text = ["from isaaclab.actuators import BamActuatorCfg, BamMotorCfg", "", ""]
-    text += ["def actuators(fit: dict, kp_fw: float, vin: float) -> dict[str, BamActuatorCfg]:"]
-    text += ['    """Configurations by joint, of a servo\'s fit, firmware gain and supply [V]."""']
-    text += ["    return {"]
+    lines = ["from isaaclab.actuators import BamActuatorCfg, BamMotorCfg", "", ""]
+    lines += ["def actuators(fit: dict, kp_fw: float, vin: float) -> dict[str, BamActuatorCfg]:"]
+    lines += ['    """Configurations by joint, of a servo\'s fit, firmware gain and supply [V]."""']
+    lines += ["    return {"]
     for joint, own in _bam_hinges(source, left):
         low, high = _lags(source, joint, left)
         motor = ", ".join(f"{k!r}: {v!r}" for k, v in own.items() if k != "armature")
-        delay = f" min_delay={low}, max_delay={high}," if high else ""
-        text += [
-            f"        {joint.name!r}: BamActuatorCfg(",
-            f"            joint_names_expr=[{re.escape(joint.name)!r}], kp_fw=kp_fw, vin=vin,",
-            f"            armature={own['armature']!r},{delay}",
-            f"            motor=BamMotorCfg(**fit | {{{motor}}}),",
-            "        ),",
-        ]
-    lines += ["Not expressed:", *(f"- {words}" for words in left)] if left else []
-    files = {"drivebam_actuators.py": "\n".join([*lines, '"""', "", *text, "    }", ""])}
+        fields: _Fields = {
+            "joint_names_expr": f"[{re.escape(joint.name)!r}]", "kp_fw": "kp_fw", "vin": "vin",
+            "armature": repr(own["armature"]), "motor": f"BamMotorCfg(**fit | {{{motor}}})",
+        }  # fmt: skip
+        fields |= {"min_delay": low, "max_delay": high} if high else {}
+        lines += _configured("BamActuatorCfg", fields, 8, f"{joint.name!r}: ")
     notes = ("kt, resistance, error_gain and max_current are those of the fit given to it",)
-    return Export(files=files, not_expressed=tuple(left), notes=notes)
+    text = _python("DriveBam", source, left, [*lines, "    }", ""])
+    return Export(files={"drivebam_actuators.py": text}, not_expressed=tuple(left), notes=notes)
 
 
 def _bam_hinges(source: _Source, left: list[str]) -> list[tuple[_Joint, dict[str, float | str]]]:
