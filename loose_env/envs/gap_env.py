@@ -40,8 +40,7 @@ _JITTER, _LIMIT = 0.2, 1.5
 damping of a spring is that of the catalogue's start."""
 _STRONGEST = 400.0
 """Largest signature that is drawn where nominal parameters explain most of it [noise sd]."""
-_LARGEST = 0.7
-"""Largest size that is drawn, over that of the largest visibility."""
+_LARGEST = 0.7  # largest size that is drawn, over that of the largest visibility
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,10 +273,8 @@ class ModelGapSettings(Checked):
     """Largest joint speed of motions [rad/s]; of slides a fifth of it [m/s]."""
 
 
-_FLOOR = 1e-6
-"""Probabilities below count as this in logarithms."""
-_MOST = 20.0
-"""Bound of every element."""
+_FLOOR = 1e-6  # probabilities below count as this in logarithms
+_MOST = 20.0  # bound of every element
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,8 +42,7 @@ from loose_env.typing import Array, IndexArray
 
 CommandMode = Literal["position", "speed", "torque", "none"]
 """What commands of the recording's actuators are; "none" where runs have no commands."""
-NEXT_MOTION = "next_motion"
-"""Name of the files, without the ending."""
+NEXT_MOTION = "next_motion"  # name of the files, without the ending
 FORMAT = "loose-next-motion/1"  # of the JSON file
 NOTHING = "nothing"  # what an effect is told from that may not be there
 DECIDED = 5.0
@@ -256,17 +255,12 @@ class Questions:
         sides = [s for pair in self.pairs for s in (pair.effect, pair.rival) if s is not None]
         own = [*fit.terms, *(t for s in sides for t in (s.term, *s.shapes))]
         self.terms = tuple({id(term): term for term in own}.values())
-        kept, free = evidence.tolerances, len(evidence.nuisances)
-        numbers = [k for term in self.terms for k in evidence.columns_of(term)]
-        places = {k: free + place for place, k in enumerate(dict.fromkeys(numbers))}
-        self._columns = {
-            id(t): np.array([places[k] for k in evidence.columns_of(t)]) for t in self.terms
-        }
-        every = np.array([*range(kept), *places], dtype=np.intp)
-        self.precision = np.concatenate([np.ones(free), evidence.precision[every[kept:]]])
-        self.centre = np.concatenate([np.zeros(free), evidence.centre[every[kept:]]])
+        every, free = selection.columns(self.terms), len(evidence.nuisances)
+        self._numbers = every[evidence.tolerances :]
+        self.precision = np.append(np.ones(free), evidence.precision[self._numbers])
+        self.centre = np.append(np.zeros(free), evidence.centre[self._numbers])
         # of the tolerances themselves: a motion may feel what the runs did not
-        spread = block_diag(evidence.mixed, np.eye(len(places)))
+        spread = block_diag(evidence.mixed, np.eye(len(self._numbers)))
         gram = Form(selection, fit.powers).block(every) - np.diag(evidence.precision[every])
         self.recorded: Array = spread @ gram @ spread.T
         """Gram matrix of the recorded runs at the weights of the answer (K, K)."""
@@ -274,7 +268,18 @@ class Questions:
         for finding in answer.decision.findings:
             at = evidence.columns_of(finding.term)
             force = evidence.inexact[list(at)] * fit.values[fit.places(at)]
-            self._missed[self._columns[id(finding.term)]] = force
+            self._missed[self._at(finding.term)] = force
+
+    def _at(self, *terms: Term) -> IndexArray:
+        """Columns of some effects."""
+        own = (k for term in terms for k in self.answer.selection.evidence.columns_of(term))
+        free = len(self.precision) - len(self._numbers)
+        return free + np.searchsorted(self._numbers, np.fromiter(own, dtype=np.intp))
+
+    def _beside(self, terms: Iterable[Term]) -> IndexArray:
+        """Columns of the tolerances and of some effects."""
+        free = len(self.precision) - len(self._numbers)
+        return np.append(np.arange(free), np.unique(self._at(*terms)))
 
     def gains(self, motion: PlannedMotion) -> _Gains:
         """Expected gains of a motion."""
@@ -308,7 +313,7 @@ class Questions:
         columns = {k: changes[n.name] for k, n in enumerate(known.nuisances) if n.name in changes}
         for term in self.terms:
             direction = balance.directions[term.contact or USUAL]
-            for k, values in zip(self._columns[id(term)], term.axes, strict=True):
+            for k, values in zip(self._at(term), term.axes, strict=True):
                 forces = balance.forces(term.effect, np.array(values))
                 columns[int(k)] = balance.change(np.nan_to_num(forces.with_contact(direction)))
         found = np.zeros_like(self.recorded)
@@ -345,11 +350,6 @@ class Questions:
                 return np.interp(np.log(turn), np.log(turns), total / counted)
         return np.ones(len(turn))
 
-    def _beside(self, terms: Sequence[Term]) -> IndexArray:
-        """Columns of the tolerances and of some effects."""
-        free = len(self.answer.selection.evidence.nuisances)
-        return np.unique(np.concatenate([np.arange(free), *(self._columns[id(t)] for t in terms)]))
-
     def _apart(self, true: Side | None, other: Side | None, rest: Set, joint: Array) -> float:
         """Half of the squared distance that a motion adds between one set and the other [nats].
 
@@ -358,12 +358,11 @@ class Questions:
         """
         if true is None:
             return 0.0
-        at, force, ends = self._columns[id(true.term)], true.coefficients, np.full(2, np.inf)
+        at, force, ends = self._at(true.term), true.coefficients, np.full(2, np.inf)
         for shape in [()] if other is None else [(shape,) for shape in other.shapes]:
             numbers = self._beside((*rest, *shape))
             # common effects may change by their priors; a law begins at its size
-            own = np.isin(numbers, self._beside(shape)) & (numbers >= len(self._beside(())))
-            centre = np.where(own, self.centre[numbers], 0.0)
+            centre = np.where(np.isin(numbers, self._at(*shape)), self.centre[numbers], 0.0)
             for k, gram in enumerate((self.recorded, joint)):
                 cross = gram[:, at] @ force
                 square, slope = np.array([force @ cross[at]]), cross[numbers][:, None]
@@ -375,7 +374,7 @@ class Questions:
         """Fall of the covariance of the named effects beside all others and the tolerances."""
         numbers = self._beside(self.answer.decision.fit.terms)
         named = [f.term for f in self.answer.decision.findings if f.named]
-        of = [np.searchsorted(numbers, self._columns[id(term)]) for term in named]
+        of = [np.searchsorted(numbers, self._at(term)) for term in named]
         inner, prior = np.concatenate(of), np.diag(self.precision[numbers])
         before, after = (
             np.linalg.inv(gram[np.ix_(numbers, numbers)] + prior) for gram in (self.recorded, joint)
@@ -472,7 +471,6 @@ class Player:
             )
         self.drive: CommandMode = drive_of(machine) if "forward" in forms else "none"
         self._interval = _interval(motion)
-        self.rate = 1.0 / self._interval
         step = min(machine.time_step, step_for(machine, corrected))
         parts = ceil(self._interval / step - 1e-9)
         self._model = corrected.model(
