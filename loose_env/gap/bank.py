@@ -35,15 +35,9 @@ from loose_env.recording import CommandTiming
 from loose_env.typing import Array, IndexArray
 
 EXCLUDED = (
-    "structural_looseness",
-    "backlash",
-    "sensor_quantisation",
-    "torque_constant",
-    "torque_limit",
-    "voltage_limit",
-    "speed_limit",
-    "gear_eccentricity",
-)
+    "structural_looseness", "backlash", "sensor_quantisation", "torque_constant", "torque_limit",
+    "voltage_limit", "speed_limit", "gear_eccentricity",
+)  # fmt: skip
 """Kinds that are no candidates of encoders and torque sensors on the drives' side: looseness needs
 an accelerometer beyond the joint; play under a load that keeps its side shows the stiffness of its
 stops alone; quantisation changes nothing but the noise; the torque constant acts where torque is

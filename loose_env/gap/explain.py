@@ -176,27 +176,20 @@ def solve_gap(
             errors = residual.force_errors(answer, before, after) | errors
         pairs = map(tuple, sides.T.tolist())
         gap = Gap(
-            before=pooled_rms(selection, sides[0]),
-            after=pooled_rms(selection, sides[1]),
+            before=_pooled_rms(selection, sides[0]),
+            after=_pooled_rms(selection, sides[1]),
             by_channel=dict(zip((each.channel for each in own), pairs, strict=True)),
             by_quantity=errors,
         )
         result = GapResult(
-            verdict=_verdict(answer),
-            gap=gap,
-            effects=tuple(map(named_effect, named)),
+            verdict=_verdict(answer), gap=gap, effects=tuple(map(named_effect, named)),
             doubtful=tuple(named_effect(f) for f in findings if not f.named),
-            channels=_channels(answer, gap),
-            pulled=_pulled(answer),
+            channels=_channels(answer, gap), pulled=_pulled(answer),
             held_out_runs=tuple(r.name for r in answer.held_out.runs) if answer.held_out else (),
-            ranking=_ranking(answer),
-            code=correction_code(corrected),
-            residual_tests=tests,
-            identifiability=identifiability(selection),
-            warnings=_warnings(answer, recording),
-            preflight=tuple(preflight),
-            settings=asdict(answer.settings),
-        )
+            ranking=_ranking(answer), code=correction_code(corrected), residual_tests=tests,
+            identifiability=identifiability(selection), warnings=_warnings(answer, recording),
+            preflight=tuple(preflight), settings=asdict(answer.settings),
+        )  # fmt: skip
         largest = np.argsort([test.rms for test in tests])[::-1][: FIGURES - 1]
         shown = after.copy()
         for channel in evidence.channels:
@@ -325,12 +318,10 @@ def write_gap(
     for earlier in ("result.json", *(f"{NEXT_MOTION}.{ending}" for ending in endings)):
         place.joinpath(earlier).unlink(missing_ok=True)
     say("writing model, result and report")
-    model, source, notes = (
-        place / "model.xml",
-        solution.answer.recording.model_path,
-        model_notes(result),
-    )
-    models = write_model(model, machine, solution.corrected, source=source, notes=notes)
+    models = write_model(
+        place / "model.xml", machine, solution.corrected, notes=model_notes(result),
+        source=solution.answer.recording.model_path,
+    )  # fmt: skip
     page = report(place, solution)
     motions = [] if next_motion is None else write_next_motion(place, *next_motion)
     file = result.write(place / "result.json")
@@ -345,7 +336,7 @@ def _verdict(answer: Answer) -> Verdict:
     return "unexplained" if any(channel.after > LARGE for channel in left) else "no_gap"
 
 
-def pooled_rms(selection: Selection, rms: Array) -> float:
+def _pooled_rms(selection: Selection, rms: Array) -> float:
     """Residual over the values of all channels, of that of each one (C,)."""
     counts = np.array([c.count.sum() for c in selection.evidence.channels])
     return float(np.sqrt(np.average(rms**2, weights=counts)))
@@ -357,21 +348,15 @@ def named_effect(found: Finding) -> NamedEffect:
     bounds = np.transpose([(p.low, p.high) for p in effect.parameters])
     ends = map(tuple, np.clip([found.low, found.high], *bounds).T.tolist())
     return NamedEffect(
-        kind=effect.kind,
-        where=effect.where,
+        kind=effect.kind, where=effect.where, variant=effect.variant,
         parameters=dict(zip(names, found.values.tolist(), strict=True)),
         interval_95=dict(zip(names, ends, strict=True)),
-        ambiguous_with=tuple(EffectLocation(kind=k, where=w) for k, w in found.confusable),
         units={p.name: p.unit for p in effect.parameters},
-        variant=effect.variant,
-        mountings=effect.mountings,
-        in_model=effect.in_model,
-        probability=found.probability,
-        probability_alone=found.alone,
-        z=found.z,
+        ambiguous_with=tuple(EffectLocation(kind=k, where=w) for k, w in found.confusable),
+        mountings=effect.mountings, in_model=effect.in_model, probability=found.probability,
+        probability_alone=found.alone, z=found.z, doubt=found.doubt,
         held_out_gain={"run": found.by_run, "stretch": found.by_stretch},
-        doubt=found.doubt,
-    )
+    )  # fmt: skip
 
 
 def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:

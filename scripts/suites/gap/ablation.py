@@ -167,16 +167,11 @@ def ablation_table(shipped: Sequence[Row], rows: Mapping[str, Sequence[Row]]) ->
     ]
     for name, own in {"as shipped": shipped, **rows}.items():
         whole = "" if len(own) == len(shipped) else f" ({len(own)} of {len(shipped)} cases)"
-        cells = [
-            f"{name}{whole}",
-            _counted(own, ["one"], "right"),
-            _counted(own, ["two", "many"], "found"),
-            _counted(own, ["none"], "right"),
-            _counted(own, ["outside"], "right"),
-            str(sum(len(row["false"]) for row in own)),
-            f"{len(differences(own, shipped))}/{len(own)}",
-            f"{np.median([row.get('cpu', np.nan) for row in own]):.0f} s",
-        ]
+        cells = [f"{name}{whole}", _counted(own, ["one"], "right")]
+        cells += [_counted(own, ["two", "many"], "found"), _counted(own, ["none"], "right")]
+        cells += [_counted(own, ["outside"], "right"), str(sum(len(r["false"]) for r in own))]
+        cells.append(f"{len(differences(own, shipped))}/{len(own)}")
+        cells.append(f"{np.median([row.get('cpu', np.nan) for row in own]):.0f} s")
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 

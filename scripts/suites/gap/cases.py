@@ -580,12 +580,9 @@ def write_case(case: Case, folder: Path) -> None:
     """Write a case into `recordings` and `truth` of a folder, the truth last."""
     setup, name = case.setup, name_of(case.number, case.phrase)
     model = model_xml(
-        setup.machine,
-        servos=setup.form != FREE,
-        speeds=setup.speeds,
-        accelerometer=setup.accelerometer,
-        plain=not setup.ideal,
-    )
+        setup.machine, servos=setup.form != FREE, speeds=setup.speeds,
+        accelerometer=setup.accelerometer, plain=not setup.ideal,
+    )  # fmt: skip
     write_recording(
         folder / "recordings" / name, model_xml=model, runs=runs_of(case), overwrite=True
     )

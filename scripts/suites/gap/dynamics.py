@@ -420,12 +420,8 @@ def _run(arm, release, commands, q, settle, inside, every, straight, servo, samp
 def needed(bodies, damping, gravity, q, v, a):  # type: ignore[no-untyped-def]
     """Torques that bodies need for a motion, of shape (T, n)."""
     samples, n = q.shape
-    out, work, mass, bias = (
-        np.zeros((samples, n)),
-        np.zeros((n, WORK)),
-        np.zeros((n, n)),
-        np.zeros(n),
-    )
+    out, work = np.zeros((samples, n)), np.zeros((n, WORK))
+    mass, bias = np.zeros((n, n)), np.zeros(n)
     for i in range(samples):
         _rigid(bodies, q[i], v[i], gravity, work, mass, bias)
         for j in range(n):

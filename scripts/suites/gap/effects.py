@@ -475,18 +475,14 @@ _CATALOGUE = {
         lambda m: [_TOOL_ACC], (0.03, 0.3), "", "s", "turn_x rad, turn_y rad, turn_z rad",
         _misaligned, _along("turn_x", "turn_y", "turn_z", every=True)),
     "sensor_gain": Kind(
-        _inertial, (0.03, 0.3), "", "s", "gain",
-        At.reads, _signed("gain", 1.0)),
+        _inertial, (0.03, 0.3), "", "s", "gain", At.reads, _signed("gain", 1.0)),
     "sensor_bias": Kind(
         _inertial, (0.15, 1.5), "", "s", "bias A/s, bias_x m/s², bias_y m/s², bias_z m/s²",
-        lambda at, **p: at.reads(bias=np.array(list(p.values()))),
-        _bias),
+        lambda at, **p: at.reads(bias=np.array(list(p.values()))), _bias),
     "sensor_delay": Kind(
-        lambda m: _inertial(m) + _encoders(m), (3e-3, 0.04), "", "s", "delay s",
-        At.reads),
+        lambda m: _inertial(m) + _encoders(m), (3e-3, 0.04), "", "s", "delay s", At.reads),
     "sensor_quantisation": Kind(
-        _encoders, (2e-3, 0.02), "", "s", "step A",
-        At.reads,
+        _encoders, (2e-3, 0.02), "", "s", "step A", At.reads,
         lambda size, at: {"step": size * at.speed}),
     "base_tilt": Kind(
         lambda m: [_BASE] if hinges(m) else [], (0.015, 0.12), "", "stf",

@@ -38,13 +38,11 @@ def row_of(recording: Recording, settings: GapSettings) -> Row:
     seconds = time.process_time() - begun
     print(f"== {row['recording']}: {seconds:.1f} s\n{gap_text(found, warnings=False)}", flush=True)
     return row | {
-        "seconds": seconds,
-        "held_out": list(found.held_out_runs),
-        "error": None,
+        "seconds": seconds, "held_out": list(found.held_out_runs), "error": None,
         "rmse": found.gap.by_quantity.get(QUANTITY),
         "named": "; ".join(map(_words, found.effects)) or found.verdict,
         "result": plain(asdict(found), digits=17),
-    }
+    }  # fmt: skip
 
 
 def _words(effect: NamedEffect) -> str:
@@ -55,16 +53,10 @@ def _words(effect: NamedEffect) -> str:
 
 def table(rows: Sequence[Row]) -> str:
     """Rows in Markdown."""
-    heads = (
-        "recording",
-        "held out",
-        "named",
-        "error before [rad]",
-        "after [rad]",
-        "ratio",
-        "CPU [s]",
-    )
-    lines = [f"| {' | '.join(heads)} |", "|---|---|---|---:|---:|---:|---:|"]
+    lines = [
+        "| recording | held out | named | error before [rad] | after [rad] | ratio | CPU [s] |",
+        "|---|---|---|---:|---:|---:|---:|",
+    ]
     for row in rows:
         cells = ["", f"refused: {row['error']}", "", "", "", ""]
         if row["error"] is None:

@@ -19,42 +19,18 @@ Kind = TypeVar("Kind", bound=type[Effect])
 CATALOGUE: dict[str, type[Effect]] = {
     effect.kind: effect
     for effect in (
-        joints.ViscousFriction,
-        joints.CoulombFriction,
-        joints.StribeckFriction,
-        joints.QuadraticDrag,
-        elasticity.JointCompliance,
-        elasticity.Backlash,
-        elasticity.StructuralLooseness,
-        elasticity.LinkFlexibility,
-        inertia.LinkMass,
-        inertia.LinkCom,
-        inertia.Payload,
-        joints.RotorInertia,
-        drives.ActuatorGain,
-        drives.ActuatorLag,
-        drives.CommandDelay,
-        sensors.EncoderOffset,
-        sensors.SensorMisalignment,
-        sensors.SensorGain,
-        sensors.SensorBias,
-        sensors.SensorDelay,
-        inertia.BaseTilt,
-        joints.TorqueRipple,
-        joints.JointSpring,
-        joints.LoadFriction,
-        joints.AsymmetricFriction,
-        drives.TorqueLimit,
-        drives.VoltageLimit,
-        drives.SpeedLimit,
-        drives.DeadZone,
-        inertia.GravityCompensation,
-        sensors.TorqueConstant,
-        elasticity.BaseCompliance,
-        sensors.GearEccentricity,
-        sensors.SensorQuantisation,
+        joints.ViscousFriction, joints.CoulombFriction, joints.StribeckFriction,
+        joints.QuadraticDrag, elasticity.JointCompliance, elasticity.Backlash,
+        elasticity.StructuralLooseness, elasticity.LinkFlexibility, inertia.LinkMass,
+        inertia.LinkCom, inertia.Payload, joints.RotorInertia, drives.ActuatorGain,
+        drives.ActuatorLag, drives.CommandDelay, sensors.EncoderOffset,
+        sensors.SensorMisalignment, sensors.SensorGain, sensors.SensorBias, sensors.SensorDelay,
+        inertia.BaseTilt, joints.TorqueRipple, joints.JointSpring, joints.LoadFriction,
+        joints.AsymmetricFriction, drives.TorqueLimit, drives.VoltageLimit, drives.SpeedLimit,
+        drives.DeadZone, inertia.GravityCompensation, sensors.TorqueConstant,
+        elasticity.BaseCompliance, sensors.GearEccentricity, sensors.SensorQuantisation,
     )
-}
+}  # fmt: skip
 """Identifier, as in the result file -> class."""
 EFFECTS: Mapping[str, type[Effect]] = ChainMap(
     {
