@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,9 +63,6 @@ CLIPPED_PILE = 4.0
 LIMITED_SHARE = 0.01
 """Share of the commands at a limit of the actuator, above which they count as clipped: noise cut at
 2.6 standard deviations loses 1 % of its samples."""
-COARSE_STEP = 1.0
-"""Resolution of a position sensor over the rms motion of its excited joint, above which the
-motion is not resolved: rounding noise is then 30 % of it."""
 LOST_VALUE = 3
 """Fewest samples of exactly zero in a row that count as a lost reading: a signal that crosses zero
 stays there for one."""
@@ -76,10 +72,6 @@ the channel is so far away."""
 
 _NOISY = ("acceleration", "turning", "torque", "velocity")
 """Kinds whose readings never repeat for long on a machine that runs."""
-_SITE = ("acceleration", "turning")
-_ROUNDING = 1e-6
-"""Motion of an axis over that of its sensor, below which it is rounding [1]."""
-
 _NOT_SECONDS = Defect(
     "rate", "error", "the times are not in seconds, and every frequency is wrong",
     "import the times with their unit",
@@ -111,16 +103,6 @@ _MISSING = Defect(
     "find out why the recorder loses samples; raise gap_s of the column at the import where pauses "
     "belong to it",
 )  # fmt: skip
-_STUCK = Defect(
-    "stuck", "warning",
-    "the channel carries no signal, and its silence is taken for a measurement",
-    "check cable and recorder; leave the column out where the sensor is dead",
-)  # fmt: skip
-_DEAD_AXIS = replace(
-    _STUCK,
-    remedy="repair the axis and record the run again: a sensor is read with all its axes or none; "
-    "for 'loose gap' its three columns may be left out of the run",
-)  # fmt: skip
 _AT_REST = Defect(
     "stuck", "note", "a joint at rest, or a sensor whose silence is taken for a measurement",
     "look whether the joint moved; leave the column out where its sensor is dead",
@@ -132,12 +114,6 @@ _DROPOUT = Defect(
 _CLIPPED = Defect(
     "saturation", "warning", "a clipped signal has frequencies that the motion has not",
     "lower the excitation, or choose a larger range of the sensor",
-)  # fmt: skip
-_COARSE = Defect(
-    "quantisation", "warning",
-    "rounding hides the motion of the joint, and the transmission to the tool is then known from "
-    "the command alone",
-    "excite the joint more, at lower frequencies too, or record a finer encoder",
 )  # fmt: skip
 
 
@@ -207,64 +183,26 @@ def check_channels(machine: Machine, run: Run) -> Iterator[Finding]:
             if channel.kind in _NOISY:
                 yield from _pieces(run, channel)
             yield from _clipped(machine, run, channel)
-            if channel.kind == "position" and channel.of in run.excited:
-                yield from _coarse(machine, run, channel)
 
 
 def _stuck(
     machine: Machine, run: Run, channel: Channel, channels: Sequence[Channel], moves: set[str]
 ) -> Iterator[Finding]:
-    """Judge a channel that holds one value through the run."""
-    if channel.kind in ("command", "other"):
-        return  # a command that holds a joint is constant
-    value, excited = float(channel.there[0]), channel.of in run.excited
-    found = f"every sample is {value:.6g}"
-    if channel.kind in _SITE:
-        alive = any(c.name in moves for c in channels if c.of == channel.of)
-        if not run.excited and not alive:
-            return  # nothing is known to move
-        dead = not alive or channel.name in _reached(machine, run, channels)
-        severity = "error" if excited or dead else "warning"
-        found += ", and the other axes of the sensor move" if alive else ""
-        defect = _DEAD_AXIS if alive else _STUCK
-        yield defect.at(channel.name, found, value, run=run.name, severity=severity)
-    elif excited:
-        found += f", and joint {channel.of} is excited in this run"
-        yield _STUCK.at(channel.name, found, value, run=run.name, severity="error")
-    elif not run.excited:  # else a joint at rest behind a coarse encoder, or a brake
-        drives = (machine.drives.get(c.of) for c in channels if c.name in moves)
-        commanded = any(d is not None and d.follows and d.joint == channel.of for d in drives)
-        others = any(c.kind == "position" and c.name in moves for c in channels)
-        if commanded or (channel.kind == "position" and others):
-            more = "the joint is commanded to move" if commanded else "other joints move"
-            severity = "warning" if commanded else "note"
-            yield _AT_REST.at(
-                channel.name, f"{found}, and {more}", value, run=run.name, severity=severity
-            )
-
-
-def _reached(machine: Machine, run: Run, channels: Sequence[Channel]) -> set[str]:
-    """Axes of accelerometers along which the excited joints move them, in the run's pose.
-
-    However little it is, a reading of it is not constant; a plane arm has axes without any.
-    """
-    model, data = machine.model, mujoco.MjData(machine.model)
-    for joint, q in (run.pose or {}).items():
-        data.qpos[int(model.jnt_qposadr[model.joint(joint).id])] = q
-    for c in channels:
-        if c.kind == "position" and c.there.size:
-            data.qpos[int(model.jnt_qposadr[model.joint(c.of).id])] = float(np.mean(c.there))
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    dofs = [int(model.jnt_dofadr[model.joint(joint).id]) for joint in run.excited]
-    found = set()
-    for sensor in {c.of for c in channels if c.kind == "acceleration"} if dofs else ():
-        site, turned = int(model.sensor_objid[model.sensor(sensor).id]), np.zeros((3, model.nv))
-        mujoco.mj_jacSite(model, data, turned, None, site)
-        moved = np.linalg.norm(data.site_xmat[site].reshape(3, 3).T @ turned[:, dofs], axis=1)
-        seen = moved > _ROUNDING * np.linalg.norm(moved)
-        found |= {f"sensor.{sensor}.{letter}" for letter, s in zip("xyz", seen, strict=True) if s}
-    return found
+    """Judge an encoder that holds one value while its joint, or another one, moves."""
+    moved = [c for c in channels if c.name in moves]
+    drives = [d for c in moved if (d := machine.drives.get(c.of)) is not None]
+    driven = any(d.follows and d.joint == channel.of for d in drives)
+    shaken = channel.of in run.excited
+    if channel.kind == "position" and (
+        driven or shaken or any(c.kind == "position" for c in moved)
+    ):
+        told = "commanded to move" if driven else "excited" if shaken else "at rest beside others"
+        found = f"every sample is {channel.there[0]:.6g}, and joint {channel.of} is {told}"
+        yield _AT_REST.at(
+            channel.name, found,
+            float(channel.there[0]), run=run.name,
+            severity="error" if shaken else "warning" if driven else "note",
+        )  # fmt: skip
 
 
 def _repeats(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -322,15 +260,3 @@ def _clipped(machine: Machine, run: Run, channel: Channel) -> Iterator[Finding]:
         share = count / len(values)
         found = f"{count} samples ({share:.2%}) are at the limit of {level:.6g}"
         yield _CLIPPED.at(channel.name, found, share, unit="1", run=run.name)
-
-
-def _coarse(machine: Machine, run: Run, channel: Channel) -> Iterator[Finding]:
-    """Judge the resolution of an excited joint's encoder."""
-    step = float(np.min(np.diff(np.unique(channel.there))))
-    motion = float(np.std(channel.there))
-    if step > COARSE_STEP * motion:
-        unit = machine.unit(channel.of)
-        found = (
-            f"resolves {step:.3g} {unit}, and the excited joint moves by {motion:.3g} {unit} rms"
-        )
-        yield _COARSE.at(channel.name, found, step, unit=unit, run=run.name)

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import signal
 
 from loose_env.doctor.corrections import Correction
 from loose_env.doctor.findings import Defect, Finding
@@ -40,9 +39,6 @@ MANY_TURNS_RAD = 20.0
 LEAST_POSE = 0.2
 """Largest noted position, below which measured positions are not compared with the notes [rad or
 m]: ten times a wrong zero."""
-SILENT_COMMAND = 0.01
-"""Force of a command over that of the strongest [rms ratio], below which its joint was not excited:
-as much leaks in from a controller that holds the joint."""
 TURN_MATCH = 0.1
 """Relative distance of a jump from a turn, up to which it is one: the joint moves meanwhile."""
 LARGEST_STEP_RAD = 1.5
@@ -93,11 +89,6 @@ _FREE = Defect(
 _ZERO = Defect(
     "commands", "warning", "simulated with a command of 0",
     "record the commands of all actuators of the model, or take out those that the machine has not",
-)  # fmt: skip
-_SILENT = Defect(
-    "commands", "warning", "the force that excites the arm is not known, only its motion",
-    "record the column 'ctrl.' of its actuator, or 'torque.' of the joint; or correct 'excited' in "
-    "recording.json",
 )  # fmt: skip
 
 
@@ -285,7 +276,6 @@ def check_entries(
         if missing and run.controls and not run.excited:  # else the other joints are braked
             found = f"no command of {_some(missing)}, and other actuators have theirs"
             yield _ZERO.at(f"ctrl.{missing[0]}", found, run=run.name)
-        yield from _excited(machine, run)
 
 
 def _some(names: Sequence[str]) -> str:
@@ -320,23 +310,3 @@ def _pose(
         if other is not None:
             found += f": the pose noted for {other}; two entries of recording.json seem exchanged"
         yield _ELSEWHERE.at(joint, found, worst, unit=unit, run=run.name)
-
-
-def _excited(machine: Machine, run: Run) -> Iterator[Finding]:
-    """Compare the joints noted as excited with the recorded forces."""
-    power: dict[str, float] = {}
-    forces = [(joint, 1.0, values) for joint, values in run.torques.items()]
-    for name, values in run.controls.items():
-        drive = machine.drives.get(name)
-        if drive is not None:
-            forces.append((drive.joint, abs(drive.gear * (drive.gain or 1.0)), values))
-    for joint, scale, values in forces:
-        wobble = scale * float(np.std(signal.detrend(filled(run.time, values))))
-        power[joint] = max(power.get(joint, 0.0), wobble)
-    for joint in run.excited:
-        if joint not in power:
-            found = "noted as excited, and neither its command nor its torque was recorded"
-            yield _SILENT.at(joint, found, run=run.name)
-        elif power[joint] <= SILENT_COMMAND * max(power.values()):
-            found = "noted as excited, and its command does not move"
-            yield _SILENT.at(joint, found, power[joint], unit="N·m or N", run=run.name)

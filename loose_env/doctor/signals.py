@@ -12,7 +12,6 @@ from itertools import permutations, product
 
 import mujoco
 import numpy as np
-from scipy import signal
 
 from loose_env.doctor.corrections import Correction, corrected
 from loose_env.doctor.findings import Defect, Finding
@@ -36,7 +35,6 @@ from loose_env.doctor.units import (
     LEAST_BLOCKS,
     LENGTH,
     SCALE_NOTED,
-    SCALE_WRONG,
     Comparison,
     Pair,
     contradictions,
@@ -107,6 +105,10 @@ _DISAGREE = Defect(
     "units", "error", "torque and command contradict each other, and one of them is used",
     "check the unit of both (the command's is the actuator's own), and gain and gear of the "
     "actuator in the model",
+)  # fmt: skip
+_DEAD = Defect(
+    "stuck", "error", "its silence is taken for a measurement",
+    "check cable and recorder, and record again: a sensor is read with all its axes or none",
 )  # fmt: skip
 _NOT_SI = Defect(
     "units", "error", "the transmission to the tool is wrong by that factor",
@@ -182,6 +184,10 @@ def check_kinematics(machine: Machine, motions: Sequence[Motion]) -> Iterator[Fi
     for motion in motions:
         for name, kind, of, implied in implied_readings(machine, motion):
             column = next(c for c in channels_of(machine, motion.run) if c.name == name)
+            if column.there.size and not np.ptp(column.there):
+                told = f"every sample is {column.there[0]:.6g}, and the encoders imply motion there"
+                yield _DEAD.at(name, told, float(column.there[0]), run=motion.run.name)
+                continue
             read = motion.mean(column.values)
             pair = Pair(read - read.mean(), implied - implied.mean())
             pairs.setdefault((name, kind, of), {})[motion.run.name] = pair
@@ -247,7 +253,6 @@ def check_forces(machine: Machine, blocks: Sequence[Motion]) -> Iterator[Finding
                 odd=SCALE_NOTED,
             )
         )
-    yield from _between_runs(machine, [motion.run for motion in blocks])
     yield from _weightless(machine, blocks)
     for (_, column), pairs in needed.items():
         yield from contradictions(
@@ -279,38 +284,6 @@ def _weightless(machine: Machine, blocks: Sequence[Motion]) -> Iterator[Finding]
         share = 1 - beside / lacking
         found = f"gravity is {share:.0%} of what the motor commands lack of the torque needed"
         yield _WEIGHTLESS.at("ctrl", found, share, unit="1")
-
-
-def _between_runs(machine: Machine, runs: Sequence[Run]) -> Iterator[Finding]:
-    """Compare the torque of an excited joint, over the motion that it makes, between the runs.
-
-    A torque that holds no weight, such as the noise added to a controller's, is not comparable
-    with gravity; its ratio to the acceleration changes little from pose to pose.
-    """
-    sizes: dict[str, dict[str, float]] = {}
-    for run in runs:
-        for joint in set(run.excited) & set(run.torques):
-            channels = channels_of(machine, run)
-            moved = [c.values for c in channels if c.kind == "acceleration"]
-            moved = moved or [c.values for c in channels if c.kind == "position" and c.of == joint]
-            answer = float(np.sqrt(sum(_wobble(run, values) ** 2 for values in moved)))
-            if answer > 0.0 and _wobble(run, run.torques[joint]) > 0.0:
-                size = _wobble(run, run.torques[joint]) / answer
-                sizes.setdefault(joint, {})[run.name] = size
-    for joint, parts in sizes.items():
-        # Of two runs that differ, the larger is named: N·mm are usual, kN·m are not.
-        usual = sorted(parts.values())[(len(parts) - 1) // 2]
-        for name, size in parts.items():
-            for words, factor in FORCE.items():
-                far = max(factor, 1 / factor) > SCALE_WRONG**3
-                if far and 1 / SCALE_WRONG < size / (usual * factor) < SCALE_WRONG:
-                    found = f"{size / usual:.3g} times as large over the motion that it makes as "
-                    found += f"in other runs: {words}"
-                    yield _DRIVEN.at(f"torque.{joint}", found, size / usual, unit="1", run=name)
-
-
-def _wobble(run: Run, values: Array) -> float:
-    return float(np.std(signal.detrend(filled(run.time, values))))
 
 
 # ------------------------------------------------------------------------- gravity

@@ -80,6 +80,9 @@ TORQUE_BAND_HZ = 5.0
 """End of the band in which torques are compared [Hz]: that of arm motion."""
 TORQUE_POINTS = 300
 """Points of a run at which torques are compared: four coefficients of a joint are fitted."""
+SPACING = 10
+"""Steps from one to the next at most [1]: torques of the band are independent after 0.2 s. Longer
+runs are compared about their middle."""
 TORQUE_RUNS = 4
 """Runs of that: all are of one recorder."""
 
@@ -169,11 +172,13 @@ class TorqueFit:
         smooth = []
         for run in runs:
             step = max(median_step(run.time), 0.1 / TORQUE_BAND_HZ)
-            count = int((run.time[-1] - run.time[0]) / step) + 1
+            whole = int((run.time[-1] - run.time[0]) / step) + 1
+            count = min(whole, SPACING * TORQUE_POINTS)
             known = set(torques) <= set(forces_of(machine, run))
             known &= set(machine.joints) <= set(positions_of(machine, run))
-            if known and 40 <= count <= 100_000 and step <= 0.25 / TORQUE_BAND_HZ:
-                smooth.append(_smoothed(run, run.time[0] + step * np.arange(count)))
+            if known and count >= 40 and step <= 0.25 / TORQUE_BAND_HZ:
+                rows = np.arange(count) + (whole - count) // 2
+                smooth.append(_smoothed(run, run.time[0] + step * rows))
         if not torques or not smooth:
             return None
         fit = cls(machine, smooth[:TORQUE_RUNS], torques)

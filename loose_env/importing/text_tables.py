@@ -115,11 +115,11 @@ def _cells(
     body = raw[start:].rstrip(b"\r\n")
     if head.separator == " ":
         body = re.sub(rb"[ \t]*(\r?\n)[ \t]*", rb"\1", re.sub(rb"[ \t]+", b" ", body.strip(b" \t")))
-    blank = np.array([]) if b"\n\n" not in body and b"\n\r\n" not in body else np.flatnonzero(
+    blank = np.array([], int) if b"\n\n" not in body and b"\n\r\n" not in body else np.flatnonzero(
         [not line.strip() for line in body.split(b"\n")])  # fmt: skip
     body = re.sub(rb"\n(\r?\n)+", b"\n", body) if blank.size else body
     count = body.count(b"\n") + 1
-    lines = np.setdiff1d(np.arange(count + blank.size), blank) + head.first + 1
+    lines = np.delete(np.arange(count + blank.size), blank) + head.first + 1
     if count * len(head.names) > MOST_VALUES:
         raise InvalidData(f"{name}: more than {MOST_VALUES} values; split the file")
     cut: list[Any] = []
