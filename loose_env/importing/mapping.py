@@ -26,7 +26,7 @@ MAPPING_FORMAT = "loose-mapping/1"
 
 Sign = Literal[1, -1]
 Method = Literal["band", "hold"]
-"""Resampling to the run's times: band-limited, or zero-order hold."""
+"""Resampling to the run's times: along a spline ("band"), or zero-order hold."""
 
 _MOST_BYTES = 2**22
 _FORBID = ConfigDict(extra="forbid")

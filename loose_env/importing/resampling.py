@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from loose_env.typing import Array
 
@@ -15,13 +13,9 @@ _GAP_EVEN, _GAP_UNEVEN = 1.5, 3.0
 """A pause of more median steps than this is a gap."""
 _SAME = 1e-3
 """Rows within this share of a step of a sample take it as it is."""
-_CROSSINGS = 32
-"""Zero crossings of the kernel on each side."""
-_FINE = 2048
-"""Points of the tabulated kernel between two zero crossings."""
-_KAISER = 9.0
-"""Shape of the kernel's window: what it does not let through is 90 dB down."""
-_AT_ONCE = 2_000_000
+_DEGREE = 7
+"""Degree of the spline through even samples, whose error is 0.2 % at three tenths of their rate and
+less below; uneven ones are joined by cubics, which do not swing between stamps that are close."""
 
 
 def median_step(time: Array) -> float:
@@ -72,11 +66,10 @@ def held(time: Array, values: Array, rows: Array, longest: float) -> Array:
 
 
 def resampled(time: Array, values: Array, rows: Array, longest: float) -> tuple[Array, str]:
-    """Bring a channel to the times of the rows, band-limited, and NaN across gaps; and say how.
+    """Bring a channel to the times of the rows, and NaN across gaps; and say how.
 
-    Where the channel has a sample at every row, samples are taken as they are. A slower channel is
-    interpolated by a windowed sinc, which leaves its band alone and adds nothing above it. Samples
-    that are not evenly spaced are brought to even places, as many, by a cubic spline through them.
+    Where the channel has a sample at every row, samples are taken as they are; else a spline goes
+    through them.
 
     Examples
     --------
@@ -84,7 +77,7 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> tuple[
     >>> rows = np.arange(1000, 3000) / 1000
     >>> values, how = resampled(slow, np.sin(2 * np.pi * 20 * slow), rows, 0.015)
     >>> how, bool(np.abs(values - np.sin(2 * np.pi * 20 * rows)).max() < 1e-3)
-    ('band-limited from 100 Hz', True)
+    ('spline of degree 7 from 100 Hz', True)
     """
     if np.array_equal(time, rows):
         return values, "taken as it is"
@@ -108,49 +101,14 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> tuple[
         elif lo < hi:
             found[lo:hi], own = _segment(time[part], values[part], rows[lo:hi])
             even &= own
-    how = "band-limited" if even else "spline, uneven samples"
+    how = f"spline of degree {_DEGREE}" if even else "cubic spline, uneven samples,"
     return found, f"{how} from {1 / step:.6g} Hz"
 
 
 def _segment(time: Array, values: Array, rows: Array) -> tuple[Array, bool]:
     count = len(time)
-    step = (time[-1] - time[0]) / (count - 1)
-    line = time[0] + step * np.arange(count)
-    even = bool(np.max(np.abs(time - line)) <= EVEN * step)
-    if not even:
-        values = np.asarray(CubicSpline(time, values)(line) if count > 2 else values)
-    return _sinc(values, (rows - time[0]) / step), even
-
-
-def _sinc(values: Array, at: Array) -> Array:
-    """Values at places counted in samples, nothing above half the rate added.
-
-    Before the first and after the last sample the signal is continued by its point reflection.
-    """
-    half = _CROSSINGS
-    padded = np.pad(values, half + 1, mode="reflect", reflect_type="odd")
-    table = _kernel()
-    offsets = np.arange(-half, half + 2)
-    found = np.empty(len(at))
-    block = max(1, _AT_ONCE // len(offsets))
-    for first in range(0, len(at), block):
-        here = np.clip(at[first : first + block], 0, len(values) - 1)
-        whole = np.floor(here).astype(np.int64)
-        places = whole[:, None] + offsets
-        x = np.abs(places - here[:, None]) * _FINE
-        np.minimum(x, _CROSSINGS * _FINE, out=x)
-        lower = x.astype(np.int64)
-        weights = table[lower] + (x - lower) * (table[lower + 1] - table[lower])
-        weights /= weights.sum(axis=1, keepdims=True)  # a constant stays what it is
-        found[first : first + block] = np.einsum("ij,ij->i", weights, padded[places + half + 1])
-    return found
-
-
-@lru_cache(maxsize=1)
-def _kernel() -> Array:
-    """Half of a windowed sinc, tabulated, with zeros after its end."""
-    x = np.arange(_CROSSINGS * _FINE + 1) / _FINE
-    window = np.i0(_KAISER * np.sqrt(np.maximum(1 - (x / _CROSSINGS) ** 2, 0))) / np.i0(_KAISER)
-    table = np.concatenate([np.sinc(x) * window, [0.0, 0.0]])
-    table[_CROSSINGS * _FINE :] = 0.0
-    return table
+    line = np.linspace(time[0], time[-1], count)
+    even = bool(np.max(np.abs(time - line)) <= EVEN * (line[1] - line[0]))
+    degree = min(_DEGREE if even else 3, (count - 1) // 2 * 2 - 1 if count > 2 else 1)
+    spline = make_interp_spline(line if even else time, values, k=degree)
+    return np.asarray(spline(np.clip(rows, time[0], time[-1]))), even

@@ -201,7 +201,7 @@ channel = "position[shoulder]"
     found = import_recording(
         [f"robot={home / 'robot.mcap'}", home / "v.csv"], mapped, home / "out", say=said.append
     ).runs[0]
-    assert "sensor.shoulder_angle: band-limited from 200 Hz" in "\n".join(said)
+    assert "sensor.shoulder_angle: spline of degree 7 from 200 Hz" in "\n".join(said)
     inner = slice(200, -200)
     true = motion(found.time + 1.0)
     assert found.samples == 4000
