@@ -270,7 +270,6 @@ def _signals(
     for i, key in enumerate(units):
         name, own_key = key
         file, beside = logs[name].files[0], Path(logs[name].files[0].call).stem
-        stated = any(c.startswith(("actual_q", "target_q")) for c in file.tables[0].columns)
         told = len(logs) > 1 and quantities(beside)
         signals.append(
             Signal(
@@ -285,7 +284,7 @@ def _signals(
                 whole=all(bool(np.all(own[key].values == np.round(own[key].values)))
                           for own in read if key in own),
                 sort=i,
-                defined=bool(file.log.angle) or stated,
+                defined=bool(file.log.angle),
                 why=why.get(key, "has no time in common with the other channels"),
             )
         )  # fmt: skip

@@ -52,6 +52,8 @@ ALIKE = 0.8
 """Least score of a role, the correlation of a channel whose name tells nothing [1]."""
 _TRUSTED = 0.5
 """Correlation from which a channel with a telling name is believed [1]."""
+_LOADS = 0.6
+"""Correlation with the torques of a motion, from which positions without names are believed [1]."""
 _SAME_UNIT = 3.0
 """Factor by which a measured torque may differ from the model's to count as one in N·m [1]."""
 _TOGETHER = 0.3
@@ -321,7 +323,7 @@ class Roles:
                 for unit in ("rad", "deg"):
                     own = {j: Scaling(unit).si(s.runs) for j, s in vector.members.items()}
                     self._move(own, _ROWS)
-                    whole, _ = self._loads(vector.members)
+                    whole = self._loads(vector.members)
                     if whole > best[0]:
                         best = (whole, [(score + 4 * whole, i, vector)])
         for *_, vector in best[1]:
@@ -329,26 +331,25 @@ class Roles:
             relations |= {s.sort: (0.0, why) for s in vector.members.values()}
         return best[1]
 
-    def _loads(self, positions: Mapping[str, Signal]) -> tuple[float, dict[str, Signal]]:
-        """Vector that is most like the torques of positions, and how much; 0 where none is."""
-        best: tuple[float, dict[str, Signal]] = (0.6, {})
+    def _loads(self, positions: Mapping[str, Signal]) -> float:
+        """How much some vector is like the torques of positions; 0 where none is."""
+        best = 0.0
         for members in (v.members for v in self.vectors if self.needed):
             if not set(positions) <= set(members) or any(
                 s.meaning.role not in ("", "torque") or s.sort in self.used or not s.moves
                 for s in members.values()
             ):  # fmt: skip
                 continue
-            told, moves = [], []
-            for joint, p in positions.items():
-                s = members[joint]
-                told.append(self._explained(joint, s))
-                moves.append(max(abs(self._alike(s, p).correlation), abs(speed_in(p, s).evidence)))
+            pairs = [(p, members[joint], self._explained(joint, members[joint]))
+                     for joint, p in positions.items()]  # fmt: skip
+            moves = [max(abs(self._alike(s, p).correlation), abs(speed_in(p, s).evidence))
+                     for p, s, _ in pairs]  # fmt: skip
             named = all(s.meaning.role == "torque" for s in members.values())
-            whole = float(np.mean([abs(t.whole) - _off_size(t) * (not named) for t in told]))
-            clear = np.mean([abs(t.alone) for t in told]) > _NAME and np.mean(moves) < whole
-            if whole > best[0] and (named or clear):
-                best = (whole, {j: members[j] for j in positions})
-        return best if best[1] else (0.0, {})
+            whole = float(np.mean([abs(t.whole) - _off_size(t) * (not named) for *_, t in pairs]))
+            clear = np.mean([abs(t.alone) for *_, t in pairs]) > _NAME and np.mean(moves) < whole
+            if whole > max(best, _LOADS) and (named or clear):
+                best = whole
+        return best
 
     def _move(self, motion: dict[str, list[Array]], rows: int = 0) -> None:
         """Take a motion of the joints: its velocities, and the torques that the model needs."""
@@ -395,10 +396,6 @@ class Roles:
     def _take_rest(self) -> None:
         """Velocity, torque and command of every joint, by the largest scores in sum."""
         candidates = self._free()
-        _, loads = self._loads({j: s for j, (s, _, _) in self.positions.items()})
-        for joint, s in loads.items():
-            s.meaning = replace(s.meaning, role="torque")
-            self.places.setdefault(s.sort, joint)
         places: list[tuple[str, Role]] = [
             (t.name, role)
             for t in self.joints.values()
@@ -551,10 +548,6 @@ class Roles:
             why = "a second sensor of it"
         elif s.meaning.role == "velocity" and drive != "velocity" and value < self._speed(s):
             why = "it is more like a velocity"
-        elif not s.meaning.role and drive != "torque":
-            load = max((self._explained(j, s).whole for j in self.needed), key=abs, default=0.0)
-            if abs(load) > value > 0:
-                why = f"it is more like a torque ({load:.2f})"
         words += "" if why else f", the joint follows it by {like.lag:.3g} s"
         evidence = value if value > 0 else 0.5 * abs(value)
         if drive == "torque" and s.meaning.role == "":
