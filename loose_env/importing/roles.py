@@ -124,8 +124,6 @@ class Match(NamedTuple):
     sign: int = 1
     per: float = 0.0
     """Torque that the model needs for each of its units [N·m or N]; 0 where friction hides it."""
-    near: float = 0.0
-    """Closeness of its values, which tells apart joints that all follow the same course [1]."""
 
 
 @dataclass(eq=False)
@@ -406,11 +404,10 @@ class Roles:
         scores = np.array([[self._score(m, s) for m, s in zip(row, candidates, strict=True)]
                            for row in table]).reshape(len(places), len(candidates))  # fmt: skip
         self._share(scores, [role for _, role in places], candidates)
-        near = np.array([[_NAME * m.near for m in row] for row in table]).reshape(scores.shape)
         open_to = np.array([[not m.why for m in row] for row in table]).reshape(scores.shape)
         order = _ORDER * np.outer(np.arange(len(places)), np.arange(len(candidates)))
         chosen: dict[int, Match] = {}
-        for i, k in np.transpose(linear_sum_assignment(-(scores + near) * open_to - order)):
+        for i, k in np.transpose(linear_sum_assignment(-scores * open_to - order)):
             if scores[i, k] >= ALIKE and open_to[i, k]:
                 chosen[k] = table[i][k]
         per: dict[object, list[float]] = {}
@@ -517,11 +514,9 @@ class Roles:
             return Match(joint, "torque", _TRUSTED, words, per=1.0)
         told = self._explained(joint, s)
         value = told.whole if named else told.alone
-        moves = 0.0 if joint not in self.positions else abs(
-            self._alike(s, self.positions[joint][0]).correlation)  # fmt: skip
         words = f"correlation {value:.2f} with the torque that the model needs at {joint!r}, and "
-        evidence = abs(value) if named or abs(value) > moves else 0.0
-        if not named and evidence:  # a size in no unit speaks against it
+        evidence = abs(value)
+        if not named:  # a size in no unit speaks against it
             evidence -= _off_size(told)
         per = told.per if abs(told.alone) >= _TRUSTED or not named else 0.0
         # A sign is exchanged by what is seen clearly alone.
@@ -530,11 +525,11 @@ class Roles:
 
     def _as_command(self, joint: str, s: Signal) -> Match:
         target = self.joints[joint]
-        drive, near = target.drive, 0.0
+        drive = target.drive
         motion = (self.needed if drive == "torque" else self.rates).get(joint)
         if drive == "position" and joint in self.positions:
             p, scaling, _ = self.positions[joint]
-            motion, near = scaling.si(p.runs), closeness(s.runs, p.runs)
+            motion = scaling.si(p.runs)
         if motion is None:
             return Match(joint, "command")
         like = likeness(s.runs, motion, self.step)
@@ -553,7 +548,7 @@ class Roles:
         if drive == "torque" and s.meaning.role == "":
             evidence = min(evidence, 0.99 * self._as_torque(joint, s, False).evidence)
         sign = 1 if value >= 0 else -1
-        return Match(joint, "command", evidence, words, why, sign, near=near * max(value, 0.0))
+        return Match(joint, "command", evidence, words, why, sign)
 
     # --------------------------------------------------------------------- lines
 

@@ -423,8 +423,7 @@ def position_scalings(
     defined : bool
         Whether the format defines radians and metres.
     """
-    signed = any(not s.unit and s.low < -1 for _, s in pairs.values())
-    ways = {joint: _ways(*pair, signed=signed) for joint, pair in pairs.items()}
+    ways = {joint: _ways(*pair) for joint, pair in pairs.items()}
     unstated = {j: t for j, (t, s) in pairs.items() if not s.unit}
     against: dict[str, float] = {}
     for way, prior in _AGAINST.items():
@@ -439,14 +438,14 @@ def position_scalings(
     }
 
 
-def _ways(joint: JointTarget, s: Signal, *, signed: bool) -> dict[str, Scaling]:
+def _ways(joint: JointTarget, s: Signal) -> dict[str, Scaling]:
     """Ways to read the values of a position."""
     found = {unit: Scaling(unit) for unit in (("m", "mm") if joint.slide else ("rad", "deg"))}
     if joint.limits is not None and max(abs(s.low), abs(s.high)) <= _NORMALISED:
         (bottom, top), unit = joint.limits, next(iter(found))
         words = "normalised to -100..100 of the limits"
         found["normalised"] = Scaling(unit, (top - bottom) / 200, (top + bottom) / 2, words)
-        if s.low >= -1 and not (signed and not s.unit):
+        if s.low >= -1:
             words = "normalised to 0..100 of the limits"
             found["normalised"] = Scaling(unit, (top - bottom) / 100, bottom, words)
     if s.whole and not joint.slide and s.high < _TICKS:
