@@ -20,8 +20,9 @@ MOST_ROWS = 8192
 LONGEST_LAG = 0.5
 """Largest delay searched between a command and the motion that follows it [s]."""
 K = TypeVar("K")
-_WIDTHS = (1, 5, 21)
-"""Samples over which a position is averaged before it is differentiated; the best counts."""
+_WIDTH, _SMOOTHED_S = 5, 0.02
+"""Samples, and time at least [s], over which a signal is averaged before it is differentiated or
+compared with a rate: arms move below 10 Hz."""
 _FALLS = 5.0
 """Factor by which the largest jump falls where values were wrapped around or had a sign bit."""
 _PERIODS = (2 * np.pi, 360.0, *(float(2**b) for b in (8, 10, 12, 13, 14, 16, 17, 20, 24, 32)))
@@ -88,17 +89,14 @@ class Signal:
         return float(np.max(self.values))
 
     @cached_property
-    def smooth(self) -> list[list[Array]]:
-        """Averages of the runs, at each width of smoothing."""
-        return [
-            [np.asarray(ndimage.uniform_filter1d(v, w)) if len(v) else v for v in self.runs]
-            for w in _WIDTHS
-        ]
+    def smooth(self) -> list[Array]:
+        """Averages of the runs over some samples."""
+        return [_averaged(v, self.step) for v in self.runs]
 
     @cached_property
-    def rates(self) -> list[list[Array]]:
-        """Derivatives of the runs, at each width of smoothing."""
-        return [[derivative(v, self.step, w) for v in self.runs] for w in _WIDTHS]
+    def rates(self) -> list[Array]:
+        """Derivatives of the runs."""
+        return [derivative(v, self.step) for v in self.runs]
 
 
 @dataclass(frozen=True)
@@ -152,11 +150,16 @@ def torque_in(channel: Sequence[Array], needed: Sequence[Array], rates: Sequence
     return Torque(math.copysign(whole, sign), alone, float(1 / size) if size > 0 else 0.0)
 
 
-def derivative(values: Array, step: float, width: int = 5) -> Array:
+def derivative(values: Array, step: float) -> Array:
     """Rate of a smoothed signal, shape (T,)."""
     if len(values) < 2:
         return np.zeros(len(values))
-    return np.asarray(np.gradient(ndimage.uniform_filter1d(values, width), step))
+    return np.asarray(np.gradient(_averaged(values, step), step))
+
+
+def _averaged(values: Array, step: float) -> Array:
+    width = max(_WIDTH, round(_SMOOTHED_S / step))
+    return np.asarray(ndimage.uniform_filter1d(values, width)) if len(values) else values
 
 
 def correlation(first: Sequence[Array], second: Sequence[Array]) -> float:
@@ -209,39 +212,25 @@ def likeness(first: Sequence[Array], second: Sequence[Array], step: float) -> Li
     return Likeness(float(np.clip(total[best], -1, 1)), (exact - most) * step)
 
 
-def closeness(first: Sequence[Array], second: Sequence[Array]) -> float:
-    """Nearness of two signals as they stand: 1 where they are equal, 0 where they are far apart.
-
-    Channels of one unit are near; joints that all follow the same course differ in where they are.
-    """
-    whole = [(a, b) for a, b in zip(first, second, strict=True) if len(a) and len(a) == len(b)]
-    if not whole:
-        return 0.0
-    apart = np.sqrt(np.mean(np.concatenate([(a - b) ** 2 for a, b in whole])))
-    spread = np.sqrt(np.mean(np.concatenate([(b - b.mean()) ** 2 for _, b in whole])))
-    return float(np.exp(-apart / spread)) if spread > 0 else 0.0
-
-
 class Speed(NamedTuple):
     """What there is of the derivative of a position in a channel."""
 
     evidence: float
     """Correlation, less what the size is off those of all units where none is stated [1]."""
     correlation: float
-    """At the best smoothing; negative if reversed [1]."""
+    """Negative if reversed [1]."""
     lead: float
     """Time by which it leads the derivative, 0 where it does not [s]."""
 
 
 def speed_in(position: Signal, s: Signal) -> Speed:
     """Compare a channel with the derivative of a position."""
-    pairs = zip(position.rates, s.smooth, strict=True)
-    value = max((correlation(rates, own) for rates, own in pairs), key=abs)
-    ratio = max(abs(slope(position.rates[1], s.smooth[1])), 1e-12)
+    value = correlation(position.rates, s.smooth)
+    ratio = max(abs(slope(position.rates, s.smooth)), 1e-12)
     off = 0.0 if s.unit else min(abs(math.log(ratio / each)) for each in SIZES)
     lead = 0.0
     if abs(value) > _TOLD:
-        like, here = likeness(s.smooth[1], position.rates[1], s.step), abs(value)
+        like, here = likeness(s.smooth, position.rates, s.step), abs(value)
         ahead = like.lag > _LEADS * s.step and abs(like.correlation) > here + _CLEARER
         lead = like.lag if ahead else 0.0
     return Speed(math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value), value, lead)

@@ -24,7 +24,6 @@ from loose_env.importing.evidence import (
     Likeness,
     Signal,
     Torque,
-    closeness,
     derivative,
     likeness,
     slope,
@@ -68,9 +67,6 @@ _PRIOR = {"position": 3.0, "": 0.0, "command": -3.0, "velocity": -4.0, "accelera
 _RATE = 0.95
 """Least correlation with a derivative at which a channel without a name tells a position [1]: dry
 friction's torque has 0.8 and more."""
-_NEAR = 0.3
-"""Least closeness of a channel without a name to the motion that follows it [1]: it is less than
-1.2 standard deviations of the motion away."""
 _UNIT = 0.2
 """Most that its size speaks against a torque whose name tells nothing [1]."""
 _BY_NAME = "by its name"
@@ -266,10 +262,7 @@ class Roles:
             if d is s or len(same) > 1 or d.meaning.role not in ("", "position", "command"):
                 continue
             like, told = self._alike(d, s), d.meaning.role == "command"
-            several = len(self.joints) > 1 and not told and not d.unit
-            if like.correlation < (_TRUSTED if told else ALIKE) or (
-                several and closeness(d.runs, s.runs) < _NEAR
-            ):  # joints that move together lead each other, too
+            if like.correlation < (_TRUSTED if told else ALIKE):
                 continue
             leads |= like.lag < -_TOGETHER * self.step
             # Of two sensors of a joint, one before its gear, a command is in the unit of the other.
@@ -367,7 +360,7 @@ class Roles:
             value, s = max(rated, key=lambda each: each[0], default=(0.0, p))
             if value >= ALIKE:
                 factor = unit_named(s.unit, "").factor
-                speeds[joint] = 1 / (abs(slope(p.rates[1], s.smooth[1])) * factor)
+                speeds[joint] = 1 / (abs(slope(p.rates, s.smooth)) * factor)
         defined = all(s.defined for _, s in pairs.values())
         for joint, scaling in position_scalings(pairs, speeds, defined).items():
             s, _, reason = self.positions[joint]
@@ -502,7 +495,7 @@ class Roles:
         """What there is of a joint's torque in a channel."""
         if joint not in self.needed or joint not in self.rates:
             return Torque()
-        return torque_in(s.smooth[1], self.needed[joint], self.rates[joint])
+        return torque_in(s.smooth, self.needed[joint], self.rates[joint])
 
     def _as_torque(self, joint: str, s: Signal, named: bool) -> Match:
         # A torque is of the joint that its name or its place in a vector tells, or of none.
@@ -554,11 +547,11 @@ class Roles:
 
     def _add_velocity(self, match: Match, s: Signal) -> None:
         target = self.joints[match.joint]
-        ratio = slope(self.rates[match.joint], s.smooth[1])
+        ratio = slope(self.rates[match.joint], s.smooth)
         scaling = Scaling(s.unit or rate_unit(ratio, target.slide))
         if not scaling.unit:  # steps, ticks or percent of the position in a second
             p, own, _ = self.positions[match.joint]
-            per, unit = abs(slope(p.rates[1], s.smooth[1])), "m/s" if target.slide else "rad/s"
+            per, unit = abs(slope(p.rates, s.smooth)), "m/s" if target.slide else "rad/s"
             scaling = Scaling(unit if abs(math.log(per)) < math.log(NEAR) else "", own.factor)
         words = f"velocity of {match.joint!r}; {abs(ratio):.3g} times {match.words}"
         if not target.velocity:
