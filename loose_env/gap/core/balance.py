@@ -695,7 +695,7 @@ class _Hidden:
 
 def _commanded(effect: Effect, run: RunMotion, values: Array) -> Array:
     """Commands of a run with an effect on them, as on a fine grid (T, actuators)."""
-    commands = finer(run.commands)
+    commands = run.finer_commands
     time = np.arange(len(commands)) * run.step / FINER
     return effect.command(time, commands, values)[::FINER]
 

@@ -55,6 +55,10 @@ class Column:
     late: Late = None  # Joint whose positions are read late, and by how much [s]
 
 
+Claim = tuple[str, bool]
+"""Kind, and whether it is said of all places at once."""
+
+
 @dataclass(frozen=True, eq=False)
 class Term:
     """A candidate: an effect, the axes that its coefficients share out, and its columns."""
@@ -74,6 +78,11 @@ class Term:
     def form(self) -> tuple[str, str]:
         """Kind that it is, or is a form of, and location: a place has one form of a kind."""
         return self.effect.extends or self.effect.kind, self.effect.where
+
+    @property
+    def claim(self) -> Claim:
+        """Kind that it is, or is a form of, and whether one number says it of all places."""
+        return self.form[0], self.effect.where == "all"
 
     def values(self, coefficients: Array) -> Array:
         """Parameter values for the coefficients of its columns."""

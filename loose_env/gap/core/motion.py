@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -67,6 +68,11 @@ class RunMotion:
     def time(self) -> Array:
         """Times of the samples [s], from 0 (T,)."""
         return np.arange(len(self.position), dtype=float) * self.step
+
+    @cached_property
+    def finer_commands(self) -> Array:
+        """Commands on `FINER` times as many points (FINER T, actuators)."""
+        return finer(self.commands)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,6 +8,7 @@ measured.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from types import MappingProxyType
 
 import mujoco
@@ -51,6 +52,11 @@ class Readings:
         """Whether a reading depends on the joints' acceleration."""
         return bool(np.any(self._gains[2]))
 
+    @cached_property
+    def _finer(self) -> list[Array]:
+        """Foretold readings of each run on finer points."""
+        return [*map(finer, self.motion.split(self.foretold))]
+
     def accelerated_by(self, reading: int) -> bool:
         """Whether one reading does."""
         return bool(np.any(self._gains[2, reading]))
@@ -73,17 +79,20 @@ class Readings:
         Of a joint that moves otherwise than is read with the change by that motion, and the
         positions (T,) by column.
         """
-        found = self.foretold + turned
+        found = self.foretold if isinstance(turned, float) else self.foretold + turned
         if not self.motion.sensors:
             return self.nothing
         if model is not None and model.nv == self.model.nv and self._moved(model):
             found = self.of(model, *self._states)
         if effect is not None and effect.overrides("read"):
-            columns = np.column_stack([found, *positions.values()])
+            if found is self.foretold and not positions:
+                fine = self._finer
+            else:
+                fine = [*map(finer, self.motion.split(np.column_stack([found, *positions.values()])))]
             found = found + np.concatenate(
                 [
                     self._read(run, own, effect, values, tuple(positions))
-                    for run, own in zip(self.motion.runs, self.motion.split(columns), strict=True)
+                    for run, own in zip(self.motion.runs, fine, strict=True)
                 ]
             )
         return found - self.foretold
@@ -152,8 +161,7 @@ class Readings:
     def _read(
         self, run: RunMotion, own: Array, effect: Effect, values: Array, beside: Sequence[str]
     ) -> Array:
-        """Change of one run's readings, and of more columns, by an effect on sensors (T, R)."""
-        own = finer(own)
+        """Change of one run's readings by an effect on sensors (T, R), from finer columns."""
         time, count = np.arange(len(own)) * run.step / FINER, len(self.names)
         given = dict(zip(beside, own[:, count:].T, strict=True))
         given |= {

@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from loose_env.gap.core.balance import USUAL
-from loose_env.gap.core.catalogue import Term, terms_of
+from loose_env.gap.core.catalogue import Claim, Term, terms_of
 from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers, operator_noise
 from loose_env.gap.model.effect import Parameter
 from loose_env.gap.model.nominal_model import NominalModel
@@ -97,12 +97,10 @@ class Selection:
     # ---- the prior of sets
 
     @cached_property
-    def _places(self) -> dict[str, int]:
-        """Number of locations of each kind."""
-        found: dict[str, set[str]] = {}
-        for term in self.evidence.terms:
-            found.setdefault(term.effect.kind, set()).add(term.effect.where)
-        return {kind: len(places) for kind, places in found.items()}
+    def _places(self) -> Counter[Claim]:
+        """Number of locations of each claim."""
+        where = {(term.claim, term.effect.where) for term in self.evidence.terms}
+        return Counter(claim for claim, _ in where)
 
     @cached_property
     def _shapes(self) -> Counter[tuple[str, str]]:
@@ -112,13 +110,14 @@ class Selection:
     def prior(self, terms: Iterable[Term]) -> float:
         """Minus twice the log prior of a set: its kinds, how many and which places, shapes.
 
-        A kind that extends another one is a form of it. Neighbouring shapes share the evidence: of
-        k shapes about the root of k differ.
+        A kind that extends another one is a form of it; one at all places at once is another claim
+        than one at some. Neighbouring shapes share the evidence: of k shapes about the root of k
+        differ.
         """
         own = tuple(terms)
         cost = 0.0
-        for simple, count in Counter(t.form[0] for t in own).items():
-            places = self._places.get(simple, count)
+        for claim, count in Counter(t.claim for t in own).items():
+            places = self._places.get(claim, count)
             cost += KIND + 2 * log(places) + 2 * log(comb(places, min(count, places))) + count
         cost += sum(FORM * bool(t.effect.extends) + 2 * log(t.effect.choices) for t in own)
         return cost + sum(log(max(self._shapes[t.name], 1)) for t in own)
@@ -172,17 +171,31 @@ class Selection:
             # the likelihood has several optima: also from nothing but noise, and from no set
             noisy = [channel.count for channel in self.evidence.channels]
             starts = [noisy, None, *([] if start is None else [start])]
-            fits = [self.fit(tuple(terms), own) for own in starts]
+            parts = self._parts(terms)
+            fits = [self._fit(tuple(terms), parts, own) for own in starts]
             self.fits[key] = min(fits, key=lambda f: (not f.allowed, f.cost))
         return self.fits[key]
 
     def fit(
         self, terms: Set, start: Sequence[Array] | None = None, rounds: int = _ROUNDS
     ) -> SetFit:
-        """Fit a set by reweighted least squares."""
+        """Fit a set by reweighted least squares, from the weights of a start."""
+        return self._fit(terms, self._parts(terms), start, rounds)
+
+    def _parts(self, terms: Iterable[Term]) -> list[_Part]:
+        """Products of a set's columns in all channels."""
+        evidence, numbers = self.evidence, self.columns(terms)
+        return [_part(channel, numbers, evidence) for channel in evidence.channels]
+
+    def _fit(
+        self,
+        terms: Set,
+        parts: Sequence[_Part],
+        start: Sequence[Array] | None,
+        rounds: int = _ROUNDS,
+    ) -> SetFit:
         evidence, numbers = self.evidence, self.columns(terms)
         precision, centre = evidence.precision[numbers], evidence.centre[numbers]
-        parts = [_part(channel, numbers, evidence) for channel in evidence.channels]
         found = np.zeros(len(numbers))
         states = [part.state(found[part.at]) for part in parts]
         powers = [c.power for c in evidence.channels] if start is None else list(start)
@@ -500,7 +513,7 @@ class Selection:
                     seen[term.name] += 1
                     sets[frozenset([id(term)])] = (term,)
             for several in _by_kind(term for _, term in screened):
-                if 1 < len(several) >= self._places[several[0].effect.kind] - 1:
+                if 1 < len(several) >= self._places[several[0].claim] - 1:
                     sets[frozenset(map(id, several))] = several
         moves = [(*state.terms, *new) for new in sets.values()]
         fitted = self.fitted(state, moves, weightings, _FITTED)
@@ -568,27 +581,26 @@ class Selection:
             found += [(*rest, t) for t in everything if t.name == term.name and t is not term]
             for form in forms:
                 found += [(*rest, t) for t in self.alternatives(form, rest, term)[:2]]
-        for kind, count in Counter(t.effect.kind for t in state.terms).items():
+        for claim, count in Counter(t.claim for t in state.terms).items():
             if count < 2:
                 continue
-            rest = tuple(t for t in state.terms if t.effect.kind != kind)
+            rest = tuple(t for t in state.terms if t.claim != claim)
             found.append(rest)
             taken = {t.form for t in rest}
-            places = {t.effect.where for t in state.terms if t.effect.kind == kind}
+            places = {t.effect.where for t in state.terms if t.claim == claim}
             pool = [t for t in everything if t.effect.where in places and t.form not in taken]
             for form in forms:
-                others = _by_kind(
-                    t for _, t in self.screened(form, rest, pool) if t.effect.kind != kind
-                )
+                others = _by_kind(t for _, t in self.screened(form, rest, pool) if t.claim != claim)
                 found += [(*rest, *own) for own in others if len(own) == count]
         return [*{frozenset(map(id, own)): own for own in found}.values()]
 
 
 def _by_kind(terms: Iterable[Term]) -> list[Set]:
-    """The first term at each location, kind by kind."""
-    kinds: dict[str, dict[str, Term]] = {}
+    """The first term at each location, kind by kind; one at all of them is by itself."""
+    kinds: dict[Claim, dict[str, Term]] = {}
     for term in terms:
-        kinds.setdefault(term.effect.kind, {}).setdefault(term.effect.where, term)
+        claim = term.effect.kind, term.effect.where == "all"
+        kinds.setdefault(claim, {}).setdefault(term.effect.where, term)
     return [tuple(places.values()) for places in kinds.values()]
 
 
