@@ -18,7 +18,7 @@ from loose_env.gap.core.catalogue import shapes, shows, terms_of
 from loose_env.gap.core.decision import Finding, decide, held_out_rms
 from loose_env.gap.core.evidence import append, weight_of
 from loose_env.gap.core.exact import LARGE
-from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, silent
+from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, readable, silent
 from loose_env.gap.core.identifiability import identifiability
 from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
 from loose_env.gap.core.selection import Selection
@@ -220,7 +220,8 @@ def check_gap(
         If the position of a joint was not read, or no joint moves.
     """
     with silent():
-        return identifiability(evidence_of(recording, settings or GapSettings(), say))
+        own = settings or GapSettings()
+        return identifiability(evidence_of(readable(recording, say), own, say))
 
 
 def try_effect(answer: Answer, effect: type[Effect] | str, where: str) -> NamedEffect:
@@ -430,6 +431,12 @@ def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
     found = [*measured_runs(recording.runs, model)[1], *naming_notes(recording.spec())]
     if any(each.term.effect.kind == "payload" for each in answer.decision.findings):
         found += payload_notes(balance.machine)
+    unread = ", ".join(balance.machine.joints[k] for k in balance.motion.foretold)
+    if unread:
+        found.append(
+            f"{unread}: no position reading follows the motion; it is taken as the nominal model "
+            "moves under the commands, and nothing is said of it: check its encoder and its column"
+        )
     if len(balance.motion.runs) == 1:
         found.append(
             "one run alone: alternate stretches of it are held out, so that what every stretch of "

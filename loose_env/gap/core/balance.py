@@ -150,7 +150,7 @@ class Balance:
         measured = np.isfinite(self.torques)
         inverse = (self.forms == "inverse")[:, None]
         self.seen = np.where(inverse, measured, True)
-        self.seen[:, list(motion.followers)] = False
+        self.seen[:, [*motion.followers, *motion.foretold]] = False
         self.drive = np.where(inverse & measured, self.torques, self.given)
         left = self.drive - self.needed - self.dry * self.directions[USUAL]
         self.readings = Readings(compiled(machine.fresh()), motion)

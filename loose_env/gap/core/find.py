@@ -11,7 +11,7 @@ import numpy as np
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import Balance, is_rigid, scaled
-from loose_env.gap.core.catalogue import Term, catalogue, terms_of
+from loose_env.gap.core.catalogue import Term, catalogue, moves_at, terms_of
 from loose_env.gap.core.decision import (
     Decision,
     by_runs,
@@ -23,15 +23,18 @@ from loose_env.gap.core.decision import (
 )
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import LARGE, Exact, ExactFit, open_joints, pool_of
-from loose_env.gap.core.motion import LOWEST_HZ, smooth
+from loose_env.gap.core.motion import LOWEST_HZ, motions_of_model, servoed, smooth
 from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
 from loose_env.gap.core.tolerances import GapSettings, nuisances
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.gap.runs import measured_runs
 from loose_env.recording import Recording
+from loose_env.statistics import noise_floor
 
 Say = Callable[[str], None]
 _AGAIN = 4  # times that the rigid bodies are linearised beside what was found
+_MOVES = 10.0  # usual encoder noise from which a motion is clear [standard deviations]
 
 
 @contextmanager
@@ -79,8 +82,8 @@ def find_gap(
         If the position of a joint was not read, no joint moves, or no run is long enough.
     """
     settings = settings or GapSettings()
-    used, held_out = _split(recording, settings)
     with silent():
+        used, held_out = _split(readable(recording, say), settings)
         selection = evidence_of(used, settings, say)
         say("selection of effects")
         selection, (best, *others) = relinearised(selection, settings)
@@ -100,6 +103,50 @@ def find_gap(
         recording=used, held_out=held_out, settings=settings, selection=selection,
         decision=decision, exact=fits,
     )  # fmt: skip
+
+
+def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
+    """The recording without position readings that say nothing of their joints: a loose wire.
+
+    Every joint's forces depend on the position of every joint. A reading without most of the motion
+    that the nominal servo makes is set aside if the other joints are explained better so; of a
+    joint that stands still indeed they are not.
+    """
+    machine = NominalModel(recording.spec())
+    runs = [run for each in measured_runs(recording.runs, machine.model)[0] for run in each]
+    read = set.intersection(*(set(run.sensors) for run in runs))
+    encoders = {machine.joints.index(j): n for n, j in machine.encoders.items() if n in read}
+    joints = sorted(servoed(machine, runs) & set(encoders))
+    if len(joints) < 2:
+        return recording
+    moves, misses, noise = np.zeros((3, len(joints)))
+    for run, own in zip(runs, motions_of_model(runs, machine, joints), strict=True):
+        shown = np.stack([run.sensors[encoders[k]] for k in joints], axis=1)
+        moves += np.var(own, axis=0)
+        misses += np.nanvar(shown - own, axis=0)
+        noise += [noise_floor(column) ** 2 for column in shown.T]
+    doubtful = [
+        k for k, *own in zip(joints, moves, misses, strict=True)
+        if own[1] > own[0] / 2 > _MOVES**2 * np.median(noise)
+    ]  # fmt: skip
+
+    def left(tried: Recording) -> float:
+        balance = Balance(machine, smooth(tried, machine))
+        others = [k for k in range(len(machine.joints)) if k not in doubtful]
+        kept = [k for k in others if moves_at(balance, k)]
+        return float(np.sum(np.log(np.mean(balance.residual[:, kept] ** 2, axis=0))))
+
+    for joint in doubtful if len(doubtful) < len(joints) else ():
+        name = encoders[joint]
+        own = (
+            replace(run, sensors={n: v for n, v in run.sensors.items() if n != name})
+            for run in recording.runs
+        )
+        without = replace(recording, runs=tuple(own))
+        if left(without) < left(recording):
+            say(f"{name} shows nothing of the motion of {machine.joints[joint]} and is set aside")
+            recording = without
+    return recording
 
 
 def _steps(fit: SetFit) -> bool:

@@ -15,8 +15,10 @@ import numpy as np
 from scipy.signal import resample
 
 from loose_env.gap.core.followers import Followers
+from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.gap.runs import measured_runs
+from loose_env.gap.runs import Channel, align_run, measured_runs
+from loose_env.gap.simulator import Simulator
 from loose_env.recording import CommandTiming, Recording, Run, joint_sensors
 from loose_env.statistics import noise_floor, resolution_of
 from loose_env.typing import Array
@@ -87,6 +89,7 @@ class Motion:
     """Velocity and inertial sensors read in every run, with the axis, -1 of a scalar."""
     sensor_noise: Array  # Noise of a thinned sample of each of these readings (R,)
     followers: tuple[int, ...] = ()  # Joints that equality constraints carry along
+    foretold: tuple[int, ...] = ()  # Joints that move as the nominal model says, unread
 
     @property
     def step(self) -> float:
@@ -109,7 +112,8 @@ class Motion:
 def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None = None) -> Motion:
     """Estimate the motion of every run from its position and velocity readings.
 
-    In the band and with the noise of another motion of the machine, where one is given.
+    In the band and with the noise of another motion of the machine, where one is given. A joint
+    that is not read moves as the nominal servo moves it under its commands.
 
     Raises
     ------
@@ -124,10 +128,18 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
     encoders = joint_sensors(model)
     read = {j for j in machine.joints if set(encoders[j].position) & common}
     followers = Followers.of(machine, read)
-    logs = [_Log.of(run, machine, sensors, followers) for run in runs_]
+    unread = [k for k, j in enumerate(machine.joints) if j not in read]
+    foretold = [k for k in unread if k not in followers.numbers and k in servoed(machine, runs_)]
+    foretold = foretold if read else []
+    moved = motions_of_model(runs_, machine, foretold)
+    logs = [
+        _Log.of(run, machine, sensors, followers, dict(zip(foretold, own.T, strict=True)))
+        for run, own in zip(runs_, moved, strict=True)
+    ]
     step = float(np.median([log.step for log in logs]))
     floors = np.stack([log.floors for log in logs])
     noise = np.median(floors, axis=0)
+    noise[0, foretold] = np.median(np.delete(noise[0], foretold))
     ends = [_band_end(log, noise) for log in logs]
     band = float(np.clip(max(ends), LOWEST_HZ, min(0.35 / step, HIGHEST_HZ)))
     if like is not None:
@@ -167,7 +179,42 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
         runs=runs, band=band, noise=noise / np.sqrt(thin), sensors=sensors,
         sensor_noise=level if like is None else like.sensor_noise,
         followers=followers.numbers,
+        foretold=tuple(foretold) if like is None else like.foretold,
     )  # fmt: skip
+
+
+def servoed(machine: NominalModel, runs: Iterable[Run]) -> set[int]:
+    """Joints that a position servo of the model holds, if commands drive all runs."""
+    if any(run.comparison != "forward" for run in runs):
+        return set()
+    holds = machine.affine_actuators & (machine.model.actuator_biasprm[:, 1] < 0)
+    return {machine.joint_number(machine.actuated_joint[name])
+            for name, own in zip(machine.actuators, holds, strict=True)
+            if own and name in machine.actuated_joint}  # fmt: skip
+
+
+def motions_of_model(
+    runs: Sequence[Run], machine: NominalModel, joints: Sequence[int]
+) -> list[Array]:
+    """Positions of some joints in simulations of the nominal model, at each run's samples (T, J).
+
+    NaN where that diverges.
+    """
+    if not joints:
+        return [np.empty((len(run.time), 0)) for run in runs]
+    encoders = joint_sensors(machine.model)
+    names = [encoders[machine.joints[k]].position[0] for k in joints]
+    channels = tuple(Channel(f"sensor.{name}") for name in names)
+    trials = []
+    for run in runs:
+        trial = align_run(run, machine, channels, step=machine.time_step)
+        start = trial.position.copy()
+        for k, joint in enumerate(machine.joints):
+            own = [name for name in encoders[joint].position if name in run.sensors]
+            first = run.sensors[own[0]][0] if own else np.nan
+            start[k] = first if np.isfinite(first) and k not in joints else start[k]
+        trials.append(replace(trial, position=start, resting=True))
+    return Simulator(machine, trials, channels, threads=1).predict([Hypothesis()])[0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,7 +231,12 @@ class _Log:
 
     @classmethod
     def of(
-        cls, run: Run, machine: NominalModel, seen: Sequence[tuple[str, int]], followers: Followers
+        cls,
+        run: Run,
+        machine: NominalModel,
+        seen: Sequence[tuple[str, int]],
+        followers: Followers,
+        foretold: Mapping[int, Array],
     ) -> _Log:
         step = float(np.median(np.diff(run.time)))
         grid = np.arange(run.time[0], run.time[-1] + 1e-9, step)
@@ -204,6 +256,8 @@ class _Log:
 
         readings = [read(run.sensors, sensors[j].position) for j in machine.joints]
         position = np.stack([_without_jumps(q) for q in readings], axis=1)
+        for k, own in foretold.items():
+            position[:, k] = np.interp(grid, run.time, own)
         unread = np.flatnonzero(~np.isfinite(position).all(axis=0)).tolist()
         followers.fill(run.name, position, unread)
         sampled = [

@@ -88,7 +88,9 @@ class Readings:
             if found is self.foretold and not positions:
                 fine = self._finer
             else:
-                fine = [*map(finer, self.motion.split(np.column_stack([found, *positions.values()])))]
+                fine = [
+                    *map(finer, self.motion.split(np.column_stack([found, *positions.values()])))
+                ]
             found = found + np.concatenate(
                 [
                     self._read(run, own, effect, values, tuple(positions))
