@@ -19,7 +19,7 @@ from loose_env.gap import (
     solve_gap,
     try_effect,
 )
-from loose_env.gap.core.find import evidence_of, relinearised, silent
+from loose_env.gap.core.find import evidence_of, readable, relinearised, silent
 from loose_env.gap.core.residual import overlays
 from loose_env.recording import Recording, Run, read_recording, write_recording
 from tests.gap.cases.gap_case import (
@@ -133,6 +133,34 @@ def test_an_effect_is_tried_beside_the_others(recording: Recording) -> None:
             try_effect(answer, *given)
 
 
+@pytest.mark.parametrize("shown", ["constant", "noise", "nothing"])
+def test_an_encoder_that_shows_nothing_of_its_joint_spoils_no_other(
+    recording: Recording, shown: str
+) -> None:
+    rng, runs = np.random.default_rng(0), []
+    for run in recording.runs:
+        count = len(run.time)
+        loose = {"constant": np.full(count, 0.2), "noise": rng.normal(size=count)}
+        sensors = {**run.sensors, "encoder1": loose.get(shown, run.time)}
+        if shown == "nothing":
+            del sensors["encoder1"]
+        runs.append(replace(run, sensors=sensors))
+    result = explain_gap(replace(recording, runs=tuple(runs)), FEW)
+    assert [(e.kind, e.where) for e in result.effects] == [("coulomb_friction", "elbow")]
+    assert result.effects[0].parameters["torque"] == pytest.approx(FRICTION, rel=0.2)
+    words = {each.channel: each.verdict for each in result.channels}
+    assert words == {"elbow": "named", "shoulder": "cannot tell"}
+    assert any(note.startswith("shoulder: no position reading") for note in result.warnings)
+
+
+def test_a_joint_that_stands_still_indeed_is_no_loose_encoder(tmp_path: Path) -> None:
+    def stuck(spec: mujoco.MjSpec) -> None:
+        spec.joint("elbow").frictionloss = 50.0
+
+    recording = record(tmp_path / "stuck", edit=stuck)
+    assert readable(recording) is recording
+
+
 def broken(recording: Recording, **changes: object) -> list[Run]:
     """The runs with some of their columns changed."""
     return [replace(run, **changes) for run in recording.runs]  # type: ignore[arg-type]
@@ -145,7 +173,9 @@ def part(run: Run, count: int) -> Run:
 
 
 def test_what_cannot_be_compared_is_said(recording: Recording, tmp_path: Path) -> None:
-    runs = broken(recording, sensors={"encoder1": recording.runs[0].sensors["encoder1"]})
+    runs = broken(
+        recording, sensors={"encoder1": recording.runs[0].sensors["encoder1"]}, controls={}
+    )
     unread = write_recording(tmp_path / "unread", model_xml=MODEL, runs=runs)
     with pytest.raises(InvalidData, match="'elbow' has no position"):
         find_gap(unread)

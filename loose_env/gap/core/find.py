@@ -127,7 +127,7 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
         noise += [noise_floor(column) ** 2 for column in shown.T]
     doubtful = [
         k for k, *own in zip(joints, moves, misses, strict=True)
-        if own[1] > own[0] / 2 > _MOVES**2 * np.median(noise)
+        if own[1] > own[0] / 2 > _MOVES**2 * np.quantile(noise, 0.5, method="lower")
     ]  # fmt: skip
 
     def left(tried: Recording) -> float:
@@ -138,11 +138,9 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
 
     for joint in doubtful if len(doubtful) < len(joints) else ():
         name = encoders[joint]
-        own = (
-            replace(run, sensors={n: v for n, v in run.sensors.items() if n != name})
-            for run in recording.runs
-        )
-        without = replace(recording, runs=tuple(own))
+        columns = ({n: v for n, v in run.sensors.items() if n != name} for run in recording.runs)
+        kept = map(lambda run, own: replace(run, sensors=own), recording.runs, columns)
+        without = replace(recording, runs=tuple(kept))
         if left(without) < left(recording):
             say(f"{name} shows nothing of the motion of {machine.joints[joint]} and is set aside")
             recording = without

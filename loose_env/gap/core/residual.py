@@ -353,10 +353,12 @@ def responses(shown: Played, band: float) -> tuple[Response, ...]:
         if not servo or drive not in machine.actuated_joint:
             continue
         joint = machine.actuated_joint[drive]
-        own = next(k for k, c in enumerate(columns) if c[7:] in sensors[joint].position)
+        read = [k for k, c in enumerate(columns) if c[7:] in sensors[joint].position]
+        if not read:
+            continue
         parts = []
         for trial, *models in zip(shown.trials, shown.nominal, shown.corrected, strict=True):
-            readings = np.stack([values[:, own] for values in (trial.measured, *models)])
+            readings = np.stack([values[:, read[0]] for values in (trial.measured, *models)])
             if len(trial.time) >= 64 and np.isfinite(readings[0]).all():
                 command = trial.at_samples(trial.controls)[:, actuator]
                 rate = {"fs": trial.rate, "nperseg": max(2 * len(command) // (_SEGMENTS + 1), 32)}
