@@ -18,7 +18,6 @@ from loose_env.wrappers.posteriors import (
 )
 from loose_env.wrappers.shells import DiagnosisVectorWrapper, DiagnosisWrapper
 from loose_env.wrappers.single import (
-    ActionAndPrediction,
     JointSideObservation,
     LatestRecord,
     MacroActions,
@@ -29,7 +28,6 @@ from loose_env.wrappers.single import (
 
 __all__ = [
     "PROBABILITY_FLOOR",
-    "ActionAndPrediction",
     "DiagnosisVectorWrapper",
     "DiagnosisWrapper",
     "JointSideObservation",

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
-from scipy.special import log_softmax
 
-from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.wrappers import changes
 from loose_env.wrappers.posteriors import Posterior
 from loose_env.wrappers.shells import DiagnosisWrapper
@@ -146,144 +143,3 @@ class SeparateVerdict(changes.SeparateVerdict, DiagnosisWrapper):
     >>> env.action_space
     MultiDiscrete([5 5 4 4 3 2 6])
     """
-
-
-Score = Literal["log", "brier"]
-"""Proper scores of a prediction: -log p(truth), or the squared distance to the truth."""
-
-
-class ActionAndPrediction(DiagnosisWrapper):
-    """A record and a prediction in every step, as the package ap_gym has it.
-
-    The action is a `Dict`: ``"action"``, a record and whether to stop after the environment's own
-    fashion, `MultiDiscrete`; ``"prediction"``, logits of the hypotheses in their order, a `Box`.
-    The reward is ``info["base_reward"]``, less the price of the record, minus the loss of the
-    prediction; ``info["prediction"]`` has the target, the number of the true hypothesis, and the
-    loss, so that a prediction can be trained by its gradient. Beware: the target is the truth, and
-    is no observation.
-
-    Both losses are strictly proper: their mean is least where the prediction is the posterior. By
-    default the last prediction is scored alone, the one with which the agent stops: charged in
-    every step, a loss would be saved by stopping early. With ``every_step`` all predictions are
-    scored and nothing stops an episode before its last record, as in ap_gym's own environments.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        The environment.
-    score : {"log", "brier"}
-        The loss.
-    every_step : bool
-        True to score every prediction and to give the action no entry to stop.
-
-    Raises
-    ------
-    UnknownName
-        If there is no such score.
-
-    Examples
-    --------
-    >>> import gymnasium, loose_env
-    >>> env = ActionAndPrediction(gymnasium.make("loose_env/Vera-v0"))
-    >>> env.action_space["action"], env.action_space["prediction"].shape
-    (MultiDiscrete([5 5 4 4 3 2]), (5,))
-    """
-
-    def __init__(
-        self, env: gymnasium.Env[Any, Any], score: Score = "log", *, every_step: bool = False
-    ) -> None:
-        super().__init__(env, score=score, every_step=every_step)
-        if score not in get_args(Score):
-            raise UnknownName(f"score is one of {list(get_args(Score))}, got {score!r}")
-        self.score, self.every_step = score, every_step
-        nvec = self.diagnosis.actions.nvec[:-1].tolist()
-        count = len(self.diagnosis.hypotheses)
-        self.inner_action_space = spaces.MultiDiscrete(nvec if every_step else [*nvec, 2])
-        """Space of the record."""
-        self.prediction_space = spaces.Box(-np.inf, np.inf, (count,), dtype=np.float32)
-        """Space of the logits."""
-        self.prediction_target_space = spaces.Discrete(count)
-        """Space of the truth."""
-        self.action_space = spaces.Dict(
-            {"action": self.inner_action_space, "prediction": self.prediction_space}
-        )
-
-    def loss_fn(
-        self, prediction: NDArray[Any], target: int | NDArray[Any], **_: Any
-    ) -> NDArray[np.float64]:
-        """Loss of logits (..., hypotheses) where the truth is ``target`` (...)."""
-        logs = log_softmax(np.asarray(prediction, dtype=float), axis=-1)
-        index = np.asarray(target)[..., None]
-        if self.score == "log":
-            return np.asarray(-np.take_along_axis(logs, index, axis=-1)[..., 0])
-        truth = np.arange(logs.shape[-1]) == index
-        return np.asarray(np.sum((np.exp(logs) - truth) ** 2, axis=-1))
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode.
-
-        Raises
-        ------
-        InvalidSetting
-            If the hidden fault is none of the hypotheses: no prediction could be right.
-        """
-        observation, info = self.env.reset(seed=seed, options=options)
-        truth = self.diagnosis.batch.episode(0).fault.hypothesis
-        if truth not in self.diagnosis.hypotheses:
-            raise InvalidSetting(
-                f"the fault {truth!r} is none of the hypotheses {list(self.diagnosis.hypotheses)}: "
-                "a prediction of it has no target"
-            )
-        self._target = self.diagnosis.hypotheses.index(truth)
-        return observation, {
-            **info,
-            "action_mask": self.action_masks(),
-            "prediction": {"target": self._target},
-        }
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Take a record, or stop; the prediction is scored."""
-        record, prediction = self._checked(action)
-        episode = self.diagnosis.batch.episode(0)
-        settings, layout = self.diagnosis.settings, self.diagnosis.actions
-        last = episode.records >= settings.max_records
-        stops = not self.every_step and bool(record[-1]) and episode.measured > 0
-        verdict = 1 + int(np.argmax(prediction)) if last or stops else 0
-        inner = np.array([*record[: len(layout.nvec) - 1], verdict])
-        observation, reward, terminated, truncated, info = self.env.step(inner)
-        loss = float(self.loss_fn(prediction, self._target))
-        base = 0.0 if terminated else float(reward)
-        if self.every_step and not truncated:
-            # The last record ends the episode: there is nothing to stop.
-            taken = self.diagnosis.batch.episode(0).records
-            terminated = terminated or taken >= settings.max_records
-        scored = self.every_step or terminated
-        info = {
-            **info,
-            "action_mask": self.action_masks(),
-            "base_reward": base,
-            "prediction": {"target": self._target, "loss": loss},
-        }
-        return observation, base - (loss if scored else 0.0), terminated, truncated, info
-
-    def action_masks(self) -> NDArray[np.bool_]:
-        """Allowed choices of the record's entries, one after the other."""
-        ends = np.cumsum(self.diagnosis.actions.nvec)[:-1]
-        *record, last = np.split(self.of_inner("action_masks")(), ends)
-        return np.concatenate([*record, *([] if self.every_step else [[last[0], last[1:].any()]])])
-
-    def _checked(self, action: Any) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        try:
-            record = np.asarray(action["action"])
-            prediction = np.asarray(action["prediction"], dtype=float)
-        except (KeyError, TypeError, IndexError, ValueError):
-            record, prediction = np.zeros(0), np.zeros(0)
-        fits = prediction.shape == self.prediction_space.shape and np.isfinite(prediction).all()
-        if not (fits and self.inner_action_space.contains(record)):
-            raise InvalidAction(
-                f"an action is a mapping of 'action', one of {self.inner_action_space}, and "
-                f"'prediction', {self.prediction_space.shape[0]} finite logits; got {action!r:.200}"
-            )
-        return record, prediction

@@ -9,12 +9,10 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from scipy.stats import dirichlet
 
 from loose_env.envs import batch_seeds
-from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
+from loose_env.errors import InvalidAction, InvalidSetting
 from loose_env.wrappers import (
-    ActionAndPrediction,
     JointSideObservation,
     LatestRecord,
     MacroActions,
@@ -31,7 +29,6 @@ PLAIN: list[type[Any]] = [
     JointSideObservation,
     MacroActions,
     SeparateVerdict,
-    ActionAndPrediction,
 ]
 
 
@@ -45,15 +42,12 @@ def shake(env: Any, level: int = 2) -> Any:
 
 
 @pytest.mark.parametrize("wrapper", PLAIN)
-@pytest.mark.filterwarnings(
-    "ignore:.*different from the unwrapped.*", "ignore:.*Box action space.*"
-)
+@pytest.mark.filterwarnings("ignore:.*different from the unwrapped.*")
 def test_whole_episodes_stay_in_the_spaces_and_masks_fit(wrapper: type[Any]) -> None:
     check_env(wrapper(make().unwrapped), skip_render_check=True)
     env = wrapper(make())
     env.action_space.seed(0)
-    space = env.action_space
-    inner = space["action"] if isinstance(space, gymnasium.spaces.Dict) else space
+    inner = env.action_space
     choices = inner.n if isinstance(inner, gymnasium.spaces.Discrete) else inner.nvec.sum()
     ended = 0
     observation, info = env.reset(seed=0)
@@ -166,58 +160,6 @@ def test_a_verdict_counts_only_with_a_stop() -> None:
     assert not env.step(np.array([*record, 0, 2]))[2]
     *_, terminated, _, info = env.step(np.array([*record, 1, 2]))
     assert terminated and info["verdict"] == env.unwrapped.verdicts[2]
-
-
-@pytest.mark.parametrize("score", ["log", "brier"])
-def test_the_score_is_proper(score: Any) -> None:
-    env = ActionAndPrediction(make(), score)
-    truth = np.array([0.5, 0.2, 0.1, 0.15, 0.05])
-
-    def expected(p: Any) -> float:
-        return float(truth @ env.loss_fn(np.log(np.tile(p, (5, 1))), np.arange(5)))
-
-    best = expected(truth)
-    others = dirichlet(np.ones(5), seed=0).rvs(200)
-    assert all(expected(p) > best for p in others)
-
-
-def test_the_last_prediction_is_scored_or_every_one() -> None:
-    logits = np.array([0.0, 2.0, 0.0, 0.0, 0.0], dtype=np.float32)
-    env = ActionAndPrediction(make())
-    record = shake(env)[:-1]
-    env.reset(seed=0, options={"fault": env.unwrapped.hypotheses[1]})
-    loss = float(np.log(np.exp(2) + 4) - 2)
-    _, reward, terminated, _, info = env.step(
-        {"action": np.append(record, 1), "prediction": logits}
-    )
-    assert not terminated and reward == info["base_reward"] < 0  # no stop before a record
-    assert info["prediction"] == {"target": 1, "loss": pytest.approx(loss)}
-    _, reward, terminated, _, info = env.step(
-        {"action": np.append(record, 1), "prediction": logits}
-    )
-    assert terminated and info["is_success"]
-    assert (reward, info["base_reward"]) == (pytest.approx(-loss), 0.0)
-
-    every = ActionAndPrediction(make(max_records=2), every_step=True)
-    every.reset(seed=0, options={"fault": every.unwrapped.hypotheses[1]})
-    for over in (False, True):
-        _, reward, terminated, _, info = every.step({"action": record, "prediction": logits})
-        assert terminated == over
-        assert reward == pytest.approx(info["base_reward"] - loss)
-
-
-def test_predictions_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(UnknownName, match="brier"):
-        ActionAndPrediction(make(), "accuracy")  # type: ignore[arg-type]
-    env = ActionAndPrediction(make())
-    with pytest.raises(InvalidSetting, match="no target"):
-        env.reset(options={"fault": "several_faults"})
-    env.reset(seed=0)
-    good = {"action": np.append(shake(env)[:-1], 0), "prediction": np.zeros(5)}
-    wrong: list[Any] = [3, {**good, "prediction": np.full(5, np.nan)}, {**good, "action": [0]}]
-    for action in wrong:
-        with pytest.raises(InvalidAction, match="logits"):
-            env.step(action)
 
 
 STACKS = [

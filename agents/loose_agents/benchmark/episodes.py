@@ -169,6 +169,10 @@ TASKS = (*TIERS, "loose_env/Planar-v0", "loose_env/SixAxis-v0")
 ENGINE = "reduced"
 """Simulation engine of the episodes; two faults at once need MuJoCo."""
 
+BLOCKS: Mapping[str, Mapping[str, Any]] = MappingProxyType({"rhythm": {"rhythm": True}})
+"""Arguments by which an agent gets the block of the observation that it reads; episodes stay the
+same."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeSet:
@@ -233,8 +237,9 @@ def commitment_of(salt: str) -> str:
     return hashlib.sha256(salt.encode()).hexdigest()
 
 
-def task_problem(task: str, episodes: EpisodeSet) -> Problem:
-    """The problem of a task, with the engine that a set needs."""
+def task_problem(task: str, episodes: EpisodeSet, agent: str | None = None) -> Problem:
+    """The problem of a task, with the engine that a set needs and the blocks an agent reads."""
     if task not in TASKS:
         raise UnknownName(f"unknown task {task!r}; tasks are {list(TASKS)}")
-    return problem_of(task, arguments_for(episodes.kind, {"engine": ENGINE}))
+    own = BLOCKS.get(agent or "", {})
+    return problem_of(task, arguments_for(episodes.kind, {"engine": ENGINE, **own}))

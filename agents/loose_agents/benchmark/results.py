@@ -269,7 +269,7 @@ def play_results(
         raise InvalidSetting(
             f"the set {set_name!r} has 1 to {episodes.episodes} episodes, got {played}"
         )
-    problem = task_problem(task, episodes)
+    problem = task_problem(task, episodes, agent)
     player = make_agent(agent, problem, seed=agent_seed)
     kept = {
         "task": task, "set": asdict(episodes), "agent": agent, "agent_seed": agent_seed,
@@ -321,7 +321,7 @@ def check_results(
         raise InvalidData(
             "results.salt: no round was committed to it; whoever drew it may know the arms"
         )
-    problem = task_problem(results.task, results.episodes)
+    problem = task_problem(results.task, results.episodes, results.agent)
     if results.fingerprint != problem.fingerprint:
         raise InvalidData(
             f"fingerprint {results.fingerprint!r:.20} is not that of {results.task} here, "
