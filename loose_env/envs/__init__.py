@@ -37,7 +37,7 @@ from loose_env.envs.settings import (
 )
 from loose_env.envs.simulation import FaultPrior, simulator
 from loose_env.envs.spaces import Action, ActionLayout, Element, ObservationLayout, RecordLayout
-from loose_env.envs.vector_env import DiagnosisVectorEnv, VectorState, batch_seeds
+from loose_env.envs.vector_env import DiagnosisVectorEnv, batch_seeds
 
 __all__ = [
     "DIFFICULTIES",
@@ -76,7 +76,6 @@ __all__ = [
     "Prices",
     "RecordLayout",
     "Steps",
-    "VectorState",
     "batch_seeds",
     "difficulty_named",
     "draw_arrow",

@@ -217,18 +217,23 @@ def _alike(own: object, other: object) -> bool:
 _OPTIONS = ("fault", "pose", "mismatch_scale", "preload_g")
 
 
+def mapping_of(options: Any, what: str = "options of reset() are") -> dict[str, Any]:
+    """Options of `reset` as a dictionary, empty where there are none."""
+    if options is not None and not isinstance(options, Mapping):
+        raise InvalidSetting(
+            f"{what} a mapping such as {{'fault': 'healthy'}}, or None; got {options!r:.60}"
+        )
+    return dict(options or {})
+
+
 def checked_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
     """Refuse options of `reset` that there are not; their values are checked where they count."""
-    if given is not None and not isinstance(given, Mapping):
-        raise InvalidSetting(
-            f"options of reset() are a mapping such as {{'fault': 'healthy'}}, got {given!r:.60}"
-        )
-    unknown = set(given or {}) - set(_OPTIONS)
-    if unknown:
+    found = mapping_of(given)
+    if unknown := set(found) - set(_OPTIONS):
         raise UnknownName(
             f"unknown reset options {sorted(unknown, key=str)}; known: {', '.join(_OPTIONS)}"
         )
-    return dict(given or {})
+    return found
 
 
 def _number(name: str, given: Any, default: float) -> float:

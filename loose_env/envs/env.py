@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakValueDictionary
@@ -20,24 +21,27 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation
 from loose_env.faults import Fault
 from loose_env.rig import Measurement
+from loose_env.typing import IndexArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EnvState:
-    """All that the future of an environment depends on, beside its arguments."""
+    """All that the future of an environment or a batch depends on, beside its arguments."""
 
-    seed: int | None
-    """Root seed of the run of episodes."""
-    number: int
-    """Number of the episode under it."""
-    episode: Episode | None
-    """The latest episode: hidden fault, true arm, pose, records."""
+    seeds: tuple[int | None, ...]
+    """Root seed of each arm's run of episodes."""
+    numbers: tuple[int, ...]
+    """Number of each arm's episode under it."""
+    episodes: tuple[Episode | None, ...]
+    """Each arm's latest episode: hidden fault, true arm, pose, records."""
+    ended: tuple[bool, ...]
+    """True for each environment of a batch that is to be reset before it goes on."""
     fingerprint: str
     """Of the arm and the settings that it is a state of."""
 
 
 class BatchShell:
-    """Attributes and pickling that single and vector environments of a batch share.
+    """What single and vector environments of a batch share: beginnings, states, pictures.
 
     A copy is built anew from the arguments and takes up the state: no engine is copied.
     """
@@ -54,6 +58,73 @@ class BatchShell:
         self.hypotheses, self.verdicts = batch.hypotheses, batch.verdicts
         self.layout, self.actions = batch.observations, batch.actions
         self._picture: Any = None
+        self._seeds: list[int | None] = [None] * batch.num
+        self._numbers = [-1] * batch.num
+        self._ended = np.zeros(batch.num, dtype=bool)
+
+    def _begin(
+        self,
+        chosen: Sequence[int] | IndexArray,
+        seeds: Sequence[int | None],
+        options: Sequence[Mapping[str, Any] | None],
+    ) -> None:
+        """Begin the first episodes of root seeds, or the next ones of the arms' own."""
+        if not len(chosen):
+            return
+        numbers = [0 if seeds[i] is not None else self._numbers[i] + 1 for i in chosen]
+        given = [self._seeds[i] if seeds[i] is None else seeds[i] for i in chosen]
+        roots = [new_seed() if root is None else root for root in given]
+        own = [options[i] for i in chosen]
+        self.batch.start_all([*chosen], seeds=roots, numbers=numbers, options=own)
+        # only now: a refused reset leaves the sequence of episodes as it was
+        for i, root, number in zip(chosen, roots, numbers, strict=True):
+            self._seeds[i], self._numbers[i], self._ended[i] = root, number, False
+
+    def get_state(self) -> EnvState:
+        """Copy of the state: `set_state` goes on from it, here or in an environment like it."""
+        return EnvState(
+            seeds=tuple(self._seeds),
+            numbers=tuple(self._numbers),
+            episodes=tuple(self.batch.episode_copy(i) for i in range(self.batch.num)),
+            ended=tuple(self._ended.tolist()),
+            fingerprint=self.batch.fingerprint,
+        )
+
+    def set_state(self, state: EnvState) -> None:
+        """Go on from a state that `get_state` gave.
+
+        Raises
+        ------
+        InvalidSetting
+            If it is none, or of another arm, other settings or another number of environments.
+        """
+        num = self.batch.num
+        if not isinstance(state, EnvState) or len(state.episodes) != num:
+            raise InvalidSetting(
+                f"a state of {num} environment{'s' * (num > 1)} is what get_state() of as many "
+                f"gives; got {state!r:.60}"
+            )
+        self.batch.check_fits(state.fingerprint)
+        for i, episode in enumerate(state.episodes):
+            self.batch.restore(i, episode)
+        self._seeds, self._numbers = list(state.seeds), list(state.numbers)
+        self._ended = np.array(state.ended, dtype=bool)
+
+    def _drawn(self, *, show: bool = False) -> list[Any]:
+        """Picture of every arm's episode."""
+        if self.render_mode is None:
+            raise UnknownName("no render_mode was given; make the environment with 'rgb_array'")
+        episodes = [self.batch.episode(i) for i in range(self.batch.num)]
+        if self._picture is None:
+            sensors = self.settings.sensors
+            self._picture = Picture(self.batch.nominal, show=show, sensors=sensors)
+        return [self._picture.draw(each, verdict=each.verdict) for each in episodes]
+
+    def _let_go(self) -> None:
+        """Close the picture."""
+        if self._picture is not None:
+            self._picture.close()
+            self._picture = None
 
     @property
     def divergences(self) -> dict[str, int]:
@@ -66,13 +137,12 @@ class BatchShell:
         own = {"arm": batch.arm, "true_arm": batch.true_arm, "settings": batch.settings}
         own |= {"threads": batch.threads, "render_mode": self.render_mode}
         kept = {name: getattr(self, name) for name in self._kept}
-        state = self.get_state()  # type: ignore[attr-defined]
-        return {"arguments": own | self._arguments, "state": state, "attributes": kept}
+        return {"arguments": own | self._arguments, "state": self.get_state(), "attributes": kept}
 
     def __setstate__(self, stored: dict[str, Any]) -> None:
         """Build the environment from its arguments and take up the state."""
         self.__init__(**stored["arguments"])  # type: ignore[misc]
-        self.set_state(stored["state"])  # type: ignore[attr-defined]
+        self.set_state(stored["state"])
         self.__dict__.update(stored["attributes"])
 
 
@@ -198,26 +268,18 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         self._show(batch, rig=rig)
         self.action_space = self.actions.space
         self.observation_space = self.batch.space
-        self._seed: int | None = None
-        self._number = -1
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Hide a fault and take a random pose; measures nothing."""
         super().reset(seed=seed)
-        root, number = self._seed, self._number + 1
         if seed is not None:
-            root, number = seed, 0
             self._warn_of_neighbour(seed)
-        elif root is None:
-            root = new_seed()
-        info = self.batch.start(0, seed=root, number=number, options=options)
-        # Only now: a reset that was refused leaves the sequence of episodes as it was.
-        self._seed, self._number = root, number
+        self._begin([0], [seed], [options])
         if self.render_mode == "human":
             self.render()
-        return self._shown(), info
+        return self._shown(), {"action_mask": self.batch.mask(0)}
 
     def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, excite and measure; or give a verdict."""
@@ -237,7 +299,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     def _warn_of_neighbour(self, seed: int) -> None:
         """Warn where seeds count up over environments alike, as other vector environments do."""
         before, _SEEDED[seed] = _SEEDED.get(seed - 1), self
-        if self._seed is not None or before is None or before._seed != seed - 1:
+        if self._seeds != [None] or before is None or before._seeds != [seed - 1]:
             return  # one after the other is no batch
         if before.batch.fingerprint == self.batch.fingerprint:
             warnings.warn(
@@ -275,48 +337,11 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
 
     def render(self) -> Any:
         """Draw the arm in its pose with the latest record."""
-        if self.render_mode is None:
-            raise UnknownName(
-                "no render_mode was given; make the environment with render_mode='rgb_array' "
-                "or 'human'"
-            )
-        if not self.batch.has_episode(0):
-            raise ResetNeeded("no episode is running: call reset() before render()")
-        if self._picture is None:
-            self._picture = Picture(
-                self.batch.nominal, show=self.render_mode == "human", sensors=self.settings.sensors
-            )
-        episode = self.batch.episode(0)
-        return self._picture.draw(episode, verdict=episode.verdict)
-
-    def get_state(self) -> EnvState:
-        """Copy of the state: `set_state` goes on from it, in this environment or one like it."""
-        return EnvState(
-            seed=self._seed,
-            number=self._number,
-            episode=self.batch.episode_copy(0),
-            fingerprint=self.batch.fingerprint,
-        )
-
-    def set_state(self, state: EnvState) -> None:
-        """Go on from a state that `get_state` gave.
-
-        Raises
-        ------
-        InvalidSetting
-            If it is none, or was taken from an environment of another arm or other settings.
-        """
-        if not isinstance(state, EnvState):
-            raise InvalidSetting(f"a state is what get_state() gives, got {state!r:.60}")
-        self.batch.check_fits(state.fingerprint)
-        self.batch.restore(0, state.episode)
-        self._seed, self._number = state.seed, state.number
+        return self._drawn(show=self.render_mode == "human")[0]
 
     def close(self) -> None:
         """Close the picture."""
-        if self._picture is not None:
-            self._picture.close()
-            self._picture = None
+        self._let_go()
 
 
 _SEEDED: WeakValueDictionary[int, DiagnosisEnv] = WeakValueDictionary()

@@ -1,9 +1,8 @@
-"""Vector environment `DiagnosisVectorEnv`: many arms stepped in one batch; its saved state."""
+"""Vector environment `DiagnosisVectorEnv`: many arms stepped in one batch."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs.batch import Episode, EpisodeBatch
-from loose_env.envs.env import BatchShell, new_seed
-from loose_env.envs.rendering import Picture
+from loose_env.envs.batch import EpisodeBatch, mapping_of
+from loose_env.envs.env import BatchShell
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.io import is_whole
@@ -61,7 +59,7 @@ def checked_seeds(given: Any, count: int) -> list[int | None]:
     return [None if seed is None else int(seed) for seed in seeds]
 
 
-def own_options(given: Any, count: int) -> list[Mapping[str, Any]]:
+def own_options(given: Any, count: int) -> list[dict[str, Any]]:
     """Options of each environment alone."""
     if given is None:
         return [{}] * count
@@ -71,13 +69,7 @@ def own_options(given: Any, count: int) -> list[Mapping[str, Any]]:
             f"env_options are {count} mappings, one for each environment, None where "
             f"there are none; got {given!r:.60}"
         )
-    for each in given:
-        if each is not None and not isinstance(each, Mapping):
-            raise InvalidSetting(
-                f"each of env_options is a mapping such as {{'fault': 'healthy'}}, or None; "
-                f"got {each!r:.60}"
-            )
-    return [{} if each is None else each for each in given]
+    return [mapping_of(each, "each of env_options is") for each in given]
 
 
 def checked_mask(given: Any, count: int) -> NDArray[np.bool_]:
@@ -107,22 +99,6 @@ _SHARED = (
     "verdicts",
 )
 """Attributes that are the same object for every environment of a batch."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class VectorState:
-    """All that the future of a vector environment depends on, beside its arguments."""
-
-    seeds: tuple[int | None, ...]
-    """Root seed of each environment."""
-    numbers: tuple[int, ...]
-    """Number of each environment's episode under its root seed."""
-    episodes: tuple[Episode | None, ...]
-    """Each environment's latest episode."""
-    ended: tuple[bool, ...]
-    """True for each environment that is to be reset before it goes on."""
-    fingerprint: str
-    """Of the arm and the settings that it is a state of."""
 
 
 class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
@@ -222,9 +198,6 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._all = np.arange(self.num_envs)
-        self._seeds: list[int | None] = [None] * self.num_envs
-        self._numbers = [-1] * self.num_envs
-        self._ended = np.zeros(self.num_envs, dtype=bool)
 
     def reset(
         self,
@@ -238,12 +211,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         ``options["env_options"]`` is a sequence of further ones, a mapping or None for each
         environment, which go before them.
         """
-        if options is not None and not isinstance(options, Mapping):
-            raise InvalidSetting(
-                f"options of reset() are a mapping such as {{'fault': 'healthy'}}, got "
-                f"{options!r:.60}"
-            )
-        given = dict(options or {})
+        given = mapping_of(options)
         chosen = checked_mask(given.pop("reset_mask", None), self.num_envs)
         own = own_options(given.pop("env_options", None), self.num_envs)
         if not all(self.batch.has_episode(int(i)) for i in np.flatnonzero(~chosen)):
@@ -251,7 +219,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         self._begin(
             np.flatnonzero(chosen),
             checked_seeds(seed, self.num_envs),
-            [given | dict(o) for o in own],
+            [given | each for each in own],
         )
         return self.batch.shown(self._all), self._begun_infos(chosen)
 
@@ -310,27 +278,6 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
             infos |= self._begun_infos(np.ones(n, dtype=bool))
         return self.batch.shown(self._all), rewards, terminated, truncated, infos
 
-    def _begin(
-        self,
-        chosen: NDArray[np.intp],
-        seeds: Sequence[int | None],
-        options: Sequence[Mapping[str, Any]],
-    ) -> None:
-        """Begin the first episodes of root seeds, or the next ones of the environments' own."""
-        if not len(chosen):
-            return
-        fresh = [seeds[i] is not None for i in chosen]
-        numbers = [0 if new else self._numbers[i] + 1 for i, new in zip(chosen, fresh, strict=True)]
-        roots = [
-            new_seed() if root is None else root
-            for root in (seeds[i] if seeds[i] is not None else self._seeds[i] for i in chosen)
-        ]
-        own = [options[i] for i in chosen]
-        self.batch.start_all(chosen.tolist(), seeds=roots, numbers=numbers, options=own)
-        # only now: a refused reset leaves the sequence of episodes as it was
-        for i, root, number in zip(chosen, roots, numbers, strict=True):
-            self._seeds[i], self._numbers[i], self._ended[i] = root, number, False
-
     def _begun_infos(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         """Infos of the environments chosen: what their next actions may be."""
         masks = np.where(chosen[:, None], self.batch.masks(self._all), False)
@@ -384,47 +331,11 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
 
     def render(self) -> tuple[Any, ...]:
         """Picture of every environment, each (height, width, 3) of uint8."""
-        if self.render_mode is None:
-            raise UnknownName("no render_mode was given; make the batch with 'rgb_array'")
-        episodes = [self.batch.episode(i) for i in range(self.num_envs)]
-        if self._picture is None:
-            self._picture = Picture(self.batch.nominal, sensors=self.settings.sensors)
-        return tuple(self._picture.draw(each, verdict=each.verdict) for each in episodes)
+        return tuple(self._drawn())
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let go of the picture."""
-        if self._picture is not None:
-            self._picture.close()
-        self._picture = None
-
-    def get_state(self) -> VectorState:
-        """Copy of the state: `set_state` goes on from it, in this batch or another like it."""
-        return VectorState(
-            seeds=tuple(self._seeds),
-            numbers=tuple(self._numbers),
-            episodes=tuple(self.batch.episode_copy(i) for i in range(self.num_envs)),
-            ended=tuple(bool(over) for over in self._ended),
-            fingerprint=self.batch.fingerprint,
-        )
-
-    def set_state(self, state: VectorState) -> None:
-        """Go on from a state that `get_state` gave.
-
-        Raises
-        ------
-        InvalidSetting
-            If it is of another number of environments, or does not fit the arm and the settings.
-        """
-        if not isinstance(state, VectorState) or len(state.episodes) != self.num_envs:
-            raise InvalidSetting(
-                f"a state of {self.num_envs} environments is what get_state() of such a batch "
-                f"gives; got {state!r:.60}"
-            )
-        self.batch.check_fits(state.fingerprint)
-        for i, episode in enumerate(state.episodes):
-            self.batch.restore(i, episode)
-        self._seeds, self._numbers = list(state.seeds), list(state.numbers)
-        self._ended = np.array(state.ended, dtype=bool)
+        self._let_go()
 
 
 def _row(observations: Any, k: int) -> Any:
