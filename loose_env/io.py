@@ -374,6 +374,11 @@ def read_result_file(path: str | Path, parse: Callable[[str], T], *, noun: str) 
         file = file / "result.json"
     try:
         text = file.read_text("utf-8")
+    except FileNotFoundError:
+        raise InvalidData(
+            f"there is no {noun} {str(file)!r}; give the folder that the command wrote which makes "
+            "it (its --out)"
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or error
         raise InvalidData(f"{file}: the {noun} cannot be read: {why}") from None

@@ -30,7 +30,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from loose_env.errors import InvalidSetting, LooseEnvError, words_of
+from loose_env.errors import LooseEnvError, words_of
 from loose_env.io import field_words, unmet
 
 REFUSED, WRONG, INTERRUPTED = 1, 2, 130
@@ -156,12 +156,10 @@ def parsed(
 
     Raises
     ------
-    InvalidSetting
-        Naming the first option whose value its annotation does not allow.
     SystemExit
         With exit code 2 after a line on what is wrong, or 0 after the help.
     """
-    with rejected.on_parse_error(lambda event: _refuse(name, event)):
+    with rejected.on_parse_error(lambda event: _refuse(name, kind, event)):
         found: S = tyro.cli(
             kind,
             args=arguments,
@@ -171,7 +169,8 @@ def parsed(
             registry=_REGISTRY,
             default=tyro.MISSING_NONPROP if default is None else default,
         )
-    _check(found)
+    if words := _unmet(found):
+        refuse(name, words)
     return found
 
 
@@ -348,10 +347,26 @@ def _options(info: StructTypeInfo) -> StructConstructorSpec | None:
     return StructConstructorSpec(instantiate=kind, fields=tuple(options))
 
 
-def _refuse(name: str, event: Any) -> None:
-    """Say in one line why tyro refuses a command line; an invalid setting is raised."""
+def _by_option(words: str, kind: Any, prefix: str = "--") -> str:
+    """Words on a field of settings (Class.field must be ...) by the name of its option."""
+    owner, dot, rest = words.partition(".")
+    if dot and owner in (base.__name__ for base in kind.__mro__):
+        field_name, _, more = rest.partition(" ")
+        return f"{prefix}{field_name.replace('_', '-')} {more}"
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        inner = getattr(hint, "__origin__", hint)
+        if is_dataclass(inner):
+            bare = tyro.conf.OmitArgPrefixes in getattr(hint, "__metadata__", ())
+            own = "" if bare else f"{name.replace('_', '-')}."
+            if (found := _by_option(words, inner, f"{prefix}{own}")) != words:
+                return found
+    return words
+
+
+def _refuse(name: str, kind: type[Any], event: Any) -> None:
+    """Say in one line why tyro refuses a command line."""
     if isinstance(event, rejected.InstantiationFailure) and event.argument is None:
-        raise InvalidSetting(str(event.message))
+        refuse(name, _by_option(str(event.message), kind))
     if isinstance(event, rejected.InvalidChoice):
         words = f"{_flag(event.argument)} must be one of {', '.join(event.choices)}"
         refuse(name, f"{words}; got {event.value!r}")
@@ -382,14 +397,15 @@ def _flag(argument: Any) -> str:
     return str(max(argument.lowered.name_or_flags, key=len))
 
 
-def _check(settings: Any) -> None:
-    """Refuse values that the annotations do not allow, by the name of their option."""
-    hints = get_type_hints(type(settings), include_extras=True)
+def _unmet(settings: Any) -> str:
+    """The first value that the annotations do not allow, by the name of its option; "" if none."""
+    hints, found = get_type_hints(type(settings), include_extras=True), ""
     for name, value in _values(settings):
         if is_dataclass(value):
-            _check(value)
+            found = found or _unmet(value)
         elif words := unmet(hints[name], value):
-            raise InvalidSetting(f"--{name.replace('_', '-')} must be {words}; got {value}")
+            found = found or f"--{name.replace('_', '-')} must be {words}; got {value}"
+    return found
 
 
 def _values(settings: Any) -> list[tuple[str, Any]]:

@@ -10,10 +10,10 @@ from typing import Annotated
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from loose_env.arms import files_of
-from loose_env.cli.command import kept, one_of, refuse, settled
+from loose_env.cli.command import kept, one_of, option_words, refuse, settled
 from loose_env.cli.console import KEPT, Console, OnRecording, Outcome, Output, OutputFolder
 from loose_env.cli.recordings import check_first
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap import (
     TARGETS,
     ExportSettings,
@@ -31,6 +31,7 @@ from loose_env.gap import (
     read_effects,
     read_source,
     solve_gap,
+    split_held_out,
     write_export,
     write_gap,
 )
@@ -115,6 +116,7 @@ class Gap(GapSettings, OnRecording):
         ]
         with folder.worked_in() as place:
             recording = sources[0] if len(sources) == 1 else join_recordings(place, sources)
+            split_held_out(recording, settings)  # refuses unknown runs before the preflight
             preflight = check_first(recording, ignore_errors=self.ignore_doctor)
             found = solve_gap(recording, settings, preflight=preflight, say=console.say)
             motion, planned = None, list[str]()
@@ -142,14 +144,19 @@ class Gap(GapSettings, OnRecording):
         """Settings of the comparison alone, with the kinds of effect that files register."""
         for file in self.effects:
             read_effects(file)
-        for kind in self.kinds:
-            effect_class(kind)  # refuses an unknown one before anything is read
+        try:
+            for kind in self.kinds:
+                effect_class(kind)  # refuses an unknown one before anything is read
+        except UnknownName as error:
+            raise InvalidSetting(f"--kinds: {error}") from None
         return GapSettings(**{each.name: getattr(self, each.name) for each in fields(GapSettings)})
 
     def _checked(self, console: Console) -> Outcome:
         """Say what the recordings could show."""
-        if self.out is not None or self.rerun is not None or self.next:
-            raise InvalidSetting("--check writes nothing; leave out --out, --rerun and --next")
+        idle = ("out", "rerun", "next", "held_out")
+        if given := [name for name in idle if getattr(self, name)]:
+            words = option_words(dict.fromkeys(given, True)).strip()
+            raise InvalidSetting(f"--check writes and holds out nothing; leave out {words}")
         if self.more:
             raise InvalidSetting("--check looks at one recording; leave out the others")
         settings = self._settings()

@@ -92,8 +92,6 @@ def options_of(words: Sequence[str]) -> Output:
 
     Raises
     ------
-    InvalidSetting
-        If a value is not allowed.
     SystemExit
         With exit code 2 after a line on what is wrong, or 0 after the help.
     """

@@ -6,7 +6,8 @@ Data flow: model -> runs -> simulator -> core -> output -> servo_arm -> motions 
 
 from loose_env.gap.bank import VISIBLE, MotionBank, Shape, motion_bank
 from loose_env.gap.belief import Belief, HypothesisSet, Outlook, outlook
-from loose_env.gap.core.find import Answer, find_gap
+from loose_env.gap.core.exact import LARGE
+from loose_env.gap.core.find import Answer, find_gap, split_held_out
 from loose_env.gap.core.residual import Correlation, Overlay, Played
 from loose_env.gap.core.tolerances import GapSettings, Tolerances
 from loose_env.gap.explain import (
@@ -34,6 +35,7 @@ from loose_env.gap.output.export import TARGETS, Export, ExportSettings, export_
 from loose_env.gap.output.result import (
     ChannelVerdict,
     EffectLocation,
+    FittedEffect,
     Gap,
     GapResult,
     Identifiability,
@@ -53,6 +55,7 @@ from loose_env.gap.runs import join_recordings, note_source, read_source
 from loose_env.gap.servo_arm import ServoArm, read_servo_arm
 
 __all__ = [
+    "LARGE",
     "NEXT_MOTION",
     "TARGETS",
     "VISIBLE",
@@ -65,6 +68,7 @@ __all__ = [
     "EffectLocation",
     "Export",
     "ExportSettings",
+    "FittedEffect",
     "Gap",
     "GapResult",
     "GapSettings",
@@ -114,6 +118,7 @@ __all__ = [
     "read_source",
     "register",
     "solve_gap",
+    "split_held_out",
     "try_effect",
     "write_export",
     "write_gap",

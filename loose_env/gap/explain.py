@@ -14,14 +14,14 @@ from scipy.special import softmax
 from loose_env.doctor import Finding as Preflight
 from loose_env.errors import InvalidSetting
 from loose_env.gap.core import residual
-from loose_env.gap.core.catalogue import shapes, shows, terms_of
+from loose_env.gap.core.catalogue import Term, shapes, shows, terms_of
 from loose_env.gap.core.decision import Finding, decide, held_out_rms
 from loose_env.gap.core.evidence import append, weight_of
-from loose_env.gap.core.exact import LARGE
+from loose_env.gap.core.exact import LARGE, ExactFit
 from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, readable, silent
 from loose_env.gap.core.identifiability import identifiability
 from loose_env.gap.core.residual import Correlation, Overlay, Played, Response
-from loose_env.gap.core.selection import Selection
+from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.core.tolerances import GapSettings
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import effect_class
@@ -32,7 +32,7 @@ from loose_env.gap.next_motion import NEXT_MOTION, NextMotion, write_next_motion
 from loose_env.gap.output.corrected_model import correction_code, model_notes, write_model
 from loose_env.gap.output.result import (
     ChannelVerdict,
-    EffectLocation,
+    FittedEffect,
     Gap,
     GapResult,
     Identifiability,
@@ -44,13 +44,43 @@ from loose_env.gap.output.result import (
     how_to_separate,
 )
 from loose_env.gap.runs import measured_runs
-from loose_env.recording import Recording, Run
+from loose_env.recording import Recording, Run, joint_sensors
 from loose_env.typing import Array
 
 PULLED = 2.0
 """Standard deviations from which the pull of a tolerance is told: 1 in 20 by chance."""
 FIGURES = 4  # channels of which a report draws figures of one sort
 _RANKED = 20  # sets of effects that a result lists
+_RIVAL = 0.01  # probability from which a simulated set is a rival of the best
+_DECADE = 10.0  # ratio of an interval's ends from which no order of magnitude is known
+_COMMON = 0.5  # squared correlation from which most of two residuals is the same
+_EARLY = "torques that are logged early, or before the drive gives them"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Visited:
+    """A set of effects that was fitted."""
+
+    fit: SetFit | ExactFit
+    behind: float = nan  # Minus twice its log posterior probability above the best set's
+    probability: float = 0.0  # Probability among the sets by what chose among them
+
+    @property
+    def names(self) -> frozenset[tuple[str, str]]:
+        """Kinds and locations of its effects."""
+        return frozenset(term.name for term in self.fit.terms)
+
+    def members(self, answer: Answer) -> dict[tuple[str, str], FittedEffect]:
+        """Its effects by kind and location, at their values in it."""
+        found, fit = {}, self.fit
+        for number, term in enumerate(fit.terms):
+            if isinstance(fit, ExactFit):
+                values = fit.values[number]
+            else:
+                at = fit.places(answer.selection.evidence.columns_of(term))
+                values = term.values(fit.values[at])
+            found[term.name] = _fitted(term, values)
+        return dict(sorted(found.items()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,23 +211,39 @@ def solve_gap(
             by_channel=dict(zip((each.channel for each in own), pairs, strict=True)),
             by_quantity=errors,
         )
+        visited = _visited(answer)
+        told = _told(answer, visited)
         result = GapResult(
-            verdict=_verdict(answer), gap=gap, effects=tuple(map(named_effect, named)),
-            doubtful=tuple(named_effect(f) for f in findings if not f.named),
-            channels=_channels(answer, gap), pulled=_pulled(answer),
+            verdict=_verdict(answer), gap=gap,
+            effects=tuple(each for each in told if not each.doubt),
+            doubtful=tuple(each for each in told if each.doubt),
+            channels=_channels(answer, gap, after, played), pulled=_pulled(answer),
             held_out_runs=tuple(r.name for r in answer.held_out.runs) if answer.held_out else (),
-            ranking=_ranking(answer), code=correction_code(corrected), residual_tests=tests,
-            identifiability=identifiability(selection), warnings=_warnings(answer, recording),
-            preflight=tuple(preflight), settings=asdict(answer.settings),
+            ranking=_ranking(answer, visited[:_RANKED]), code=correction_code(corrected),
+            residual_tests=tests, identifiability=identifiability(selection),
+            warnings=_warnings(answer, recording), preflight=tuple(preflight),
+            settings=asdict(answer.settings),
         )  # fmt: skip
         largest = np.argsort([test.rms for test in tests])[::-1][: FIGURES - 1]
         shown = after.copy()
         for channel in evidence.channels:
             shown[weight_of(evidence.balance, channel.joint) < 0.5, channel.joint] = nan
+        clock = {
+            piece.name: float(piece.time[0])
+            for pieces in measured_runs(recording.runs, evidence.balance.machine.model)[0]
+            for piece in pieces
+        }
+        if played is not None:
+            begins = (
+                begin + clock[trial.name]
+                for begin, trial in zip(played.begins, played.trials, strict=True)
+            )
+            played = replace(played, begins=tuple(begins))
+        overlays = residual.overlays(selection, before, shown, FIGURES)
     return GapSolution(
         answer=answer, corrected=corrected,
-        overlays=residual.overlays(selection, before, shown, FIGURES),
-        correlations=tuple(correlations[k] for k in largest), played=played,
+        overlays=tuple(replace(own, time=own.time + clock[own.run]) for own in overlays),
+        correlations=tuple(correlations[k] for k in sorted(largest)), played=played,
         parameters=residual.parameter_correlation(selection, fit),
         responses=residual.responses(played, evidence.balance.motion.band) if played else (),
         result=result, seconds=time.monotonic() - begun,
@@ -345,34 +391,98 @@ def _pooled_rms(selection: Selection, rms: Array) -> float:
 
 def named_effect(found: Finding) -> NamedEffect:
     """An effect of the answer in the form of a result."""
-    effect, names = found.term.effect, [p.name for p in found.term.effect.parameters]
+    effect, own = found.term.effect, _fitted(found.term, found.values)
     bounds = np.transpose([(p.low, p.high) for p in effect.parameters])
-    ends = map(tuple, np.clip([found.low, found.high], *bounds).T.tolist())
+    ends = list(map(tuple, np.clip([found.low, found.high], *bounds).T.tolist()))
+    gains = {"run": found.by_run, "stretch": found.by_stretch}
     return NamedEffect(
-        kind=effect.kind, where=effect.where, variant=effect.variant,
-        parameters=dict(zip(names, found.values.tolist(), strict=True)),
-        interval_95=dict(zip(names, ends, strict=True)),
-        units={p.name: p.unit for p in effect.parameters},
-        ambiguous_with=tuple(EffectLocation(kind=k, where=w) for k, w in found.confusable),
+        **vars(own), variant=effect.variant,
+        interval_95=dict(zip(own.parameters, ends, strict=True)),
+        undetermined=tuple(
+            p.name  # a size, for a coordinate may be zero
+            for p, (low, high) in zip(effect.parameters, ends, strict=True)
+            if p.low >= 0 and (low <= p.low or high >= p.high or high > _DECADE * low)
+        ),
+        ambiguous_with=tuple(FittedEffect(kind=k, where=w) for k, w in found.confusable),
         mountings=effect.mountings, in_model=effect.in_model, probability=found.probability,
         probability_alone=found.alone, z=found.z, doubt=found.doubt,
-        held_out_gain={"run": found.by_run, "stretch": found.by_stretch},
+        held_out_gain=gains if found.by_run != found.by_stretch else {"stretch": found.by_run},
     )  # fmt: skip
 
 
-def _channels(answer: Answer, gap: Gap) -> tuple[ChannelVerdict, ...]:
+def _fitted(term: Term, values: Array) -> FittedEffect:
+    """An effect at some values."""
+    effect = term.effect
+    return FittedEffect(
+        kind=effect.kind, where=effect.where, units={p.name: p.unit for p in effect.parameters},
+        parameters=dict(zip((p.name for p in effect.parameters), values.tolist(), strict=True)),
+    )  # fmt: skip
+
+
+def _told(answer: Answer, visited: Sequence[Visited]) -> list[NamedEffect]:
+    """Effects of the answer, joint by joint, with what may be there in place of each."""
+    decision, balance = answer.decision, answer.selection.evidence.balance
+    cells = sorted(answer.selection.fits.values(), key=lambda fit: fit.total)
+    known = (*visited, *(Visited(fit=fit) for fit in cells))
+    best = {found.term.name for found in decision.findings}
+    channels = enumerate(decision.channels[::-1])
+    order = {(e.kind, e.where): -k for k, own in channels for e in own.effects}
+    late = balance.encoders if (balance.forms == "inverse").any() else ()
+    told = []
+    for found in sorted(decision.findings, key=lambda f: (order.get(f.term.name, 1), f.term.name)):
+        name, effect, instead = found.term.name, named_effect(found), set(found.confusable)
+        without = [own for own in known if name not in own.names]
+        if decision.simulated:  # sets with one other effect in its place
+            others = (own.names - best for own in without if own.probability > _RIVAL)
+            instead = {rival for each in others if len(each) == 1 for rival in each}
+            group = (own.probability for own in visited if own.names & {name, *instead})
+            effect = replace(effect, probability=min(sum(group), 1.0))
+        rivals = []
+        for rival in sorted(instead):
+            own = next((own for own in without if rival in own.names), None)
+            fitted = {} if own is None else own.members(answer)
+            rivals.append(fitted.get(rival, FittedEffect(kind=rival[0], where=rival[1])))
+        early = name[0] == "sensor_delay" and name[1] in late
+        told.append(replace(effect, ambiguous_with=tuple(rivals), note=_EARLY * early))
+    return told
+
+
+def _channels(
+    answer: Answer, gap: Gap, after: Array, played: Played | None
+) -> tuple[ChannelVerdict, ...]:
     """Verdict of every joint and reading; joints that stand still cannot tell."""
-    found = []
+    found, joints = [], answer.selection.evidence.balance.machine.joints
+    alike = _moving_alike(answer, after)
     for number, own in enumerate(answer.decision.channels):
-        before, after = gap.by_channel[own.channel]
-        found.append(replace(own, before=before, after=after, advice=_advice(answer, number, own)))
+        ends, said = gap.by_channel[own.channel], alike.get(own.channel, "")
+        advice = "; ".join(filter(None, [_advice(answer, number, own, played), said]))
+        found.append(replace(own, before=ends[0], after=ends[1], advice=advice))
     advice = "it hardly moves, or its torque was not read: record runs in which it moves"
     still = ChannelVerdict(channel="", verdict="cannot tell", before=nan, after=nan, advice=advice)
-    joints = answer.selection.evidence.balance.machine.joints
     return *found, *(replace(still, channel=j) for j in joints if j not in gap.by_channel)
 
 
-def _advice(answer: Answer, number: int, own: ChannelVerdict) -> str:
+def _moving_alike(answer: Answer, after: Array) -> dict[str, str]:
+    """Unexplained joints whose residual is mostly that of another one, in words."""
+    balance, verdicts = answer.selection.evidence.balance, answer.decision.channels
+    joints = balance.machine.joints
+    open_ = [v.channel for v in verdicts if v.verdict == "unexplained" and v.channel in joints]
+    if len(open_) < 2:
+        return {}
+    numbers = map(joints.index, open_)
+    series = [np.concatenate(residual.whitened(balance, after[:, k], k)[0]) for k in numbers]
+    alike, found = np.corrcoef(series) - np.eye(len(open_)), {}
+    for joint, row in zip(open_, alike, strict=True):
+        other = int(np.argmax(np.abs(row)))
+        if row[other] ** 2 > _COMMON:
+            found[joint] = (
+                f"its residual moves with that of {open_[other]} (correlation {row[other]:.2f}), "
+                "as where gears couple them, which the catalogue has not"
+            )
+    return found
+
+
+def _advice(answer: Answer, number: int, own: ChannelVerdict, played: Played | None) -> str:
     """Motion that would tell, or where most of the residual is."""
     if own.verdict == "cannot tell":
         if len(own.effects) > 1:
@@ -383,15 +493,35 @@ def _advice(answer: Answer, number: int, own: ChannelVerdict) -> str:
         return ""
     share = max(1 - (own.after / max(own.before, 1e-300)) ** 2, 0.0)
     said = [f"all that was tried explains {100 * share:.0f} %"] * (own.verdict == "unexplained")
+    balance = answer.selection.evidence.balance
+    channel = answer.selection.evidence.channels[number]
     if not answer.decision.simulated:
-        channel = answer.selection.evidence.channels[number]
         excess = answer.decision.fit.powers[number] - channel.count
         loudest = int(np.argmax(np.bincount(channel.run, excess)))
-        run = answer.selection.evidence.balance.motion.runs[loudest].name
         turns, at = np.unique(channel.turn, return_inverse=True)
         frequency = turns[int(np.argmax(np.bincount(at, excess)))] / (2 * np.pi)
-        said.append(f"most is left in {run}, around {frequency:.2g} Hz")
+        said.append(
+            f"most is left in {balance.motion.runs[loudest].name}, around {frequency:.2g} Hz"
+        )
+    elif played is not None and own.channel in balance.machine.joints:
+        run, frequency = _loudest(played, own.channel)
+        said += [f"most is left in {run}, around {frequency:.2g} Hz"] * bool(run)
     return "; ".join(said)
+
+
+def _loudest(played: Played, joint: str) -> tuple[str, float]:
+    """Run and frequency in which the corrected model misses most of a joint's position."""
+    read = joint_sensors(played.machine.model)[joint].position
+    own = next((k for k, c in enumerate(played.channels) if c.column[7:] in read), None)
+    loudest = (-1.0, "", nan)
+    for trial, corrected in zip(played.trials, played.corrected, strict=True):
+        if own is None:
+            break
+        off = np.nan_to_num(trial.measured[:, own] - corrected[:, own])
+        power = np.abs(np.fft.rfft(off))[1:] ** 2 / len(off)
+        most = (int(np.argmax(power)) + 1) * trial.rate / len(off)
+        loudest = max(loudest, (float(np.mean(off**2)), trial.name, most))
+    return loudest[1:]
 
 
 def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
@@ -399,36 +529,47 @@ def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
     evidence = answer.selection.evidence
     pulls = (evidence.mixed @ answer.decision.fit.values[: evidence.tolerances]).tolist()
     pairs = zip(evidence.nuisances, pulls, strict=True)
-    found = [TolerancePull(name=n.name, deviations=pull) for n, pull in pairs if abs(pull) > PULLED]
+    found = [
+        TolerancePull(
+            name=n.name, deviations=pull, value=pull * n.size, tolerance=abs(n.size), unit=n.unit
+        )
+        for n, pull in pairs
+        if abs(pull) > PULLED
+    ]
     return tuple(sorted(found, key=lambda each: -abs(each.deviations)))
 
 
-def _ranking(answer: Answer) -> tuple[RankedSet, ...]:
-    """Best sets that were visited, by what chose among them; each of kinds and locations once."""
-    searched = len(answer.exact) > 1  # in simulation, from the set of the cells
-    cells = [f for f in (*answer.selection.fits.values(), answer.decision.fit) if f.allowed]
-    totals: dict[frozenset[tuple[str, str]], float] = {}
-    for fit in answer.exact if searched else cells:
-        names = frozenset(term.name for term in fit.terms)
-        totals[names] = min(fit.total, totals.get(names, np.inf))
-    ranked = sorted(totals, key=totals.__getitem__)
-    behind = np.array([totals[names] for names in ranked]) - totals[ranked[0]]
+def _visited(answer: Answer) -> list[Visited]:
+    """Sets by what chose among them, the best first; each of kinds and locations once."""
+    fits: list[SetFit | ExactFit] = list(answer.exact)
+    if len(fits) < 2:
+        fits = [f for f in (*answer.selection.fits.values(), answer.decision.fit) if f.allowed]
+    ranked = sorted((Visited(fit=fit) for fit in fits), key=lambda own: own.fit.total)
+    once = list({own.names: own for own in ranked[::-1]}.values())[::-1]
+    once.sort(key=lambda own: own.fit.total)
+    behind = np.array([own.fit.total for own in once]) - once[0].fit.total
+    pairs = zip(once, behind.tolist(), softmax(-behind / 2).tolist(), strict=True)
+    return [replace(own, behind=above, probability=chance) for own, above, chance in pairs]
+
+
+def _ranking(answer: Answer, visited: Sequence[Visited]) -> tuple[RankedSet, ...]:
+    """Sets of effects as a result lists them."""
     return tuple(
         RankedSet(
-            effects=tuple(EffectLocation(kind=k, where=w) for k, w in sorted(names)),
-            behind=float(above),
-            probability=float(probability),
-            source="simulation" if searched else "force balance",
+            effects=tuple(own.members(answer).values()),
+            behind=own.behind,
+            probability=own.probability,
+            source="force balance" if isinstance(own.fit, SetFit) else "simulation",
         )
-        for names, above, probability in zip(ranked, behind, softmax(-behind / 2), strict=True)
-    )[:_RANKED]
+        for own in visited
+    )
 
 
 def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
     """Cautions: samples left out, one run alone, effects that no file carries."""
     balance = answer.selection.evidence.balance
-    model, named = balance.machine.model, [f.term.name for f in answer.decision.findings if f.named]
-    found = [*measured_runs(recording.runs, model)[1], *naming_notes(recording.spec())]
+    split = measured_runs(recording.runs, balance.machine.model)[1]
+    found = [*split, *naming_notes(recording.spec())]
     if any(each.term.effect.kind == "payload" for each in answer.decision.findings):
         found += payload_notes(balance.machine)
     unread = ", ".join(balance.machine.joints[k] for k in balance.motion.foretold)
@@ -441,12 +582,6 @@ def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
         found.append(
             "one run alone: alternate stretches of it are held out, so that what every stretch of "
             "it has in common is not tested; record a second run with another motion"
-        )
-    late = any(("sensor_delay", encoder) in named for encoder in balance.encoders)
-    if late and (balance.forms == "inverse").any():
-        found.append(
-            "late encoders: a torque log shows only the time between torques and positions, so "
-            "that torques which are logged early, or before a drive gives them, look the same"
         )
     for each in answer.decision.findings:
         effect = each.term.effect

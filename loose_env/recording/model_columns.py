@@ -104,6 +104,12 @@ class ModelColumns:
 
     def check_header(self, file: str, header: Sequence[str]) -> None:
         """Refuse the names of a run's columns."""
+        own = set(header) - {"time"}
+        if "time" in header and len(own) > 1 and own.isdisjoint({*self.known, *self.refused}):
+            raise InvalidData(
+                f"{file}: none of its {len(own)} columns is in the model, which has "
+                f"{_few([*self.known])}: is it the model of this machine?"
+            )
         seen: set[str] = set()
         for column in header:
             if column in seen:

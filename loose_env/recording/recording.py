@@ -237,7 +237,8 @@ def read_recording(folder: str | Path, *, model: str | Path | None = None) -> Re
         place = f"{DESCRIPTION}: runs[{i}]"
         if entry.planned and not inside(home, entry.file, f"{place}.file").exists():
             continue
-        path = existing_file(home, entry.file, f"{place}.file")
+        hint = '; a run that is still to be measured has "planned": true'
+        path = existing_file(home, entry.file, f"{place}.file", hint)
         # By what lies on the disk: a link, or another way of writing the path, is the same run.
         state = path.stat()
         name = normpath(entry.file)

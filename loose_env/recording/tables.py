@@ -54,7 +54,7 @@ def inside(folder: Path, given: str, place: str) -> Path:
     return found
 
 
-def existing_file(folder: Path, given: str, place: str) -> Path:
+def existing_file(folder: Path, given: str, place: str, hint: str = "") -> Path:
     """Find a file that is there, as `inside`."""
     found = inside(folder, given, place)
     try:
@@ -62,7 +62,7 @@ def existing_file(folder: Path, given: str, place: str) -> Path:
     except OSError as error:
         raise InvalidData(f"{place}: {given!r:.200} cannot be read: {error.strerror}") from None
     if not there:
-        raise InvalidData(f"{place}: there is no file {given!r:.200} in {folder}")
+        raise InvalidData(f"{place}: there is no file {given!r:.200} in {folder}{hint}")
     return found
 
 
@@ -130,7 +130,8 @@ def check_numbers(table: Table) -> None:
     if rows < FEWEST_SAMPLES:
         last = table.place("time", rows - 1) if rows else f"{table.file}: column 'time', row 0"
         raise InvalidData(
-            f"{last} is the last: the run has {rows} samples; it needs at least {FEWEST_SAMPLES}"
+            f"{last} is the last: the run has {rows} sample{'s' * (rows != 1)}; it needs at least "
+            f"{FEWEST_SAMPLES}"
         )
     for name, values in table.columns.items():
         infinite = np.flatnonzero(np.isinf(values))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from loose_env.envs import FAINT, INK, MEASURED, MUTED, TRUTH
 from loose_env.errors import MissingExtra
 from loose_env.gap import (
+    LARGE,
     ChannelVerdict,
     Correlation,
     EffectLocation,
@@ -58,19 +60,36 @@ _HEADLINE = 140  # letters of the effects in the headline
 _OVERLAYS, _RESPONSES = 4, 4  # figures of measured against model, and of frequency responses
 _STRETCH_S = 4.0  # length of simulated motion that is drawn
 _SAMPLES = 500  # of an overlay
-_PAIRS = 2  # effects, or pairs of them, that one advice lists
-_CORRELATED = 0.5  # correlation of two parameters from which it is listed
+_CORRELATED = 0.8  # correlation of two parameters from which data hardly split them
+_LIKELY = 0.01  # probability from which a set of effects is listed beside the best
 _AT_NOISE = 1.5  # noise standard deviations of a residual that leave nothing to explain
-_EFFECTS = ["missing effect", "probability", "value (95 % interval)", "or instead"]
+_EFFECTS = ["missing effect", "kind", "probability", "value (95 % interval)", "or instead"]
 _CHANNELS = ["joint or reading", "verdict", "effects", "explained", "before", "after"]
 _DOUBTFUL = "Fitted, and not named"
+_MORE = "named, more missing"
 _PULLED = "Beyond its tolerance"
 BEFORE, AFTER = TRUTH, MEASURED  # colours of the nominal and of the corrected model
-_FILLED = {
-    "actuator_lag": "fill the filter, data.act[model.actuator_actadr[k]],",
-    "command_delay": "fill the buffer, mujoco.mj_initCtrlHistory,",
+_QUANTITIES = {"N·m": "torque", "N": "force", "rad": "position", "m": "position"}
+_CAUTIONS = {
+    "actuator_lag": "Before the first step fill the filter, data.act[model.actuator_actadr[k]], of "
+    "{} with the first command: it begins at zero.",
+    "command_delay": "Before the first step fill the buffer, mujoco.mj_initCtrlHistory, of {} with "
+    "the first command: it begins at zero.",
+    "sensor_delay": "Read {} in data.sensordata, for data.qpos is not late; before the first step "
+    "fill its buffer, mujoco.mj_initSensorHistory, with the first reading: it begins at zero.",
 }
-"""Effects that keep a state in MJCF, and how it is filled."""
+"""Effects of model.xml that need care, by kind."""
+_VERDICTS = {
+    _MORE: "more than three noise standard deviations are left there.",
+    "not needed": "within tolerances and noise the model is right.",
+    "cannot tell": "one of these effects, or none.",
+    "unexplained": "much is left by everything that was tried.",
+}
+"""Verdict of a joint or reading -> its meaning."""
+_COMPARED = (
+    "compared: share of the time in which a joint moves, is not knocked, and its drive is not at a "
+    "limit; speed, acceleration: 95 % of the time at most this"
+)
 _UNIT = "before, after: residual on held-out data, in noise standard deviations (noise alone: 1)"
 
 
@@ -96,12 +115,35 @@ def gap_headline(result: GapResult) -> str:
         if left:
             return f"Nothing tried explains {_channel_words(left)}."
         return "The recording cannot tell which effect is missing."
-    rest = f"; {_channel_words(left)} {'is' if len(left) == 1 else 'are'} unexplained"
+    more = [c.channel for c in result.channels if _verdict(c) == _MORE]
     words = together(result.effects)
-    if _counted(result):
-        at = [each.channel for each in result.channels if each.verdict == "named"]
-        words = f"{len(result.effects)} effects{f' at {_channel_words(at)}' * bool(at)}"
-    return f"The model lacks {words}{rest * bool(left)}."
+    if len(words) > _HEADLINE:
+        words = _by_joint(result)
+    if more:
+        named = [c.channel for c in result.channels if c.verdict == "named"]
+        where = "each of them" if more == named and len(more) > 1 else _channel_words(more)
+        words += f", and something more at {where} that nothing tried explains"
+    if left:
+        words += f"; {_channel_words(left)} {'is' if len(left) == 1 else 'are'} unexplained"
+    return f"The model lacks {words}."
+
+
+def _verdict(channel: ChannelVerdict) -> str:
+    """Verdict of a joint or reading, with what is left where effects are named."""
+    named = channel.verdict == "named"
+    return _MORE if named and channel.after > LARGE else channel.verdict
+
+
+def _by_joint(result: GapResult) -> str:
+    """Named effects in words, joints that lack the same kinds together."""
+    places: dict[frozenset[str], list[ChannelVerdict]] = {}
+    for channel in result.channels:
+        if channel.verdict == "named":
+            places.setdefault(frozenset(e.kind for e in channel.effects), []).append(channel)
+    return "; ".join(
+        f"{_kinds(own[0].effects)} at {_channel_words([c.channel for c in own])}"
+        for own in places.values()
+    )
 
 
 def _channel_words(names: Sequence[str]) -> str:
@@ -110,15 +152,19 @@ def _channel_words(names: Sequence[str]) -> str:
     return named_list(shown) if len(shown) < 8 else f"{len(shown)} joints and readings"
 
 
-def _counted(result: GapResult) -> bool:
-    """Whether the headline has no room for the effects by name."""
-    return len(together(result.effects)) > _HEADLINE
-
-
 def summary_words(result: GapResult) -> list[str]:
-    """Effects that the headline only counts, and the residual in physical units."""
-    found = [f"{begun(together(result.effects))}."] * _counted(result)
-    return [*found, *(f"{begun(words)}." for words in _quantities(result))]
+    """The residual in physical units."""
+    return [f"{begun(words)}." for words in _quantities(result)]
+
+
+def not_in_model(result: GapResult) -> list[str]:
+    """Named effects that model.xml lacks, and what applies them."""
+    if not (apart := [each for each in result.effects if not each.in_model]):
+        return []
+    remedy = "apply the lines of code in result.json at each step" if result.code else "add them"
+    alone = len(apart) == len(result.effects)
+    same = " and simulates as the nominal one does" * alone
+    return [f"model.xml lacks {together(apart)}{same}, for MJCF has no means for it: {remedy}"]
 
 
 def _quantities(result: GapResult) -> list[str]:
@@ -143,6 +189,7 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
             ("", "  ", [_EFFECTS, *effects] if effects else []),
             ("", "  ", [_CHANNELS, *_channel_rows(result)]),
             ("Residual", "  ", [_UNIT, *_quantities(result)]),
+            ("Not in model.xml", "", not_in_model(result)),
             (_PULLED, f"{_PULLED.lower()}: ", [each.words for each in result.pulled[:RIVALS]]),
             *(graded_parts(result.graded_warnings) if warnings else []),
         ],
@@ -154,16 +201,16 @@ def _channel_rows(result: GapResult) -> list[list[str]]:
     fine = [c for c in result.channels if c.verdict == "not needed"]
     quiet = [c for c in fine if c.channel.startswith("sensor.")]
     quiet = quiet if len(quiet) > 1 else []
-    found = {(e.kind, e.where) for e in result.effects}
+    tried = {(e.kind, e.where) for e in (*result.effects, *result.doubtful)}
 
     def kinds(c: ChannelVerdict) -> str:
-        open_ = c.verdict == "unexplained" and found.isdisjoint(
-            (e.kind, e.where) for e in c.effects
-        )
-        return f"not named: {_kinds(c.effects)}" if open_ and c.effects else _kinds(c.effects)
+        if c.verdict != "unexplained":
+            return _kinds(c.effects)
+        own = [e for e in c.effects if (e.kind, e.where) in tried]
+        return f"not named: {_kinds(own)}" if own else ""
 
     rows = [
-        [_reading(c.channel), c.verdict, kinds(c), *_sides(c.before, c.after)]
+        [_reading(c.channel), _verdict(c), kinds(c), *_sides(c.before, c.after)]
         for c in result.channels
         if c not in quiet
     ]
@@ -200,17 +247,14 @@ def _effect_rows(effect: NamedEffect) -> list[list[str]]:
     name, rows = effect_words(effect.kind, effect.where), []
     if effect.mountings:  # another payload in some runs
         name += " in " + "; turned in ".join(", ".join(runs) for runs in effect.mountings)
-    others = ", ".join(rivals_words(effect))
+    first = [name, effect.kind, likely]
+    others = "; ".join(filter(None, [*rivals_words(effect), effect.note]))
     # less the directions that the motion does not excite
-    pairs = {p: (v, effect.interval_95.get(p)) for p, v in effect.parameters.items()}
-    moved = {p: pair for p, pair in pairs.items() if pair != (0.0, (0.0, 0.0))}
-    if f"{effect.parameters.get('static_ratio', 0.0):.3g}" == "1":  # of no peak no speed
-        moved.pop("speed", None)
-    for parameter, (value, ends) in (moved or pairs).items():
-        between = "" if ends is None else f"({ends[0]:.3g} to {ends[1]:.3g}) "
-        words, unit = parameter.replace("_", " "), effect.units.get(parameter, "")
-        rows.append([name, likely, f"{words} {value:.3g} {between}{unit}".rstrip(), others])
-        name = likely = others = ""
+    still = {p for p, ends in effect.interval_95.items() if ends == (0.0, 0.0)}
+    for parameter in [p for p in effect.parameters if p not in still] or effect.parameters:
+        value = f"{parameter.replace('_', ' ')} {effect.value_in_words(parameter)}"
+        rows.append([*first, value, others])
+        first, others = [""] * len(first), ""
     return rows
 
 
@@ -259,17 +303,19 @@ def check_text(found: Identifiability) -> str:
         unseen = [e.where for e in own if not e.visible]
         places = "any" if len(unseen) == len(own) else ", ".join(unseen)
         seen.append([kind_words(kind), _sizes([e for e in own if e.visible]), places])
-    wanted = [textwrap.fill(line, 100, subsequent_indent="  ") for line in _wanted(found.effects)]
-    parts = [aligned(_excitation(found), 100), aligned(seen, 100), ["to record next:", *wanted]]
+    wanted = [textwrap.fill(line, 120, subsequent_indent="  ") for line in _wanted(found.effects)]
+    moved = [*aligned(_excitation(found)), _COMPARED]
+    parts = [moved, aligned(seen), ["to record next, what tells most first:", *wanted]]
     return "\n\n".join("\n".join(part) for part in parts if len(part) > 1)
 
 
 def _excitation(found: Identifiability) -> list[list[str]]:
     """How much each joint moves, headings first."""
-    rows = [["joint", "travel", "speed", "acceleration", "unit", "compared"]]
+    rows = [["joint", "travel", "speed", "acceleration", "compared"]]
     for each in found.joints:
-        moved = [f"{x:.3g}" for x in (each.travel, each.speed, each.acceleration)]
-        rows.append([each.joint, *moved, each.unit, f"{100 * each.used:.0f} %"])
+        moved = zip((each.travel, each.speed, each.acceleration), ("", "/s", "/s²"), strict=True)
+        units = [f"{x:.3g} {each.unit}{per}" for x, per in moved]
+        rows.append([each.joint, *units, f"{100 * each.used:.0f} %"])
     return rows
 
 
@@ -290,41 +336,51 @@ def _sizes(effects: Sequence[VisibleEffect]) -> str:
 
 
 def _wanted(effects: Sequence[VisibleEffect]) -> list[str]:
-    """Motions that would show what these do not, or tell apart what these confuse."""
+    """Motions that would show what these do not, or tell apart what these confuse, most first."""
     unseen: dict[str, dict[str, list[str]]] = {}
     for each in effects:
         if not each.visible:
             kinds = unseen.setdefault(how_to_see(each.kind), {})
             kinds.setdefault(each.kind, []).append(each.where)
-    alike = [(e, e.confusable_with) for e in effects if e.visible and e.confusable_with]
     lines = [
-        f"To see {_few([effect_words(k, _few(w)) for k, w in kinds.items()])}: {advice}."
+        (
+            sum(map(len, kinds.values())),
+            f"To see {named_list([effect_words(k, named_list(w)) for k, w in kinds.items()])}: "
+            f"{advice}.",
+        )
         for advice, kinds in unseen.items()
     ]
-    return [*lines, *_separating("tell", alike, lambda e: kind_words(e.kind))]
+    alike = [(e, e.confusable_with) for e in effects if e.visible and e.confusable_with]
+    lines += _separating("tell", alike, lambda e: kind_words(e.kind))
+    return [words for _, words in sorted(lines, key=lambda line: -line[0])]
 
 
 def _separating(
     verb: str,
     pairs: Iterable[tuple[EffectLocation, EffectLocation]],
     words: Callable[[EffectLocation], str],
-) -> list[str]:
-    """Motions that tell pairs of effects apart, each motion and each pair once."""
-    found: dict[str, dict[frozenset[str], str]] = {}
+) -> list[tuple[int, str]]:
+    """Motions that tell pairs of effects apart, each motion and each pair once, with their number.
+
+    Of several pairs with one effect in common that stands before the others.
+    """
+    found: dict[str, list[frozenset[str]]] = {}
     for one, other in pairs:
         advice = how_to_separate(one.kind, one.where, other.kind, other.where)
-        said = [words(one), words(other)]
-        own = found.setdefault(advice[:1].lower() + advice[1:], {})
+        said = frozenset(map(words, (one, other)))
         if one.kind == other.kind:  # of the same words
-            said = [effect_words(e.kind, e.where) for e in (one, other)]
-        own.setdefault(frozenset(said), " from ".join(said))
-    return [f"To {verb} {_few([*v.values()])}: {advice}" for advice, v in found.items()]
-
-
-def _few(words: Sequence[str]) -> str:
-    """The first of some, and the number of the others."""
-    more = len(words) - _PAIRS
-    return named_list(list(words) if more < 2 else [*words[:_PAIRS], f"{more} others"])
+            said = frozenset(effect_words(e.kind, e.where) for e in (one, other))
+        own = found.setdefault(advice[:1].lower() + advice[1:], [])
+        own += [said] * (said not in own)
+    lines = []
+    for advice, own in found.items():
+        counts, groups = Counter(name for pair in own for name in pair), dict[str, list[str]]()
+        for pair in own:
+            head, *rest = sorted(pair, key=lambda name: (-counts[name], name))
+            groups.setdefault(head, []).extend(rest)
+        told = "; ".join(f"{head} from {named_list(rest)}" for head, rest in groups.items())
+        lines.append((len(own), f"To {verb} {told}: {advice}"))
+    return lines
 
 
 # Page
@@ -399,36 +455,30 @@ def render_gap_page(solution: GapSolution) -> str:
 def gap_steps(result: GapResult) -> list[str]:
     """Recommended next steps."""
     steps = []
+    lost = not_in_model(result)
+    if any(each.in_model for each in result.effects):
+        said = "It is a plain MJCF file, and the recording's columns are valid in it"
+        beside = f" and the lines below: {lost[0]}." if lost else f". {said}."
+        steps.append(f"Simulate with model.xml{beside}")
+    elif lost:
+        steps.append(f"Simulate with the lines below: {lost[0]}.")
+    for kind, words in _CAUTIONS.items():
+        if own := [e.where for e in result.effects if e.kind == kind and e.in_model]:
+            steps.append(words.format(named_list(own)))
     if result.effects:
-        inside = any(each.in_model for each in result.effects)
         steps.append(
-            "Simulate with model.xml. It is a plain MJCF file, and the recording's columns are "
-            "valid in it."
-            if inside
-            else "model.xml alone behaves as the nominal model: MJCF cannot express what is named."
-        )
-    lags = [e for e in result.effects if e.kind in _FILLED and e.in_model]
-    for kind, lines in _FILLED.items():
-        if own := [e.where for e in lags if e.kind == kind]:
-            steps.append(
-                f"Before the first step, {lines} of {named_list(own)} with the first command: it "
-                "begins at zero"
-            )
-    if result.code:
-        apart = [each for each in result.effects if not each.in_model]
-        steps.append(
-            "Apply the lines below to the simulation: MJCF has no means for "
-            f"{together(apart) or 'them'}, so model.xml does not carry it."
+            "loose export takes the effects to mujoco.sysid, mjlab, Isaac Lab, URDF, USD or BAM, "
+            "and lists what these cannot express: loose export --help"
         )
     if any(each.verdict == "unexplained" for each in result.channels):
         steps.append(
-            "If you know the effect, add it: it is one small class in one file, and is fitted like "
-            "those of the catalogue."
+            "If you know the effect, add it: one small class in a file that is given as --effects "
+            "FILE.py is fitted like those of the catalogue; loose_env.gap.register says how."
         )
     if result.pulled:
         steps.append(
-            "Check these parameters of the model, which the data pull beyond their tolerances: "
-            f"{'; '.join([each.words for each in result.pulled[:RIVALS]])}"
+            "Check these figures of the model, which the data pull beyond their tolerances and "
+            f"model.xml keeps: {'; '.join([each.words for each in result.pulled[:RIVALS]])}"
         )
     if result.verdict == "no_gap":
         steps.append(
@@ -441,7 +491,9 @@ def gap_steps(result: GapResult) -> list[str]:
 def gap_motions(result: GapResult) -> list[str]:
     """Motions to record for what is open: confusable effects, and joints that are not explained."""
     alike = [(e, other) for e in result.effects for other in e.ambiguous_with[:RIVALS]]
-    motions = _separating("separate", alike, lambda e: effect_words(e.kind, e.where))
+    motions = [
+        m for _, m in _separating("separate", alike, lambda e: effect_words(e.kind, e.where))
+    ]
     left = [c for c in result.channels if c.verdict in ("unexplained", "cannot tell")]
     motions += [
         f"{_reading(c.channel)}, {c.verdict}: {c.advice.rstrip('.')}."
@@ -457,17 +509,22 @@ def _effects_section(solution: GapSolution) -> Section:
     result = solution.result
 
     def cells(effect: NamedEffect) -> dict[str, str]:
-        names, likely, values, others = zip(*_effect_rows(effect), strict=True)
-        row = [begun(names[0]), likely[0] or "-", "; ".join(values), others[0] or "-"]
-        more = {"Not named because": effect.doubt} if effect.doubt else {}
-        return dict(zip(map(begun, _EFFECTS), row, strict=True)) | more
+        names, kinds, likely, values, others = zip(*_effect_rows(effect), strict=True)
+        first = [begun(names[0]), kinds[0], likely[0] or "-", "; ".join(values), others[0] or "-"]
+        row = dict(zip(map(begun, _EFFECTS), first, strict=True))
+        if not effect.doubt:
+            return row
+        return {k: row[k] for k in row if k not in ("Probability", "Or instead")} | {
+            "Not named because": effect.doubt
+        }
 
     note = (
         "Probability: that the machine has the effect or, in its place, one of those under 'or "
         "instead', if the catalogue has all that is missing there; alone: this very one. Where a "
         "joint stays far above the noise (after, in the next table), something else is missing "
         "too, and probabilities and intervals say less. Interval: as wide as the fit is uncertain, "
-        "or as the stretches of the recording disagree."
+        "or as the stretches of the recording disagree. Not determined: it reaches an end of what "
+        "is possible, or spans a factor of ten. Kind: its name in --kinds and result.json."
     )
     names, (_, values) = list[str](), solution.parameters
     for term in solution.answer.decision.fit.terms:
@@ -477,17 +534,21 @@ def _effects_section(solution: GapSolution) -> Section:
         names += [f"{effect_words(*term.name)}{f', {each}' * (len(own) > 1)}" for each in own]
     pairs = [(values[i, k], names[i], names[k]) for i in range(len(names)) for k in range(i)]
     strong = sorted((p for p in pairs if abs(p[0]) >= _CORRELATED), key=lambda p: -abs(p[0]))
-    if pairs and not strong:
-        most = max(abs(p[0]) for p in pairs)
-        note += f" No two of them are correlated by more than {most:.2f}."
+    sure = {True: "their sum is sure, their split is not", False: "their difference is sure"}
     correlated = [
-        {"Parameter": one, "And": other, "Correlation": f"{value:.2f}"}
+        {"Parameter": one, "And": other, "Correlation": f"{value:.2f}", "Hence": sure[value < 0]}
         for value, one, other in strong
     ]
+    sets = [
+        {"Set": begun(together(each.effects) or "none"), "Probability": percent(each.probability)}
+        for each in result.ranking
+        if each.probability > _LIKELY
+    ]
     tables = [
-        Table(rows=[cells(effect) for effect in result.effects], note=note),
-        Table(title=_DOUBTFUL, rows=[cells(effect) for effect in result.doubtful]),
+        Table(rows=_filled([cells(effect) for effect in result.effects]), note=note),
+        Table(title=_DOUBTFUL, rows=_filled([cells(effect) for effect in result.doubtful])),
         Table(title="Correlated parameters", rows=correlated),
+        Table(title="Sets of effects that explain about as much", rows=sets * (len(sets) > 1)),
     ]
     return Section(heading="What the model lacks", tables=tables)
 
@@ -503,13 +564,19 @@ def _channels_section(solution: GapSolution) -> Section:
         | {"What is left": left.get(row[0]) or "-"}
         for row in _channel_rows(result)
     ]
+    said = {_verdict(c) for c in result.channels}
+    meanings = (f"{begun(word)}: {means}" for word, means in _VERDICTS.items() if word in said)
     note = (
         f"{begun(_UNIT)}. Before: the nominal model within its tolerances; after: with "
-        f"{fitted}. Explained: share of the squared residual that they remove. Not needed: "
-        "within tolerances and noise the model is right. Cannot tell: one of these effects, or "
-        "none. Unexplained: much is left by everything that was tried."
+        f"{fitted}. Explained: share of the squared residual that they remove. {' '.join(meanings)}"
     )
-    return Section(heading="Joint by joint", tables=[Table(rows=rows, note=note)])
+    return Section(heading="Joint by joint", tables=[Table(rows=_filled(rows), note=note)])
+
+
+def _filled(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
+    """Rows without the columns in which none of them has a word."""
+    said = {name for row in rows for name, cell in row.items() if cell != "-"}
+    return [{name: cell for name, cell in row.items() if name in said} for row in rows]
 
 
 def _played_overlays(played: Played) -> list[Overlay]:
@@ -517,17 +584,20 @@ def _played_overlays(played: Played) -> list[Overlay]:
     columns, sensors = [c.column for c in played.channels], joint_sensors(played.machine.model)
     found = []
     for joint in played.machine.joints:
-        own = next(k for k, c in enumerate(columns) if c[7:] in sensors[joint].position)
+        own = next((k for k, c in enumerate(columns) if c[7:] in sensors[joint].position), None)
+        if own is None:  # taken as the nominal model moves it
+            continue
         unit, pieces = "rad" if played.machine.turns(joint) else "m", []
-        for trial, *models in zip(played.trials, played.nominal, played.corrected, strict=True):
+        models = zip(played.nominal, played.corrected, strict=True)
+        for trial, begin, both in zip(played.trials, played.begins, models, strict=True):
             length = max(int(_STRETCH_S * trial.rate), 1)
             for first in range(0, len(trial.time), length):
                 rows = slice(first, first + length)
-                measured, nominal, corrected = (x[rows, own] for x in (trial.measured, *models))
+                measured, nominal, corrected = (x[rows, own] for x in (trial.measured, *both))
                 pieces.append(
                     Overlay(
                         channel=joint, run=trial.name, unit=unit,
-                        time=trial.time[rows] - trial.time[first], measured=measured,
+                        time=begin + trial.time[rows], measured=measured,
                         nominal=nominal, corrected=corrected,
                     )
                 )  # fmt: skip
@@ -541,8 +611,9 @@ def _overlay_section(solution: GapSolution) -> Section:
     played = solution.played if solution.answer.decision.simulated else None
     shown = solution.overlays if played is None else _played_overlays(played)
     fine = [c.channel for c in solution.result.channels if c.verdict == "not needed"]
+    order = [c.channel for c in solution.result.channels]
     cards = []
-    for each in shown[:_OVERLAYS]:
+    for each in sorted(shown[:_OVERLAYS], key=lambda own: order.index(own.channel)):
         compared = np.isfinite(each.corrected)
         if each.channel in fine or not compared.any():
             continue
@@ -560,17 +631,21 @@ def _overlay_section(solution: GapSolution) -> Section:
                 f"{off[1]:.3g}{unit} (root mean square).",
             )
         )
-    intro = "The few seconds in which the nominal model is most wrong. " + (
-        "Both models follow the recorded commands from the beginning of the run. The corrected one "
-        "has the named effects alone."
-        if played is not None
-        else "Of a joint: the force of its "
-        "drive (measured, or computed from commands and motion) against the force that each model "
-        "needs for the same motion, each within its tolerances and fitted to other data. The "
-        "corrected model has the named effects alone. Lines break where nothing is compared: at "
-        "rest, where dry friction takes any value, at knocks, and at a drive's limit."
-    )
-    return Section(heading="Measured against model", intro=[intro], cards=cards)
+    which = "The few seconds in which the nominal model is most wrong, of the four worst channels."
+    if played is not None:
+        how = (
+            "Both models follow the recorded commands from the beginning of the run. The corrected "
+            "one has the named effects alone."
+        )
+    else:
+        how = (
+            "Of a joint: the force of its drive (measured, or computed from commands and motion) "
+            "against the force that each model needs for the same motion, each within its "
+            "tolerances and fitted to other data. The corrected model has the named effects alone. "
+            "Lines break where nothing is compared: at rest, where dry friction takes any value, "
+            "at knocks, and at a drive's limit."
+        )
+    return Section(heading="Measured against model", intro=[f"{which} {how}"], cards=cards)
 
 
 def _residual_section(solution: GapSolution) -> Section:
@@ -617,8 +692,7 @@ def _motions_section(result: GapResult) -> Section:
     heads, *rows = _excitation(result.identifiability)
     points = gap_motions(result)
     note = (
-        "Speed and acceleration: 95 % of the time at most this. Compared: share of the time in "
-        "which the joint moves, is not knocked, and its drive is not at a limit. "
+        f"{begun(_COMPARED)}. "
         f"{'Below: motions for what is open. ' if points else 'No effect or joint is open. '}"
         "'loose gap RECORDING --check' prints from what size each effect would show, and what else "
         "these motions cannot show or tell apart."
@@ -651,7 +725,7 @@ def overlay_figure(
         axes.set_xlim(time[0], time[-1])
     low.ticklabel_format(axis="y", scilimits=(-2, 3), useMathText=True)
     top.tick_params(labelbottom=False)
-    labels(top, above=f"[{unit}]")
+    labels(top, above=f"{_QUANTITIES.get(unit, 'reading')} [{unit}]")
     labels(low, x="time [s]", above=f"measured less model [{unit}]")
     low.title.set_position((0.12, 1.0))
     legend(figure, top)

@@ -76,7 +76,8 @@ class Table:
         """True for the columns of words, which are set to the left."""
         columns = zip(*(row.values() for row in self.rows), strict=True)
         said = [[cell for cell in own if cell.strip("-–")] for own in columns]
-        return [2 * sum(cell[:1].isalpha() for cell in own) > len(own) for own in said]
+        bare = [[re.sub("^(over|under) ", "", cell) for cell in own] for own in said]
+        return [2 * sum(cell[:1].isalpha() for cell in own) > len(own) for own in bare]
 
     def text(self) -> str:
         """The table for a terminal: title, parts of at most 120 columns, note.
@@ -273,7 +274,7 @@ def typographic(cell: object) -> str:
     >>> typographic("-0.5 (80.1-90.2)"), typographic("-"), typographic("2026-03-18")
     ('−0.5 (80.1–90.2)', '–', '2026-03-18')
     """
-    text = re.sub(r"(?<=\.\d)-(?=\d)", "–", str(cell))
+    text = re.sub(r"(?<=\.\d)-(?=\d)", "–", str(cell)).replace(" %", "\u00a0%")
     return "–" if text == "-" else re.sub(r"(?<![\w.])-(?=\d)", "−", text)
 
 
@@ -440,7 +441,11 @@ def aligned(rows: Sequence[Sequence[str]], most: int = _WIDTH) -> list[str]:
         widths[widths.index(max(widths))] -= 1
     lines = []
     for row in rows:
-        cells = [textwrap.wrap(c, w or 1) for c, w in zip(row, widths, strict=True)]
+        # a number stays with its per cent
+        whole = (
+            textwrap.wrap(c.replace(" %", "\0%"), w or 1) for c, w in zip(row, widths, strict=True)
+        )
+        cells = [[part.replace("\0", " ") for part in parts] for parts in whole]
         for parts in zip_longest(*cells, fillvalue=""):
             own = zip(parts, widths, strict=True)
             lines.append("  ".join(part.ljust(width) for part, width in own).rstrip())

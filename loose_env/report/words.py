@@ -103,6 +103,11 @@ def together(effects: Iterable[EffectLocation]) -> str:
 
 def rivals_words(effect: NamedEffect) -> list[str]:
     """Confusable effects of one, the first by name and the others by their number."""
-    named = [effect_words(o.kind, o.where) for o in effect.ambiguous_with]
+    named = [
+        ": ".join(
+            filter(None, [effect_words(o.kind, o.where), o.values_in_words().replace("_", " ")])
+        )
+        for o in effect.ambiguous_with
+    ]
     more = len(named) - RIVALS
     return named if more < 2 else [*named[:RIVALS], f"{more} others, listed in result.json"]

@@ -428,7 +428,10 @@ def _gap_figures(result: Mapping[str, Any]) -> dict[str, Any]:
                 "variant": e["variant"],
                 "parameters": _digits(e["parameters"]),
                 "interval": _digits(e["interval_95"]),
-                "confusable": sorted(str(each) for each in e["ambiguous_with"]),
+                "confusable": sorted(
+                    str({key: each[key] for key in ("kind", "where")})
+                    for each in e["ambiguous_with"]
+                ),
                 "probability": _digits(e["probability"]),
             }
             for e in result["effects"]

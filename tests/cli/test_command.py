@@ -83,6 +83,8 @@ def test_the_help_has_the_docstrings_of_the_fields(capsys: pytest.CaptureFixture
         ("m --level mid", "--level must be one of low, high; got 'mid'"),
         ("m --arms vera vero", "--arms must be one of vera, planar; got 'vero'"),
         ("m --cuses 3", "unrecognized: --cuses 3"),
+        ("m --cases 0", "--cases must be a whole number, 1 or more; got 0"),
+        ("m --rate-hz 0", "--rate-hz must be positive and finite; got 0.0"),
     ],
 )
 def test_a_wrong_command_line_ends_in_one_line(
@@ -92,19 +94,6 @@ def test_a_wrong_command_line_ends_in_one_line(
         command("study", "", Settings, print, words.split())
     assert end.value.code == 2
     assert capsys.readouterr().err == f"study: {line}; --help lists the options\n"
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        ("m --cases 0", "--cases must be a whole number, 1 or more; got 0"),
-        ("m --rate-hz 0", "Inner.rate_hz must be positive and finite; got 0.0"),
-    ],
-)
-def test_a_value_that_cannot_be_used_ends_in_one_line(words: str, line: str) -> None:
-    with pytest.raises(SystemExit) as end:
-        command("study", "", Settings, print, words.split())
-    assert end.value.code == f"study: {line}"
 
 
 @pytest.mark.parametrize("kind", [InvalidData, OSError, ImportError, ValueError])

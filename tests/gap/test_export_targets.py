@@ -437,7 +437,7 @@ def test_results_that_cannot_be_exported_are_refused(tmp_path: Path, folder: Pat
             export_result(place, target, *settings, **urdf)
 
     refused(r"no export to 'gazebo'; there are sysid, mjlab", folder, "gazebo")
-    refused("cannot be read", tmp_path / "none", "ranges")
+    refused("there is no result", tmp_path / "none", "ranges")
     for servo in ("", "mg996r"):
         given = ExportSettings(servo=servo)
         refused(r"give --servo with one of mx64, .*xl330", folder, "bam", given)

@@ -13,6 +13,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap import (
     ChannelVerdict,
     EffectLocation,
+    FittedEffect,
     Gap,
     GapResult,
     GapSolution,
@@ -30,6 +31,7 @@ from loose_env.gap.output.result import UNIT
 from tests.gap.cases.gap_case import record, solution_for
 
 FRICTION = EffectLocation(kind="coulomb_friction", where="joint2")
+FITTED = FittedEffect(kind="coulomb_friction", where="joint2", parameters={"torque": 1.32})
 
 
 def result() -> GapResult:
@@ -41,7 +43,10 @@ def result() -> GapResult:
                 where="joint2",
                 parameters={"torque": 1.32},
                 interval_95={"torque": (1.2, 1.44)},
-                ambiguous_with=(EffectLocation(kind="backlash", where="joint2"),),
+                ambiguous_with=(
+                    FittedEffect(kind="backlash", where="joint2", parameters={"gap": 0.01},
+                                 units={"gap": "rad"}),
+                ),
                 units={"torque": "N·m"},
                 probability=0.98,
                 probability_alone=0.7,
@@ -60,9 +65,12 @@ def result() -> GapResult:
                 channel="joint2", verdict="named", effects=(FRICTION,), before=4.5, after=1.1
             ),
         ),
-        pulled=(TolerancePull(name="mass of link2", deviations=-2.4),),
+        pulled=(
+            TolerancePull(name="mass of link2", deviations=-2.4, value=-0.12, tolerance=0.05,
+                          unit="kg"),
+        ),
         held_out_runs=("run-05.parquet",),
-        ranking=(RankedSet(effects=(FRICTION,), behind=0.0, probability=0.9, source="simulation"),),
+        ranking=(RankedSet(effects=(FITTED,), behind=0.0, probability=0.9, source="simulation"),),
         residual_tests=(
             ResidualTest(
                 channel="joint2", rms=1.1, autocorrelation=0.1, whiteness_95=0.2,
@@ -95,7 +103,8 @@ def test_the_file_has_the_keys_and_words_of_the_format() -> None:
     assert effect["kind"] == "coulomb_friction" and effect["where"] == "joint2"
     assert effect["parameters"] == {"torque": 1.32}
     assert effect["interval_95"] == {"torque": [1.2, 1.44]}
-    assert effect["ambiguous_with"] == [{"kind": "backlash", "where": "joint2"}]
+    other = {"kind": "backlash", "where": "joint2", "parameters": {"gap": 0.01}}
+    assert effect["ambiguous_with"] == [other | {"units": {"gap": "rad"}}]
     assert (effect["probability"], effect["probability_alone"]) == (0.98, 0.7)
     assert plain["ranking"][0]["source"] == "simulation"
     gap = plain["gap"]
@@ -104,7 +113,8 @@ def test_the_file_has_the_keys_and_words_of_the_format() -> None:
     assert gap["by_quantity"] == {"joint torque [N·m]": [1.3, 0.1]}
     assert plain["held_out_runs"] == ["run-05.parquet"] and plain["model"] == "model.xml"
     assert plain["channels"][0]["verdict"] == "named"
-    assert plain["pulled"] == [{"name": "mass of link2", "deviations": -2.4}]
+    pull = {"name": "mass of link2", "deviations": -2.4, "value": -0.12, "tolerance": 0.05}
+    assert plain["pulled"] == [pull | {"unit": "kg"}]
     assert list(plain)[:3] == ["format", "verdict", "gap"]
 
 
@@ -142,7 +152,7 @@ def test_what_is_no_result_is_refused_with_its_place(
         GapResult.from_json(json.dumps(plain))
     with pytest.raises(InvalidData, match="no JSON"):
         GapResult.from_json("{")
-    with pytest.raises(InvalidData, match="cannot be read"):
+    with pytest.raises(InvalidData, match="there is no result"):
         read_result(tmp_path)
 
 

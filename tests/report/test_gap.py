@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 import re
 from dataclasses import replace
 from functools import partial
@@ -21,6 +22,7 @@ from loose_env.gap import (
     ChannelVerdict,
     Correlation,
     EffectLocation,
+    FittedEffect,
     Gap,
     GapResult,
     GapSolution,
@@ -68,7 +70,13 @@ FINDINGS = tuple(
     for severity in get_args(Severity)
 )  # fmt: skip
 FRICTION = EffectLocation(kind="coulomb_friction", where="elbow")
-LAG = EffectLocation(kind="actuator_lag", where="motor2")
+LAG = FittedEffect(
+    kind="actuator_lag", where="motor2", parameters={"time_constant": 0.02},
+    units={"time_constant": "s"},
+)  # fmt: skip
+PULLED = TolerancePull(
+    name="mass of upper", deviations=-2.4, value=-0.12, tolerance=0.05, unit="kg"
+)
 SHOWN = Identifiability(
     joints=(
         JointExcitation(joint="elbow", unit="rad", travel=1.2, speed=2, acceleration=9, used=0.8),
@@ -95,7 +103,7 @@ def page(solution: GapSolution) -> str:
         solution.result, identifiability=SHOWN, preflight=FINDINGS,
         warnings=("the step is coarse",),
         channels=(*solution.result.channels, *OPEN),
-        pulled=(TolerancePull(name="mass of upper", deviations=-2.4),),
+        pulled=(PULLED,),
         doubtful=(NamedEffect(kind="actuator_gain", where="motor2", parameters={"gain": 1.02},
                               doubt="held-out data do not confirm it"),),
     )  # fmt: skip
@@ -129,7 +137,7 @@ def test_everything_that_a_result_holds_stands_on_the_page(page: str) -> None:
         "cannot tell",
         "all together",
     ]
-    order += ["Simulate with model.xml", "mass of upper: 2.4"]
+    order += ["Simulate with model.xml", "mass of upper: -0.12 kg (tolerance 0.05 kg)"]
     order += ["Invalidates the result", "sensor.error", "Limits the result", "The step is coarse."]
     order += ["Notes", "measured", "The nominal model is off by ", "over its command"]
     order += ["How the joints moved", "wrist, cannot tell: move slowly."]
@@ -153,14 +161,23 @@ def test_the_headline_says_what_is_missing_and_what_is_not_explained() -> None:
         "The model lacks another gain (m0, m1, m2)."
     )
     many = tuple(replace(effects[0], kind=f"kind_{k}_of_very_many_words") for k in range(5))
-    named = tuple(replace(OPEN[0], channel=name, verdict="named") for name in ("hip", "knee"))
-    assert gap_headline(result("named", effects=many, channels=(*named, *OPEN))) == (
-        "The model lacks 5 effects at hip and knee; shoulder is unexplained."
+    named = tuple(
+        replace(OPEN[0], channel=name, verdict="named", effects=many[:2], after=after)
+        for name, after in (("hip", 1.2), ("knee", 7.0))
     )
+    assert gap_headline(result("named", effects=many, channels=(*named, *OPEN))) == (
+        "The model lacks kind 0 of very many words and kind 1 of very many words at hip and knee, "
+        "and something more at knee that nothing tried explains; shoulder is unexplained."
+    )
+    text = gap_text(result("named", effects=many, channels=named))
+    assert re.search("knee +named, more missing", text) and re.search("hip +named  ", text)
     assert gap_headline(result("unexplained", channels=OPEN)) == "Nothing tried explains shoulder."
     assert "cannot tell" in gap_headline(result("unexplained", channels=OPEN[1:]))
-    tried = replace(OPEN[0], effects=(FRICTION,))
-    assert "not named: " in gap_text(result("unexplained", channels=(tried,)))
+    tried = replace(OPEN[0], effects=(FRICTION, LAG))
+    doubt = NamedEffect(**vars(LAG), doubt="improbable")
+    assert "not named: a lag " in gap_text(
+        result("unexplained", channels=(tried,), doubtful=(doubt,))
+    )
     assert gap_headline(result("no_gap", channels=OPEN[1:])) == (
         "No model error found; the recording does not tell about wrist."
     )
@@ -168,7 +185,6 @@ def test_the_headline_says_what_is_missing_and_what_is_not_explained() -> None:
     torque = "Missing along the measured motion: joint torque 2 N·m before, 0.5 N·m after."
     assert summary_words(result("no_gap", gap=gap)) == [torque]
     assert summary_words(result("named", effects=effects, gap=gap)) == [torque]
-    assert len(summary_words(result("named", effects=many, gap=gap))) == 2
     assert ">5</td>" in gap_html(result("no_gap", gap=Gap(before=5.0, after=5.0)))
 
 
@@ -176,27 +192,36 @@ def test_every_open_question_gets_a_motion_that_answers_it() -> None:
     effect = NamedEffect(
         kind="coulomb_friction", where="joint1", parameters={"torque": 1.0},
         ambiguous_with=(
-            EffectLocation(kind="backlash", where="joint1"),
-            EffectLocation(kind="coulomb_friction", where="joint2"),
+            FittedEffect(kind="backlash", where="joint1"),
+            FittedEffect(kind="coulomb_friction", where="joint2"),
         ),
     )  # fmt: skip
-    pulled = (TolerancePull(name="mass of upper", deviations=2.4),)
-    found = result("named", effects=(effect,), channels=OPEN, pulled=pulled, identifiability=SHOWN)
+    found = result(
+        "named", effects=(effect,), channels=OPEN, pulled=(PULLED,), identifiability=SHOWN
+    )
     motions = gap_motions(found)
     assert "gravity pulling to one side" in motions[0]
     assert "move joint1 while joint2 is held" in motions[1]
     assert motions[2] == "wrist, cannot tell: move slowly."
     assert "(elbow): move at the highest speed" in motions[3]
     assert gap_motions(replace(found, channels=(), effects=())) == []
-    assert "mass of upper: 2.4 standard deviations above" in gap_steps(found)[-1]
+    assert "mass of upper: -0.12 kg" in gap_steps(found)[-1]
+    smear = replace(PULLED, value=math.nan)
+    assert smear.words == "mass of upper: -2.4 times its tolerance"
     assert "strain what you suspect" in gap_steps(result("no_gap"))[0]
 
 
 def test_what_model_xml_cannot_do_alone_is_told() -> None:
     lag = NamedEffect(kind="actuator_lag", where="motor1", parameters={"time_constant": 0.016})
     assert "fill the filter, data.act" in gap_steps(result("named", effects=(lag,)))[1]
+    late = NamedEffect(kind="sensor_delay", where="gyro", parameters={"delay": 0.01})
+    assert "gyro in data.sensordata" in gap_steps(result("named", effects=(late,)))[1]
     gain = NamedEffect(kind="sensor_gain", where="gyro", parameters={"gain": 1.1}, in_model=False)
-    assert "behaves as the nominal model" in gap_steps(result("named", effects=(gain,)))[0]
+    lacks = "model.xml lacks a sensor whose scale is off (gyro)"
+    for others, code in (((), ""), ((lag,), "reading *= 1.1")):
+        found = result("named", effects=(*others, gain), code=code)
+        assert lacks in gap_steps(found)[0] and lacks in gap_text(found)
+    assert "simulates as the nominal one" in gap_text(result("named", effects=(gain,)))
 
 
 def test_an_effect_whose_every_parameter_is_zero_is_told() -> None:
@@ -206,13 +231,12 @@ def test_an_effect_whose_every_parameter_is_zero_is_told() -> None:
     assert "mass 0 (0 to 0)" in gap_text(result("named", effects=(effect,)))
 
 
-def test_friction_without_a_peak_has_no_speed_of_it() -> None:
-    given = {"share": 0.5, "static_ratio": 1.0004, "speed": 5.08}
-    effect = NamedEffect(kind="load_friction", where="elbow", parameters=given)
-    assert "static ratio 1\n" in (text := gap_text(result("named", effects=(effect,))))
-    assert "speed" not in text.replace("grows with the load", "")
-    peak = replace(effect, parameters=given | {"static_ratio": 1.4})
-    assert "speed 5.08" in gap_text(result("named", effects=(peak,)))
+def test_a_parameter_that_is_not_determined_has_no_value() -> None:
+    effect = NamedEffect(
+        kind="load_friction", where="elbow", parameters={"share": 0.5, "speed": 5.08},
+        interval_95={"speed": (0.1, 9.0)}, undetermined=("speed",),
+    )  # fmt: skip
+    assert "speed not determined (0.1 to 9)" in gap_text(result("named", effects=(effect,)))
 
 
 def test_the_probability_is_of_a_group_and_that_of_the_named_one_stands_beside_it() -> None:
@@ -221,9 +245,10 @@ def test_the_probability_is_of_a_group_and_that_of_the_named_one_stands_beside_i
         probability_alone=0.68, ambiguous_with=(LAG,),
     )  # fmt: skip
     assert re.search(
-        r"over 99.9 % \(alone 68 %\) +torque 1 +a lag \(motor2\)",
+        r"over 99.9 % \(alone 68 %\) +torque 1 +a lag \(motor2\):",
         gap_text(result("named", effects=(effect,))),
     )
+    assert "a lag (motor2): time constant 0.02 s<" in gap_html(result("named", effects=(effect,)))
 
 
 def test_where_simulation_decided_positions_are_drawn(solution: GapSolution) -> None:
@@ -240,11 +265,11 @@ def test_samples_that_are_not_compared_are_not_drawn(solution: GapSolution) -> N
 
 def test_the_check_lists_what_is_seen_and_what_is_not() -> None:
     text = check_text(SHOWN)
-    assert "elbow  1.2" in text and "80 %" in text
-    seen, wanted = text.split("to record next:")
+    assert "elbow  1.2 rad  2 rad/s  9 rad/s²" in text and "80 %" in text
+    seen, wanted = text.split("to record next, what tells most first:")
     assert re.search(r"drag that grows with the square of the speed +any\n", seen)
     assert re.search(r"a lag +time constant 0.01 s\n", seen)
-    assert max(map(len, text.splitlines())) <= 100
+    assert max(map(len, text.splitlines())) <= 130
     assert "(elbow): move at the highest speed" in wanted
     assert "To tell a lag from late commands: command a sweep" in wanted
 

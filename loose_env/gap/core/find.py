@@ -83,7 +83,7 @@ def find_gap(
     """
     settings = settings or GapSettings()
     with silent():
-        used, held_out = _split(readable(recording, say), settings)
+        used, held_out = split_held_out(readable(recording, say), settings)
         selection = evidence_of(used, settings, say)
         say("selection of effects")
         selection, (best, *others) = relinearised(selection, settings)
@@ -257,7 +257,9 @@ def _again(balance: Balance, term: Term) -> Term:
     return found[0] if found else term
 
 
-def _split(recording: Recording, settings: GapSettings) -> tuple[Recording, Recording | None]:
+def split_held_out(
+    recording: Recording, settings: GapSettings
+) -> tuple[Recording, Recording | None]:
     """Runs to analyse, and those that a user holds out."""
     names = [run.name for run in recording.runs]
     held: set[str] = set()

@@ -178,7 +178,7 @@ class Overlay:
     channel: str  # Joint, or reading with its axis
     run: str  # File of the run
     unit: str  # Unit of the values
-    time: Array  # Times from the beginning of the stretch [s] (T,)
+    time: Array  # Times of the log, here after the run's first sample [s] (T,)
     measured: Array  # Force of the drive, or what was read (T,)
     nominal: Array  # The same as the nominal model needs or foretells it (T,)
     corrected: Array  # The same of the corrected model (T,)
@@ -189,6 +189,7 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
     balance = selection.evidence.balance
     machine, readings = balance.machine, balance.motion.stacked("readings")
     length = int(OVERLAY_S / balance.motion.step)
+    starts = np.cumsum([0, *(len(own.position) for own in balance.motion.runs)])
     found: list[tuple[float, Overlay]] = []
     for k in (channel.joint for channel in selection.evidence.channels):
         at_joint = k < len(machine.joints)
@@ -203,10 +204,11 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
         ]
         run, rows = max(stretches, key=lambda own: float(np.mean(lost[own[1]])))
         measured = balance.drive[rows, k] if at_joint else readings[rows, k - len(machine.joints)]
+        own, passed = balance.motion.runs[run], rows.start - starts[run]
         unit = "as recorded" if not at_joint else "N·m" if machine.turns(machine.joints[k]) else "N"
         overlay = Overlay(
-            channel=balance.channels[k], run=balance.motion.runs[run].name, unit=unit,
-            time=np.asarray(np.arange(len(measured)) * balance.motion.step, dtype=float),
+            channel=balance.channels[k], run=own.name, unit=unit,
+            time=own.begin + (passed + np.arange(len(measured))) * own.step,
             measured=measured, nominal=measured - before[rows, k],
             corrected=measured - after[rows, k],
         )  # fmt: skip
@@ -255,6 +257,7 @@ def simulated(
     return errors, Played(
         machine=balance.machine, trials=tuple(played.trials), channels=exact.channels,
         nominal=tuple(nominal), corrected=tuple(found),
+        begins=tuple(run.begin for run in balance.motion.runs),
     )  # fmt: skip
 
 
@@ -329,6 +332,8 @@ class Played:
     """Readings of the nominal model at the samples of each run (T, C)."""
     corrected: tuple[Array, ...]
     """Readings of the corrected model."""
+    begins: tuple[float, ...]
+    """Times of the log at which each begins, here after the run's first sample [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

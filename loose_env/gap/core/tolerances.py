@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from math import nan
 from typing import Annotated, Any
 
 import mujoco
@@ -25,7 +26,7 @@ from loose_env.gap.model.effects.mjcf import (
     inertial_of,
     set_inertial,
 )
-from loose_env.gap.model.effects.sensors import EncoderOffset, SensorDelay
+from loose_env.gap.model.effects.sensors import EncoderOffset, SensorBias, SensorDelay
 from loose_env.gap.model.hypothesis import scale
 from loose_env.gap.model.nominal_model import NominalModel, link_ends
 from loose_env.io import Checked, Positive, Rule, check_fields
@@ -122,6 +123,8 @@ class Nuisance:
     """Joint whose measured torque is scaled, and by how much; `change` has the nominal part."""
     late: tuple[int, float] | None = None
     """Actuator whose commands are shifted, and by how much [s]."""
+    size: float = nan  # One standard deviation; NaN of what has no size that one could look up
+    unit: str = ""  # Its unit
 
 
 _STABLE = 0.2
@@ -159,7 +162,9 @@ def together(balance: Balance) -> Array | float:
     return np.asarray(whole - sum(whole - other for other in others))
 
 
-def _edited(name: str, edit: Edit, balance: Balance, found: Found = ()) -> Nuisance:
+def _edited(
+    name: str, edit: Edit, size: float, unit: str, balance: Balance, found: Found = ()
+) -> Nuisance:
     """Tolerance that an edit of the spec describes, less what effects beside it change."""
     spec = with_effects(balance.machine, found)
     edit(spec, _STEP)
@@ -169,7 +174,7 @@ def _edited(name: str, edit: Edit, balance: Balance, found: Found = ()) -> Nuisa
     change = forces.with_contact(balance.directions[USUAL])
     return Nuisance(
         name=name, change=balance.change(change / _STEP), operator=forces.operator / _STEP,
-        edit=edit,
+        edit=edit, size=size, unit=unit,
     )  # fmt: skip
 
 
@@ -186,17 +191,18 @@ def _rigid(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         own = float(machine.model.body(link).mass[0])
         size = _size(machine, link)
         heavier = _sized(LinkMass(machine, link), tolerances.mass * own)
-        yield _edited(f"mass of {link}", heavier, balance, found)
+        yield _edited(f"mass of {link}", heavier, tolerances.mass * own, "kg", balance, found)
         width = min(tolerances.centre * size, tolerances.centre_m)
         for k, axis in enumerate("xyz"):
             shift = _inertial(machine, link, width * np.eye(3)[k], np.zeros((3, 3)))
-            yield _edited(f"centre of {link} along {axis}", shift, balance, found)
+            yield _edited(f"centre of {link} along {axis}", shift, width, "m", balance, found)
         moment = float(np.mean(machine.model.body(link).inertia)) + 1e-3 * own * size**2
         for row, column in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
             tensor = np.zeros((3, 3))
             tensor[row, column] = tensor[column, row] = tolerances.inertia * moment
             turned = _inertial(machine, link, np.zeros(3), tensor)
-            yield _edited(f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", turned, balance, found)
+            name, size = f"inertia {'xyz'[row]}{'xyz'[column]} of {link}", tensor[row, column]
+            yield _edited(name, turned, size, "kg·m²", balance, found)
 
 
 def _sized(effect: Effect, width: float) -> Edit:
@@ -229,21 +235,26 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     """Zero positions, rotor inertias, dampings, constant torques and shifts of torque readings."""
     machine, model = balance.machine, balance.machine.model
     for joint, name in enumerate(machine.joints):
-        shifted = _sized(EncoderOffset(machine, name), tolerances.zero)
-        yield _edited(f"zero of {name}", shifted, balance)
+        offset = EncoderOffset(machine, name)
+        shifted, unit = _sized(offset, tolerances.zero), offset.angle_unit
+        yield _edited(f"zero of {name}", shifted, tolerances.zero, unit, balance)
         for part, width in (
             ("armature", tolerances.armature),
             ("damping", tolerances.damping),
             ("frictionloss", tolerances.damping),
         ):
             if float(getattr(model, f"dof_{part}")[int(model.joint(name).dofadr[0])]) > 0:
-                yield _edited(f"{part} of {name}", _scaled(part, name, width), balance)
+                scaled = _scaled(part, name, width)
+                yield _edited(f"{part} of {name}", scaled, 100 * width, "%", balance)
         one = np.eye(len(machine.joints))[joint]
         largest = float(machine.torque_limits[joint])
         size = tolerances.offset * float(machine.load_scales[joint])
         size = max(size, tolerances.offset_of_limit * (largest if np.isfinite(largest) else 0.0))
         change = np.tile(size * one, (len(balance.drive), 1))
-        yield _shift(f"constant torque at {name}", change, balance, edit=_constant(name, -size))
+        yield _shift(
+            f"constant torque at {name}", change, balance, edit=_constant(name, -size),
+            size=-size, unit=offset.torque_unit,
+        )  # fmt: skip
         inverse = (balance.forms == "inverse") & balance.seen[:, joint]
         if inverse.any():
             gain = np.where(inverse, balance.needed[:, joint], 0.0)[:, None] * one
@@ -252,15 +263,18 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
                 change=balance.change(tolerances.torque * gain),
                 operator=tolerances.torque * balance.operator * one[:, None],
                 scaled=(joint, tolerances.torque),
+                size=100 * tolerances.torque,
+                unit="%",
             )
             log_step = balance.motion.runs[0].log_step
             # of the smear not of the reading: its noise would be smeared as well
-            for order, what, force in ((1, "shift", balance.drive), (2, "smear", balance.needed)):
+            for order, what, force in ((1, "delay", -balance.drive), (2, "smear", balance.needed)):
                 parts = balance.motion.split(force[:, joint])
                 rate = np.concatenate([rates(own, balance.motion.step, order) for own in parts])
                 width = (tolerances.shift_samples * log_step) ** order / order
                 change = np.where(inverse, np.nan_to_num(rate), 0.0)[:, None] * one
-                yield _shift(f"{what} of the torque of {name}", width * change, balance)
+                seen = {"size": width, "unit": "s"} if order == 1 else {}
+                yield _shift(f"{what} of the torque of {name}", width * change, balance, **seen)
 
 
 def _scaled(name: str, of: str, width: float) -> Edit:
@@ -275,20 +289,23 @@ def _constant(joint: str, torque: float) -> Edit:
     )
 
 
-def _late_speed(balance: Balance, actuator: str, late: float) -> Edit:
-    """Edit that feeds a speed back late, which takes the velocity gain times it off the inertia."""
+def _late_speed(balance: Balance, actuator: str, late: float) -> tuple[Edit, float]:
+    """Edit that feeds a speed back late, which takes the velocity gain times it off the inertia.
+
+    And by how much [s].
+    """
     machine = balance.machine
     model, joint = machine.model, machine.actuated_joint[actuator]
     own, number = model.actuator(actuator), machine.joint_number(joint)
-    lighter = late * abs(float(own.biasprm[2])) * float(own.gear[0]) ** 2
+    gain = abs(float(own.biasprm[2])) * float(own.gear[0]) ** 2
     # later, it would swing
-    lighter = min(lighter, _STABLE * float(balance.operator[0, number, number]))
+    late = min(late, _STABLE * float(balance.operator[0, number, number]) / gain)
 
     def edit(spec: mujoco.MjSpec, deviations: float) -> None:
         rotor = spec.joint(joint)
-        rotor.armature = max(float(rotor.armature) - deviations * lighter, 0.0)
+        rotor.armature = max(float(rotor.armature) - deviations * late * gain, 0.0)
 
-    return edit
+    return edit, late
 
 
 def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
@@ -299,15 +316,19 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for number, name in enumerate(machine.actuators):
         if machine.affine_actuators[number]:
             gain = _scaled("all_gains", name, tolerances.torque)
-            yield _edited(f"gain of {name}", gain, balance)
+            yield _edited(f"gain of {name}", gain, 100 * tolerances.torque, "%", balance)
             if machine.model.actuator_biasprm[number, 2] != 0 and name in machine.actuated_joint:
-                rate = _scaled("velocity_gain", name, tolerances.velocity_gain)
-                yield _edited(f"velocity gain of {name}", rate, balance)
+                width = tolerances.velocity_gain
+                rate = _scaled("velocity_gain", name, width)
+                yield _edited(f"velocity gain of {name}", rate, 100 * width, "%", balance)
                 late = _late_speed(balance, name, tolerances.speed_feedback_s)
-                yield _edited(f"speed feedback of {name}", late, balance)
+                yield _edited(f"delay of the speed feedback of {name}", *late, "s", balance)
         width = tolerances.shift_samples * balance.motion.runs[0].log_step
         change = width * balance.late(number, 1)
-        yield _shift(f"shift of the commands of {name}", change, balance, late=(number, width))
+        yield _shift(
+            f"delay of the commands of {name}", change, balance, late=(number, width),
+            size=width, unit="s",
+        )  # fmt: skip
         change = -(width**2) / 2 * balance.late(number, 2)
         yield _shift(f"smear of the commands of {name}", change, balance)
 
@@ -349,7 +370,8 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for name in balance.encoders:
         forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
         change = 10 * tolerances.sensor_samples * np.hstack([forces.smooth, forces.readings])
-        yield _shift(f"timing of {name}", change, balance)
+        size = tolerances.sensor_samples * step
+        yield _shift(f"delay of {name}", change, balance, size=size, unit="s")
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         shown = foretold[:, at]
@@ -359,14 +381,16 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         )
         size = float(np.sqrt(np.mean(shown**2)))
         width = tolerances.sensor_samples * step
-        changes = [("timing", -width * late), ("smear", width**2 / 2 * smeared)]
-        changes += [("gain", tolerances.sensor * shown)]
+        bias, gain = tolerances.sensor_bias * size, tolerances.sensor
+        unit = SensorBias(balance.machine, name).parameters[0].unit
+        changes = [("delay", -width * late, width, "s"), ("smear", width**2 / 2 * smeared, nan, "")]
+        changes += [("gain", gain * shown, 100 * gain, "%")]
         axes = np.eye(len(at))
-        changes += [("zero", tolerances.sensor_bias * size * axis + 0 * shown) for axis in axes]
+        changes += [("zero", bias * axis + 0 * shown, bias, unit) for axis in axes]
         if len(at) == 3:
             turned = (np.cross(shown, axis) for axis in axes)
-            changes += [("alignment", tolerances.sensor * each) for each in turned]
-        for what, own in changes:
+            changes += [("alignment", gain * each, gain, "rad") for each in turned]
+        for what, own, wide, unit in changes:
             change = np.zeros((len(foretold), joints + len(motion.sensors)))
             change[:, joints + np.array(at)] = own
-            yield _shift(f"{what} of {name}", change, balance)
+            yield _shift(f"{what} of {name}", change, balance, size=wide, unit=unit)

@@ -5,6 +5,7 @@ The file loads in any MuJoCo without this package, and lists at its head what wa
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -114,16 +115,28 @@ def correction_code(hypothesis: Hypothesis) -> str:
         ]
     if frictions:
         spec = machine.fresh()
-        hypothesis.edit(spec)
+        hypothesis.edit(spec, export=True)
         own = [float(f"{spec.joint(name).frictionloss:.6g}") for name in machine.joints]
         lines += [
             "mujoco.mj_forward(model, data)",
-            f"drive, friction = data.qfrc_actuator[dofs], np.array({own})",
+            f"friction = np.array({own})",
+            "drive = data.qfrc_actuator[dofs]",
             "load = -data.qfrc_bias[dofs]",
             *frictions,
             "model.dof_frictionloss[dofs] = friction",
         ]
-    return "\n".join((*lines, *(("# after every mj_step", *readings) if readings else ())))
+    if readings:
+        lines += ["# after every mj_step", *readings]
+    kept = ""  # without values that no line after them has
+    for line in reversed(lines):
+        name, assigned, _ = line.partition(" = ")
+        if (
+            "\n" in line
+            or not (assigned and name.isidentifier())
+            or re.search(rf"\b{name}\b", kept)
+        ):
+            kept = f"{line}\n{kept}"
+    return kept.removesuffix("\n")
 
 
 def write_model(

@@ -166,11 +166,17 @@ class _Source:
             known = carried.get(effect.kind, ())
             if lost := [] if known is _ALL else [n for n in effect.parameters if n not in known]:
                 where = "model.xml" if effect.in_model else "the code in result.json"
-                found.append(f"{_words(effect, lost)}; {remedy or f'{where} carries it'}")
+                part = _PARTLY.get(effect.kind, "") if len(lost) == len(effect.parameters) else ""
+                found.append(f"{_words(effect, lost)}{part}; {remedy or f'{where} carries it'}")
         return tuple(found)
 
 
 _ALL: tuple[str, ...] = ("*",)  # stands for all parameters of an effect
+_PARTLY = {
+    "asymmetric_friction": ": only their mean is written, as dry friction",
+    "stribeck_friction": ": only that at rest is written, as dry friction",
+}
+"""Part of an effect that the friction of a joint has where a target has none for the whole."""
 _NO_DRIVE = "no actuator drives it"
 _SAME = 1e-6  # relative difference of two gains that are the same
 

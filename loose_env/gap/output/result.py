@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any, Literal
 
@@ -35,17 +36,33 @@ class EffectLocation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NamedEffect(EffectLocation):
-    """An effect that the model lacks."""
+class FittedEffect(EffectLocation):
+    """An effect with the values that it has in some set."""
 
-    parameters: Mapping[str, float]
-    """Fitted values."""
-    interval_95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Ends of their 95 % intervals."""
-    ambiguous_with: tuple[EffectLocation, ...] = ()
-    """Effects that explain the data nearly as well in its place."""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """Fitted values; none where the set was not fitted."""
     units: Mapping[str, str] = field(default_factory=dict)
     """Unit of each parameter, "" for a ratio."""
+
+    def values_in_words(self, names: Iterable[str] | None = None) -> str:
+        """Format some of its parameters, by default all, with their units."""
+        given = self.parameters if names is None else names
+        pairs = ((name, self.parameters[name], self.units.get(name, "")) for name in given)
+        return ", ".join(f"{name} {value:.4g} {unit}".rstrip() for name, value, unit in pairs)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedEffect(FittedEffect):
+    """An effect that the model lacks."""
+
+    interval_95: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Ends of their 95 % intervals."""
+    undetermined: tuple[str, ...] = ()
+    """Parameters whose interval reaches an end of what is possible, or spans a factor of ten."""
+    ambiguous_with: tuple[FittedEffect, ...] = ()
+    """Effects that explain the data nearly as well in its place, with their values there."""
+    note: str = ""
+    """What else looks the same and is no effect of a model; "" if nothing."""
     variant: str = ""
     """Variant of the effect, "" for the default."""
     mountings: tuple[tuple[str, ...], ...] = ()
@@ -60,27 +77,24 @@ class NamedEffect(EffectLocation):
     z: float | None = None
     """Largest coefficient over its standard deviation."""
     held_out_gain: Mapping[str, float] = field(default_factory=dict)
-    """Rise of twice the log likelihood of held-out data with it: by "run" and by "stretch"."""
+    """Rise of twice the log likelihood of held-out data with it: by "run", where whole runs were
+    held out, and by "stretch" of them."""
     doubt: str = ""
     """Reason why it is not named; "" of one that is."""
 
-    def values_in_words(self, names: Iterable[str] | None = None) -> str:
-        """Format some of its parameters, by default all, with their units."""
-        given = self.parameters if names is None else names
-        return ", ".join(f"{name} {self.value_in_words(name, interval=False)}" for name in given)
-
-    def value_in_words(self, name: str, *, interval: bool = True) -> str:
-        """Format the value of a parameter with its unit and 95 % interval."""
-        ends = self.interval_95.get(name) if interval else None
-        between = "" if ends is None else f" ({ends[0]:.4g} to {ends[1]:.4g})"
-        return f"{self.parameters[name]:.4g}{between} {self.units.get(name, '')}".rstrip()
+    def value_in_words(self, name: str) -> str:
+        """Format the value of a parameter, where it is determined, with interval and unit."""
+        ends, unknown = self.interval_95.get(name), name in self.undetermined
+        value = "not determined" if unknown else f"{self.parameters[name]:.3g}"
+        between = "" if ends is None else f" ({ends[0]:.3g} to {ends[1]:.3g})"
+        return f"{value}{between} {self.units.get(name, '')}".rstrip()
 
 
 @dataclass(frozen=True, kw_only=True)
 class RankedSet:
     """A set of effects that was fitted, by what chose among the sets."""
 
-    effects: tuple[EffectLocation, ...]
+    effects: tuple[FittedEffect, ...]
     """The effects; none for the nominal model."""
     behind: float
     """Minus twice its log posterior probability above the best set's."""
@@ -136,12 +150,20 @@ class TolerancePull:
     """What the model states, such as "mass of link2"."""
     deviations: float
     """Pull in standard deviations of the tolerance."""
+    value: float = nan
+    """The same in its unit, above nominal; NaN of what has no size that one could look up."""
+    tolerance: float = nan
+    """The standard deviation in that unit."""
+    unit: str = ""
+    """The unit, "%" of a share of the nominal value."""
 
     @property
     def words(self) -> str:
         """What the data say of it."""
-        side = "above" if self.deviations > 0 else "below"
-        return f"{self.name}: {abs(self.deviations):.1f} standard deviations {side} nominal"
+        if not isfinite(self.value):
+            return f"{self.name}: {self.deviations:+.1f} times its tolerance"
+        off, width = f"{self.value:+.2g} {self.unit}", f"{self.tolerance:.2g} {self.unit}"
+        return f"{self.name}: {off.rstrip()} (tolerance {width.rstrip()})"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects import drives, elasticity, inertia, joints, sensors
 from loose_env.gap.model.nominal_model import NominalModel
+from loose_env.io import nearest
 
 Kind = TypeVar("Kind", bound=type[Effect])
 
@@ -85,7 +86,8 @@ def register(effect: Kind) -> Kind:
 def effect_class(kind: str) -> type[Effect]:
     """Class of a kind of effect; refuses one that there is not."""
     if kind not in EFFECTS:
-        raise UnknownName(f"unknown effect {kind!r}; the catalogue has {list(EFFECTS)}")
+        known = nearest(kind, [*EFFECTS]) or f"; there are {', '.join(EFFECTS)}"
+        raise UnknownName(f"unknown effect {kind!r}{known}")
     return EFFECTS[kind]
 
 
@@ -116,8 +118,10 @@ def read_effects(path: str | Path) -> tuple[str, ...]:
     file = Path(path)
     name = f"effects_of_{file.stem}"
     spec = importlib.util.spec_from_file_location(name, file)
-    if spec is None or spec.loader is None or not file.is_file():
-        raise InvalidSetting(f"{file} is no Python file with effects")
+    if not file.is_file():
+        raise InvalidSetting(f"there is no file {str(file)!r}; give a Python file with effects")
+    if spec is None or spec.loader is None:
+        raise InvalidSetting(f"{file} is no Python file; its name ends with .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # as in an import: dataclasses look there for their module
     try:

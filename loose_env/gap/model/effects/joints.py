@@ -262,6 +262,10 @@ class LoadFriction(DrivenEffect, JointEffect):
         joint.frictionloss = max(joint.frictionloss, _TRACE * self.load)
         mjcf.make_it_stick(joint, spec.option.timestep)
 
+    def export(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Make the joint stick: all of the friction comes with the code, step by step."""
+        mjcf.make_it_stick(spec.joint(self.where), spec.option.timestep)
+
     def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
         """Shares of the torques of drive and load."""
         joint, share = self.number, values[0]
