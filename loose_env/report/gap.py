@@ -304,7 +304,7 @@ def check_text(found: Identifiability) -> str:
         places = "any" if len(unseen) == len(own) else ", ".join(unseen)
         seen.append([kind_words(kind), _sizes([e for e in own if e.visible]), places])
     wanted = [textwrap.fill(line, 120, subsequent_indent="  ") for line in _wanted(found.effects)]
-    moved = [*aligned(_excitation(found)), _COMPARED]
+    moved = [*aligned(_excitation(found)), textwrap.fill(_COMPARED, 120)]
     parts = [moved, aligned(seen), ["to record next, what tells most first:", *wanted]]
     return "\n\n".join("\n".join(part) for part in parts if len(part) > 1)
 

@@ -219,8 +219,9 @@ def test_the_doctor_lists_findings_and_exits_with_one_at_errors(
     assert "1 error" in said.out.splitlines()[0]
     assert read(tmp_path / "found.json")["errors"] == 3
     refused(capsys, "doctor", str(tmp_path))
-    words = refused(capsys, "doctor", str(tmp_path), "--clock-s", "-1")
-    assert "clock_s is a positive number" in words
+    with pytest.raises(SystemExit) as ended:
+        main(["doctor", str(tmp_path), "--clock-s", "-1"])
+    assert ended.value.code == 2 and "clock_s is a positive number" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["diagnose", "gap"])
