@@ -124,7 +124,7 @@ def check_sampling(machine: Machine, run: Run) -> Iterator[Finding]:
     if not SLOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ:
         yield _NOT_SECONDS.at("time", told, rate, unit="Hz", run=run.name)
         return
-    if rate < LEAST_RATE_HZ:  # no joint is shaken so slowly
+    if round(rate, 1) < LEAST_RATE_HZ:  # no joint is shaken so slowly
         severity = "error" if run.excited else "warning"
         yield _SLOW.at("time", told, rate, unit="Hz", run=run.name, severity=severity)
     steps = np.diff(run.time) / step

@@ -29,7 +29,7 @@ _MOST_ENTRIES = 256
 """Entries of an array that are read; longer ones are images and scans."""
 _DEEPEST = 12
 _COMPRESSED = re.compile(r"compression_mode:\s*['\"]?(file|message)", re.IGNORECASE)
-_LABELS = ("name", "names", "joint_names", "label", "labels")
+_LABELS = ("name", "names", "joint_names", "interface_names", "label", "labels")
 """Fields that may name the entries of the arrays beside them."""
 Decoder = Callable[[bytes], Any]
 
@@ -155,12 +155,12 @@ def _numbers(here: Any, words: str, label: tuple[str, ...]) -> Iterator[tuple[st
         if not isinstance(value, (list, np.ndarray)):
             yield from _numbers(value, own, label)
         elif 0 < len(value) <= _MOST_ENTRIES:
+            entries = label if len(label) == len(value) else tuple(map(str, range(len(value))))
             if isinstance(value, np.ndarray):
-                numbered = tuple(map(str, range(len(value))))
-                yield own, label if len(label) == len(value) else numbered, value.tolist()
+                yield own, entries, value.tolist()
             else:
-                for i, each in enumerate(value):
-                    yield from _numbers(each, f"{own}[{i}]", label)
+                for entry, each in zip(entries, value, strict=True):
+                    yield from _numbers(each, f"{own}[{entry}]", label)
 
 
 @cache

@@ -84,14 +84,12 @@ def meaning_of(
     entry = _ENTRY.fullmatch(key.channel) if " " not in key.channel else None
     plain = key.channel if entry else _UNIT.sub("", key.channel).strip()
     numbered = _NUMBERED.fullmatch(plain)
-    base, index = plain, None
-    if entry is not None and entry[2].isdigit():
-        base, index = entry[1], int(entry[2])
-    elif numbered is not None:
-        base, index = f"{numbered[1] or ''} {numbered[3]}", int(numbered[2])
+    index = int(numbered[2]) if numbered is not None else None
     words = tuple(words_of(plain))
     joint, own = _joint_of(words, joints or {})
-    rest = tuple(w for w in words_of(base) if w not in own)
+    left = [i for i in range(len(words)) if i not in own]
+    last = max((i for i, word in enumerate(words) if word.isdigit()), default=-1)
+    rest = tuple(words[i] for i in left if i != last)
     roles = _roles(set(rest) | set(words_of(beside)) if rest or beside else set(words))
     wanted = len(rest) > 1 and rest[-1] == "d"  # q_d, tau_J_d: desired
     commanded = wanted or set(words_of(key.topic)) & _WORDS["command"]
@@ -124,27 +122,29 @@ def _roles(words: set[str]) -> list[str]:
     return [role for role, known in _WORDS.items() if words & known]
 
 
-def _joint_of(words: tuple[str, ...], joints: Mapping[str, Sequence[str]]) -> tuple[str, set[str]]:
-    """Joint that a name has, and the words by which: a whole name of it, or one it alone has."""
-    sizes = {(joint, name): _named(words, name) for joint in joints for name in joints[joint]}
-    most = max(sizes.values(), default=0)
-    if most:
-        fitting = {joint: name for (joint, name), size in sizes.items() if size == most}
-        ((joint, name),) = fitting.items() if len(fitting) == 1 else (("", ""),)
-        return joint, set(words_of(name)) | {"joint"} if joint else set()
+def _joint_of(words: tuple[str, ...], joints: Mapping[str, Sequence[str]]) -> tuple[str, set[int]]:
+    """Joint that a name has, and the places of the words by which: a whole name, or a word."""
+    found: dict[int, dict[str, set[int]]] = {}
+    for joint, names in joints.items():
+        for places in (places for name in names if (places := _named(words, name))):
+            found.setdefault(len(places), {}).setdefault(joint, places)
+    if found:
+        fitting = found[max(found)]
+        ((joint, own),) = fitting.items() if len(fitting) == 1 else (("", set[int]()),)
+        return joint, own | {i for i, word in enumerate(words) if word == "joint" and joint}
     known = set().union(*_WORDS.values()) | {"joint", "motor", "axis"}
-    own = {j: {w for name in names for w in words_of(name)} for j, names in joints.items()}
-    of = {w: [j for j in own if w in own[j]] for w in words if len(w) >= _TELLING}
+    named = {j: {w for name in names for w in words_of(name)} for j, names in joints.items()}
+    of = {w: [j for j in named if w in named[j]] for w in words if len(w) >= _TELLING}
     telling = {w: each[0] for w, each in of.items() if len(each) == 1 and w not in known}
     joint = next(iter(telling.values())) if len({*telling.values()}) == 1 else ""
-    return joint, {w for w in telling if joint}
+    return joint, {i for i, word in enumerate(words) if joint and word in telling}
 
 
-def _named(words: tuple[str, ...], joint: str) -> int:
-    """Number of words of a joint's name that a channel's words contain in a row; 0 if not all."""
+def _named(words: tuple[str, ...], joint: str) -> set[int]:
+    """Places of the words of a joint's name that a channel's contain in a row; none if not all."""
     own = [word for word in words_of(joint) if word != "joint"]
     if all(word.isdigit() for word in own):  # a number alone is a place, not a name
         own = words_of(joint)
-    span = len(own)
-    there = any(list(words[i : i + span]) == own for i in range(len(words) - span + 1))
-    return span if there and span else 0
+    starts = range(len(words) - len(own) + 1) if own else range(0)
+    return next(({*range(i, i + len(own))} for i in starts if [*words[i : i + len(own)]] == own),
+                set())  # fmt: skip

@@ -286,7 +286,8 @@ class Roles:
                     own.append(_PRIOR[s.meaning.role] + (relations[s.sort][0] if near else 0.0))
             if own:
                 score = float(np.mean(own) if vector.given else np.min(own))
-                scored.append((score + 0.5 * (vector.words == _BY_NAME), -i, vector))
+                score = round(score + 0.5 * (vector.words == _BY_NAME), 1)  # of like ones the first
+                scored.append((score, -i, vector))
         if not any(score > 0.5 for score, *_ in scored):
             scored += self._by_dynamics(scored, relations)
         for score, _, vector in sorted(scored, key=lambda each: each[:2], reverse=True):

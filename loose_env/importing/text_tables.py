@@ -228,7 +228,7 @@ def _recognised(lines: list[str], name: str) -> _Head:
     heads = [
         found
         for separator, decimal in itertools.product((",", ";", "\t", "|", " "), ".,")
-        if separator != decimal and (found := _split(lines, separator, decimal)) is not None
+        if (found := _split(lines, separator, decimal)) is not None
     ]
     if not heads:
         raise InvalidData(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -358,9 +359,29 @@ def test_names_of_joints_hold_for_all_arrays_of_a_message() -> None:
     class State:
         joint_names: list[str]
         actual: Point
+        each: list[Point]
 
-    message = State(["elbow", "pan"], Point(np.array([1.0, 2.0])))
-    assert [*_numbers(message, "", ())] == [("actual.positions", ("elbow", "pan"), [1.0, 2.0])]
+    entries = [Point(np.array([3.0])), Point(np.array([4.0]))]
+    message = State(["elbow", "pan"], Point(np.array([1.0, 2.0])), entries)
+    assert [*_numbers(message, "", ())] == [
+        ("actual.positions", ("elbow", "pan"), [1.0, 2.0]),
+        ("each[elbow].positions", ("0",), [3.0]), ("each[pan].positions", ("0",), [4.0]),
+    ]  # fmt: skip
+
+
+def test_channels_of_a_second_robot_are_another_vector(home: Path, motion: Motion) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        re.sub("|".join(JOINTS), lambda m: f"joint_{JOINTS.index(m[0]) + 1}", ARM)
+    )
+    columns = {"time": motion.time}
+    for robot, shift in ((1, 0), (2, 300)):
+        position, command = (np.roll(x, shift, axis=0) for x in (motion.position, motion.command))
+        for i in range(3):
+            columns[f"ROB_{robot} Joint {i + 1} Pos"] = position[:, i]
+            columns[f"ROB_{robot} Joint {i + 1} Ref"] = command[:, i]
+    proposal = propose([written(home / "log.csv", columns)], model)
+    taken = {e.candidate.key.channel for e in proposal.columns if not e.open}
+    assert taken == {f"ROB_1 Joint {i} {word}" for i in (1, 2, 3) for word in ("Pos", "Ref")}
 
 
 def test_a_word_that_one_joint_alone_has_names_it(home: Path, motion: Motion) -> None:
