@@ -109,13 +109,14 @@ def test_mistakes_end_in_one_line_and_write_nothing(
     other.mkdir()
     other.joinpath("notes.txt").write_text("mine")
     unread = tmp_path / "unread"
-    one = [replace(r, sensors={"encoder1": r.sensors["encoder1"]}) for r in recording.runs]
+    one = [
+        replace(r, sensors={"encoder1": r.sensors["encoder1"]}, controls={}) for r in recording.runs
+    ]
     write_recording(unread, model_xml=recording.model_path, runs=one)
     first, model = str(recording.folder), str(recording.model_path)
     for command, reason in (
         (["gap", str(tmp_path / "none"), "--out", str(out)], "there is no folder"),
         (["gap", str(tmp_path / "none"), "--out", str(other)], "notes.txt"),
-        (["gap", str(unread), "--out", str(out)], "'elbow' has no position reading"),
         (words(recording, out, "--tolerances.mass", "nan"), "--tolerances.mass must be positive"),
         (words(recording, out, "--kinds", "rust"), "--kinds: unknown effect 'rust'; there are"),
         (words(recording, out, "--kinds", "paylaod"), "did you mean 'payload'?"),
@@ -151,9 +152,10 @@ ANOTHER = (("encoder", "gauge"),)
         (lambda rows: [rows[0], *(_with(r, 1, "nan") for r in rows[1:])], (), "100.0% of 800"),
         (lambda rows: rows[:2], (), "the run has 1 sample; it needs at least 10"),
         (lambda rows: rows, FALLING, "'trunk' is no hinge and no slide; fix that body"),
+        (lambda rows: rows, (('kp="', 'kp="-'),), "the model falls or diverges"),
         (lambda rows: rows, ANOTHER, "names nothing in the model; allowed are"),
     ],
-    ids=["time stands", "no motion", "NaN", "one sample", "falls", "another machine"],
+    ids=["time stands", "no motion", "NaN", "one sample", "free", "falls", "another machine"],
 )
 def test_a_recording_that_cannot_be_analysed_ends_in_one_line(
     spoil: Callable[[list[list[str]]], list[list[str]]],

@@ -34,6 +34,7 @@ from loose_env.statistics import noise_floor
 
 Say = Callable[[str], None]
 _AGAIN = 4  # times that the rigid bodies are linearised beside what was found
+_FALLS = 10.0  # times as far as it is told that a model goes which does not hold itself
 _MOVES = 10.0  # usual encoder noise from which a motion is clear [standard deviations]
 
 
@@ -111,23 +112,43 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
     Every joint's forces depend on the position of every joint. A reading without most of the motion
     that the nominal servo makes is set aside if the other joints are explained better so; of a
     joint that stands still indeed they are not.
+
+    Raises
+    ------
+    InvalidData
+        If the nominal model falls or diverges under the commands, or no run is long enough.
     """
+    _check_runs(recording)
     machine = NominalModel(recording.spec())
     runs = [run for each in measured_runs(recording.runs, machine.model)[0] for run in each]
     read = set.intersection(*(set(run.sensors) for run in runs))
     encoders = {machine.joints.index(j): n for n, j in machine.encoders.items() if n in read}
     joints = sorted(servoed(machine, runs) & set(encoders))
-    if len(joints) < 2:
+    if not joints:
         return recording
-    moves, misses, noise = np.zeros((3, len(joints)))
+    model, drives = machine.model, {j: n for n, j in machine.actuated_joint.items()}
+    numbers = [machine.actuators.index(drives[machine.joints[k]]) for k in joints]
+    ratio = model.actuator_gainprm[numbers, 0] / model.actuator_biasprm[numbers, 1]
+    moves, misses, asked, noise = np.zeros((4, len(joints)))
     for run, own in zip(runs, motions_of_model(runs, machine, joints), strict=True):
         shown = np.stack([run.sensors[encoders[k]] for k in joints], axis=1)
+        commands = [run.controls.get(machine.actuators[k], 0 * run.time) for k in numbers]
         moves += np.var(own, axis=0)
         misses += np.nanvar(shown - own, axis=0)
+        asked += np.nanvar(shown, axis=0) + ratio**2 * np.nanvar(commands, axis=1)
         noise += [noise_floor(column) ** 2 for column in shown.T]
+    clear = _MOVES**2 * float(np.quantile(noise, 0.5, method="lower"))
+    held = moves < _FALLS**2 * (asked + clear)
+    far = [machine.joints[k] for k, own in zip(joints, held, strict=True) if not own]
+    if far:
+        raise InvalidData(
+            f"under the commands the model's {far[0]} moves more than {_FALLS:g} times as far as "
+            "they and the readings: the model falls or diverges; check gains and signs of its "
+            "drives, and the unit of the commands"
+        )
     doubtful = [
         k for k, *own in zip(joints, moves, misses, strict=True)
-        if own[1] > own[0] / 2 > _MOVES**2 * np.quantile(noise, 0.5, method="lower")
+        if own[1] > own[0] / 2 > clear
     ]  # fmt: skip
 
     def left(tried: Recording) -> float:

@@ -187,7 +187,7 @@ def servoed(machine: NominalModel, runs: Iterable[Run]) -> set[int]:
     """Joints that a position servo of the model holds, if commands drive all runs."""
     if any(run.comparison != "forward" for run in runs):
         return set()
-    holds = machine.affine_actuators & (machine.model.actuator_biasprm[:, 1] < 0)
+    holds = machine.affine_actuators & (machine.model.actuator_biasprm[:, 1] != 0)
     return {machine.joint_number(machine.actuated_joint[name])
             for name, own in zip(machine.actuators, holds, strict=True)
             if own and name in machine.actuated_joint}  # fmt: skip
