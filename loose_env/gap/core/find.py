@@ -23,7 +23,7 @@ from loose_env.gap.core.decision import (
 )
 from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import LARGE, Exact, ExactFit, open_joints, pool_of
-from loose_env.gap.core.motion import LOWEST_HZ, motions_of_model, servoed, smooth
+from loose_env.gap.core.motion import LOWEST_HZ, motions_of_model, servo_share, servoed, smooth
 from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
 from loose_env.gap.core.tolerances import GapSettings, nuisances
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
@@ -126,25 +126,23 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
     joints = sorted(servoed(machine, runs) & set(encoders))
     if not joints:
         return recording
-    model, drives = machine.model, {j: n for n, j in machine.actuated_joint.items()}
-    numbers = [machine.actuators.index(drives[machine.joints[k]]) for k in joints]
-    ratio = model.actuator_gainprm[numbers, 0] / model.actuator_biasprm[numbers, 1]
+    names = {machine.joint_number(j): n for n, j in machine.actuated_joint.items()}
+    drives = [names[k] for k in joints]
+    ratio = np.array([servo_share(machine, name) for name in drives])
     moves, misses, asked, noise = np.zeros((4, len(joints)))
     for run, own in zip(runs, motions_of_model(runs, machine, joints), strict=True):
         shown = np.stack([run.sensors[encoders[k]] for k in joints], axis=1)
-        commands = [run.controls.get(machine.actuators[k], 0 * run.time) for k in numbers]
+        commands = [run.controls.get(name, 0 * run.time) for name in drives]
         moves += np.var(own, axis=0)
         misses += np.nanvar(shown - own, axis=0)
         asked += np.nanvar(shown, axis=0) + ratio**2 * np.nanvar(commands, axis=1)
         noise += [noise_floor(column) ** 2 for column in shown.T]
     clear = _MOVES**2 * float(np.quantile(noise, 0.5, method="lower"))
-    held = moves < _FALLS**2 * (asked + clear)
-    far = [machine.joints[k] for k, own in zip(joints, held, strict=True) if not own]
-    if far:
+    if not np.sum(moves) < _FALLS**2 * np.sum(asked + clear):
         raise InvalidData(
-            f"under the commands the model's {far[0]} moves more than {_FALLS:g} times as far as "
-            "they and the readings: the model falls or diverges; check gains and signs of its "
-            "drives, and the unit of the commands"
+            f"under these commands the joints of the model move more than {_FALLS:g} times as far "
+            "as they are told and as was read: the model falls or diverges; check gains and signs "
+            "of its drives, and the unit of the commands"
         )
     doubtful = [
         k for k, *own in zip(joints, moves, misses, strict=True)

@@ -193,6 +193,13 @@ def servoed(machine: NominalModel, runs: Iterable[Run]) -> set[int]:
             if own and name in machine.actuated_joint}  # fmt: skip
 
 
+def servo_share(machine: NominalModel, actuator: str) -> float:
+    """Position to which a servo leads its joint, per command [rad, m]; 0 where it leads nowhere."""
+    number = machine.actuators.index(actuator)
+    stiffness = machine.model.actuator_biasprm[number, 1] * machine.model.actuator_gear[number, 0]
+    return float(-machine.model.actuator_gainprm[number, 0] / stiffness) if stiffness else 0.0
+
+
 def motions_of_model(
     runs: Sequence[Run], machine: NominalModel, joints: Sequence[int]
 ) -> list[Array]:
@@ -212,7 +219,12 @@ def motions_of_model(
         for k, joint in enumerate(machine.joints):
             own = [name for name in encoders[joint].position if name in run.sensors]
             first = run.sensors[own[0]][0] if own else np.nan
-            start[k] = first if np.isfinite(first) and k not in joints else start[k]
+            start[k] = first if np.isfinite(first) else start[k]
+        for name, joint in machine.actuated_joint.items():
+            if (k := machine.joint_number(joint)) in joints:  # what it reads may be nonsense
+                start[k] = (
+                    servo_share(machine, name) * trial.controls[0, machine.actuators.index(name)]
+                )
         trials.append(replace(trial, position=start, resting=True))
     return Simulator(machine, trials, channels, threads=1).predict([Hypothesis()])[0]
 
