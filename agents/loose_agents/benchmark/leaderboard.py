@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.base import hypothesis_prior
-from loose_agents.benchmark.episodes import HIDDEN, SETS, TASKS, task_problem
+from loose_agents.benchmark.episodes import ENGINE, HIDDEN, SETS, TASKS, task_problem
 from loose_agents.benchmark.results import Results, read_results
 from loose_agents.sharded_play import bound_of
 from loose_env.envs import difficulty_named
@@ -94,14 +94,16 @@ def leaderboard(results: Sequence[Results]) -> str:
         if not own:
             continue
         lines = [_HEAD, "|---|" + "---:|" * (_HEAD.count("|") - 2), *agent_rows(own)]
-        parts.append(f"### {task}\n\n" + "\n".join(lines) + _bound_words(task, own))
+        table = "\n".join(lines) + _bound_words(task, own)
+        parts.append(f"### {task}\n\nOn the {ENGINE} engine:\n\n{table}")
         hidden = _entries(results, task, HIDDEN)
         if hidden:
             lines[2:] = agent_rows(hidden)
-            parts.append("On the hidden set:\n\n" + "\n".join(lines))
+            parts.append(f"On the hidden set, {ENGINE} engine:\n\n" + "\n".join(lines))
     outside = outside_table(results)
     if outside:
-        parts.append(f"### Out of distribution\n\n{outside}")
+        words = f"On the {ENGINE} engine, two faults at once on MuJoCo:"
+        parts.append(f"### Out of distribution\n\n{words}\n\n{outside}")
     return "\n\n".join(parts)
 
 
