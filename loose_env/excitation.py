@@ -324,7 +324,7 @@ class SeatDrive:
     Parameters
     ----------
     linear : LinearArm
-        The nominal arm; with rotations if `twist` is to be asked.
+        The nominal arm.
     poses : int
         Number of poses.
     over : {"median", "best"}
@@ -349,7 +349,7 @@ class SeatDrive:
             while len(_DRIVES) >= _REMEMBERED:
                 del _DRIVES[next(iter(_DRIVES))]  # the oldest
             _DRIVES[key] = _seat_powers(linear, poses)
-        self._slide, self._hinge, self._twist = _DRIVES[key]
+        self._slide, self._hinge = _DRIVES[key]
 
     def slide(self, link: int, direction: tuple[float, ...]) -> float:
         """Rms force across the slide of a link along a direction of its frame [N]."""
@@ -364,26 +364,6 @@ class SeatDrive:
         """Rms torque across the play of a joint [N·m, N where it slides]."""
         return self._of_poses(np.sqrt(self._hinge[:, :, joint - 1].max(axis=1)))
 
-    def twist(self, link: int, twist: Array) -> float:
-        """Rms force or torque across a seat of a link that moves it by a twist [N or N·m].
-
-        Parameters
-        ----------
-        link : int
-            Link, from 1 at the base.
-        twist : ndarray (t,)
-            As `loose_env.faults.twist_of` has it.
-
-        Raises
-        ------
-        InvalidSetting
-            If the linear arm has no rotations.
-        """
-        if self._twist is None:
-            raise InvalidSetting("for twists give a LinearArm(arm, rotations=True)")
-        power = np.einsum("a,pjab,b->pj", twist, self._twist[:, :, link - 1], twist)
-        return self._of_poses(np.sqrt(power.max(axis=1)))
-
 
 def _best(values: Array) -> float:
     return float(values.max())
@@ -395,7 +375,7 @@ def _median(values: Array) -> float:
     return float(ordered[half]) if len(values) % 2 else float(ordered[half - 1 : half + 1].mean())
 
 
-_Powers = tuple[Array, Array, Array | None]
+_Powers = tuple[Array, Array]
 _DRIVES: dict[tuple[bytes, int], _Powers] = {}
 """Powers by arm and number of poses: every environment and agent of an arm asks for them."""
 _REMEMBERED = 32
@@ -407,22 +387,20 @@ def _digest(linear: LinearArm) -> bytes:
     del figures["spec"], figures["rigid"]  # compiled into the model; no part of the answers
     model = np.empty(mujoco.mj_sizeModel(linear.model), dtype=np.uint8)
     mujoco.mj_saveModel(linear.model, None, model)
-    words = repr((figures, linear.rotations, len(linear.frequency)))
+    words = repr((figures, len(linear.frequency)))
     return sha256(model.tobytes() + words.encode()).digest()
 
 
 def _seat_powers(linear: LinearArm, poses: int) -> _Powers:
-    """Mean square force across slides, torque across joints and both across twists, by pose.
+    """Mean square force across slides (poses, n, n, s, s), and torque across joints (poses, n, n).
 
-    Of shapes (poses, n, n, s, s), (poses, n, n) and (poses, n, n, t, t), None without rotations;
-    the second axis is the excited joint.
+    The second axis is the excited joint.
     """
     arm = linear.arm
     rng = np.random.default_rng(0)
-    axes, motions = linear.slide_dofs.shape[1], linear.twist_dofs.shape[1]
+    axes = linear.slide_dofs.shape[1]
     slides = np.zeros((poses, arm.n, arm.n, axes, axes))
     hinges = np.zeros((poses, arm.n, arm.n))
-    twists = np.zeros((poses, arm.n, arm.n, motions, motions)) if linear.rotations else None
     for p in range(poses):
         at = linear.at(arm.random_pose(rng))
         for j in range(arm.n):
@@ -436,8 +414,4 @@ def _seat_powers(linear: LinearArm, poses: int) -> _Powers:
             outer = np.einsum("kia,kib->iab", slide, slide.conj()).real
             slides[p, j] = power * outer / len(slide)
             hinges[p, j] = power * np.mean(np.abs(answer.hinge[..., 0]) ** 2, axis=0)
-            if twists is not None and answer.twist is not None:
-                twist = answer.twist[..., 0]
-                outer = np.einsum("kia,kib->iab", twist, twist.conj()).real
-                twists[p, j] = power * outer / len(twist)
-    return slides, hinges, twists
+    return slides, hinges

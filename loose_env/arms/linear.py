@@ -36,17 +36,6 @@ class OpenResponse:
     """As `joint_open_slide`, for play in a joint, (K, m, n)."""
     inertia_hinge: ComplexArray
     """Apparent inertia seen by the joints' link sides [kg·m², kg where it slides], (K, n)."""
-    tool_open_twist: ComplexArray | None = None
-    """As `tool_open_slide`, for slides and rotations of links, (K, d, n, t); None without."""
-    joint_open_twist: ComplexArray | None = None
-    """As `joint_open_slide`, for slides and rotations of links, (K, m, n, t); None without."""
-    mass_twist: ComplexArray | None = None
-    """Apparent mass of slides and rotations of links [kg, kg·m, kg·m²], (K, n, t, t)."""
-
-    def __getitem__(self, k: int) -> OpenResponse:
-        """Response in one pose of several."""
-        own = {name: None if part is None else part[k] for name, part in vars(self).items()}
-        return OpenResponse(**own)  # type: ignore[arg-type]
 
 
 def inertance_rate(timestep: float) -> float:
@@ -78,9 +67,6 @@ def solved(stiffness: ComplexArray, force: ComplexArray) -> ComplexArray:
         stiffness[p, p + 1 :] = ahead
         force[p] = known
     return force
-
-
-_TURNS = {2: (5,), 3: (3, 4, 5)}  # rotations among the six motions of a link: in plane, in space
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,16 +105,6 @@ class Response:
         n, axes = self.pose.linear.slide_dofs.shape
         return self._transmitted[:, n * axes : n * axes + n]
 
-    @property
-    def twist(self) -> ComplexArray | None:
-        """Load through each shut seat per torque (K, n links, t, m); None without rotations.
-
-        Forces, then moments about the link frame's origin [N or N·m per N·m]; see
-        `LinearArm.twist_dofs`.
-        """
-        linear = self.pose.linear
-        return self._transmitted[:, linear.twists] if linear.rotations else None
-
     @cached_property
     def _transmitted(self) -> ComplexArray:
         return np.asarray(self.pose.alone.transmitted(self.acceleration[None])[0])
@@ -146,15 +122,6 @@ class LinearArm:
         band, 240 where the arm has bending modes of its own or is held by servos.
     remember : int
         Number of poses whose answers are kept.
-    rotations : bool
-        Whether links may rotate on their flanges as well. Slower; all other answers are the
-        same to rounding.
-
-    Raises
-    ------
-    InvalidSetting
-        If a link has joints of its own beside the seat and ``rotations`` is asked for: a body of
-        MuJoCo moves in six ways at most.
 
     Examples
     --------
@@ -164,16 +131,11 @@ class LinearArm:
     (2, 2)
     """
 
-    def __init__(
-        self, arm: Arm, *, points: int | None = None, remember: int = 512, rotations: bool = False
-    ) -> None:
+    def __init__(self, arm: Arm, *, points: int | None = None, remember: int = 512) -> None:
         self.arm = arm
-        self.rotations = rotations
         spec = arm.spec.copy()
         sliding = np.eye(3)[: len(arm.axes)]
-        # Play that the link's slides and turns already hold is made of them.
-        made = arm.sliding | rotations
-        turning = np.eye(3)[3 - len(_TURNS[len(arm.axes)]) :] if rotations else np.zeros((0, 3))
+        made = arm.sliding  # play that the link's slides already hold is made of them
         for i, (body_name, joint_name) in enumerate(
             zip(arm.seat_bodies, arm.joints, strict=True), start=1
         ):
@@ -185,35 +147,21 @@ class LinearArm:
                     axis=joint.axis,
                     pos=joint.pos,
                 )
-            if rotations and len(body.joints) + len(sliding) + len(turning) > 6:
-                raise InvalidSetting(
-                    f"link {i} of arm {arm.name!r} has joints of its own; its rotations cannot be "
-                    "added: put these joints on a body of their own"
-                )
             for k, axis in enumerate(sliding):
                 body.add_joint(
                     name=f"open_slide{i}_{k}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(axis)
-                )
-            for k, axis in enumerate(turning):
-                body.add_joint(
-                    name=f"open_turn{i}_{k}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=list(axis)
                 )
         self.model = model = spec.compile()
         self._data = mujoco.MjData(model)
         address = {model.joint(j).name: model.joint(j).dofadr[0] for j in range(model.njnt)}
         self.joint_dofs = np.array([address.pop(j) for j in arm.joints], dtype=np.intp)
         places = range(1, arm.n + 1)
-
-        def seats(kind: str, axes: int) -> NDArray[np.intp]:
-            each = [[address.pop(f"open_{kind}{i}_{k}") for k in range(axes)] for i in places]
-            return np.array(each, dtype=np.intp).reshape(arm.n, axes)
-
-        self.slide_dofs = seats("slide", len(sliding))
-        self.turn_dofs = seats("turn", len(turning))
+        slides = [[address.pop(f"open_slide{i}_{k}") for k in range(len(sliding))] for i in places]
+        self.slide_dofs = np.array(slides, dtype=np.intp)
         self.hinge_dofs = np.asarray(model.nv - 1 + np.cumsum(made), dtype=np.intp)
         for joint in np.flatnonzero(~made):
             self.hinge_dofs[joint] = address.pop(f"open_hinge{joint + 1}")
-        # Play made of slides and rotations of the link (nv, joints); None where no joint has it.
+        # Play made of slides of the link (nv, joints); None where no joint has it.
         self.play = self._play_columns(np.flatnonzero(made)) if made.any() else None
         self.flexible_dofs = np.array(sorted(address.values()), dtype=np.intp)
         self.tool = model.site(arm.tool).id
@@ -232,15 +180,6 @@ class LinearArm:
         other.__dict__.pop("_joint_stiffness", None)
         return other
 
-    @property
-    def twist_dofs(self) -> NDArray[np.intp]:
-        """Slides, then rotations of each link about its frame's origin (n, t).
-
-        With rotations t is 3 in the plane (x, y, the turn about z) and 6 in space, which are the
-        coordinates of `loose_env.faults.twist_of`.
-        """
-        return np.concatenate([self.slide_dofs, self.turn_dofs], axis=1)
-
     @cached_property
     def moving(self) -> NDArray[np.intp]:
         """Degrees of freedom that answer: joints, then bending modes (v,)."""
@@ -248,21 +187,8 @@ class LinearArm:
 
     @cached_property
     def seats(self) -> NDArray[np.intp]:
-        """Degrees of freedom of all seats: slides, link sides of joints, then rotations."""
-        return np.concatenate([self.slide_dofs.ravel(), self.hinge_dofs, self.turn_dofs.ravel()])
-
-    @cached_property
-    def twists(self) -> NDArray[np.intp]:
-        """Indices of each link's slides and rotations among the seats (n, t)."""
-        slides, turns = self.slide_dofs, self.turn_dofs
-        first = slides.size + len(self.hinge_dofs)
-        return np.concatenate(
-            [
-                np.arange(slides.size).reshape(slides.shape),
-                first + np.arange(turns.size).reshape(turns.shape),
-            ],
-            axis=1,
-        )
+        """Degrees of freedom of all seats: slides, then link sides of joints."""
+        return np.concatenate([self.slide_dofs.ravel(), self.hinge_dofs])
 
     @property
     def springs(self) -> tuple[Array, Array]:
@@ -280,13 +206,8 @@ class LinearArm:
         model, bare = self.model, self.arm.model
         columns = np.zeros((model.nv, len(joints)))
         for column, i in enumerate(joints):
-            joint = bare.joint(self.arm.joints[i])
-            twist = np.concatenate([joint.axis, np.zeros(3)])
-            if not self.arm.sliding[i]:
-                twist = np.concatenate([np.cross(joint.pos, joint.axis), joint.axis])
-            kept = [*range(self.slide_dofs.shape[1]), *_TURNS[len(self.arm.axes)]]
-            # Without rotations only the slides are there; a sliding joint needs no more.
-            columns[self.twist_dofs[i], column] = twist[kept][: self.twist_dofs.shape[1]]
+            axis = bare.joint(self.arm.joints[i]).axis
+            columns[self.slide_dofs[i], column] = axis[: self.slide_dofs.shape[1]]
         return columns
 
     def at(self, pose: Sequence[float] | Array) -> LinearPose:
@@ -488,7 +409,7 @@ class LinearPoses:
         apparent: Any = coupling.mT[:, None] @ by_seat + own[:, None]
         ns = n * axes
         blocks = apparent[:, :, :ns, :ns].reshape(b, count, n, axes, n, axes)
-        hinges, at = slice(ns, ns + n), lin.twists
+        hinges = slice(ns, ns + n)
         driven = np.nonzero(excited)[1].reshape(b, 1, -1, 1)
         joint: Any = np.take_along_axis(by_seat, driven, axis=2)
         return OpenResponse(
@@ -498,9 +419,6 @@ class LinearPoses:
             tool_open_hinge=tool[..., hinges],
             joint_open_hinge=joint[..., hinges],
             inertia_hinge=np.einsum("bkii->bki", apparent[..., hinges, hinges]),
-            tool_open_twist=tool[..., at] if lin.rotations else None,
-            joint_open_twist=joint[..., at] if lin.rotations else None,
-            mass_twist=apparent[..., at[:, :, None], at[:, None, :]] if lin.rotations else None,
         )
 
 
@@ -558,7 +476,3 @@ class LinearPose:
             acceleration, tool = self.alone.responses(np.array([mask]))
             self.remembered[mask] = Response(pose=self, acceleration=acceleration[0], tool=tool[0])
         return self.remembered[mask]
-
-    def open_response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> OpenResponse:
-        """Return the answer through every seat, with the given joints excited."""
-        return self.alone.open_responses(np.array([excited], dtype=bool))[0]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from loose_env.arms import LinearArm
 from loose_env.diagnosis import shut_seats
 from loose_env.envs import FaultSampler
-from loose_env.excitation import SeatDrive, at_levels
+from loose_env.excitation import at_levels
 from loose_env.faults import (
     Backlash,
     Fault,
@@ -23,7 +23,6 @@ from loose_env.faults import (
     StructuralLooseness,
     gaps_of,
     parts_of,
-    twist_of,
 )
 
 
@@ -86,7 +85,8 @@ class FaultParameters:
     friction_ratio: float | None = None
     """Rms seat drive of the top level over the friction, of the part that is driven best [1].
 
-    Below one the strongest shaking hardly moves the seat, and the fault looks healthy."""
+    Below one the strongest shaking hardly moves the seat, and the fault looks healthy. None of a
+    link that rocks."""
     opening_ratio: float | None = None
     """The same over friction and gravity's load together, all joints shaken, in the best of some
     poses; None for faults with several parts. Below one nothing opens the seat anywhere."""
@@ -130,7 +130,7 @@ def fault_parameters(sampler: FaultSampler, fault: Fault) -> FaultParameters:
     return FaultParameters(
         gap=float(max(gaps_of(fault))),
         friction=float(best.friction),
-        friction_ratio=ratio,
+        friction_ratio=ratio or None,
         opening_ratio=_openness(sampler).ratio(fault),
         direction=direction,
     )
@@ -158,15 +158,8 @@ def _openness(sampler: FaultSampler) -> SeatOpenness:
     return SeatOpenness(sampler.linear)
 
 
-@lru_cache(maxsize=4)
-def _rocking(sampler: FaultSampler) -> SeatDrive:
-    """Drive of seats that rock."""
-    linear = LinearArm(sampler.arm, points=len(sampler.linear.frequency), rotations=True)
-    return SeatDrive(linear, over=sampler.difficulty.friction_over)
-
-
 def _ratio(sampler: FaultSampler, part: SinglePart) -> float:
-    """Rms seat drive of the top level over the friction of one part."""
+    """Rms seat drive of the top level over the friction of one part; 0 of one that rocks."""
     assert not isinstance(part, (Healthy, Preload))
     if part.friction == 0:
         return math.inf
@@ -175,5 +168,5 @@ def _ratio(sampler: FaultSampler, part: SinglePart) -> float:
     elif isinstance(part, StructuralLooseness):
         drive = sampler.drive.slide(part.link, part.direction)
     else:
-        drive = _rocking(sampler).twist(part.link, twist_of(sampler.arm, part))
+        return 0.0  # what drives it is not worked out
     return float(drive / part.friction)
