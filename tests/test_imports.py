@@ -84,7 +84,7 @@ ENTRY_POINTS = {
     "envs": ("DiagnosisEnv", "DiagnosisSettings", "DiagnosisVectorEnv", "Difficulty"),
     "evaluation": ("paired_difference", "standings", "wilson"),
     "faults": ("hypotheses", "seated_spec"),
-    "gap": ("try_effect", "GapSettings", "Parameter", "explain_gap", "read_result", "register"),
+    "gap": ("try_effect", "GapSettings", "Parameter", "solve_gap", "read_result", "register"),
     "importing": ("propose", "read_mapping"),
     "instrument": ("diagnose", "plan", "read_arm"),
     "kinematics": ("geometric_jacobian",),

@@ -13,7 +13,6 @@ from loose_env.gap.core.tolerances import GapSettings, Tolerances
 from loose_env.gap.explain import (
     GapSolution,
     check_gap,
-    explain_gap,
     solve_gap,
     try_effect,
     write_gap,
@@ -100,7 +99,6 @@ __all__ = [
     "choose_next",
     "effect_class",
     "effect_words",
-    "explain_gap",
     "export_result",
     "find_gap",
     "how_to_see",

@@ -112,54 +112,6 @@ Report = Callable[[Path, GapSolution], Path | None]
 """Writes a report into a folder; returns its file, or None where it cannot be made."""
 
 
-def explain_gap(
-    recording: Recording,
-    settings: GapSettings | None = None,
-    *,
-    folder: str | Path | None = None,
-    say: Say = lambda _: None,
-) -> GapResult:
-    """Identify effects that a model lacks, and the reduction of the residual.
-
-    Parameters
-    ----------
-    recording : Recording
-        Measured runs and the nominal model.
-    settings : GapSettings, optional
-        Settings of the comparison.
-    folder : str or Path, optional
-        Gets ``model.xml``, the corrected model with the files it needs, and ``result.json``; made
-        where there is none. By default nothing is written.
-    say : callable
-        Receives progress messages, line by line.
-
-    Returns
-    -------
-    GapResult
-        Content of ``result.json``. `loose_env.explain_gap` also shows it, as text and in notebooks.
-
-    Raises
-    ------
-    InvalidData
-        If the position of a joint was not read, no joint moves, or the corrected model does not
-        compile.
-
-    Examples
-    --------
-    Some seconds, on a recording of one's own:
-
-    >>> from loose_env.recording import read_recording
-    >>> result = explain_gap(read_recording("recordings/arm"))  # doctest: +SKIP
-    >>> result.verdict, [(effect.kind, effect.where) for effect in result.effects]
-    ... # doctest: +SKIP
-    ('named', [('coulomb_friction', 'joint2')])
-    """
-    solution = solve_gap(recording, settings, say=say)
-    if folder is not None:
-        write_gap(folder, solution, say=say)
-    return solution.result
-
-
 def solve_gap(
     recording: Recording,
     settings: GapSettings | None = None,
@@ -167,19 +119,33 @@ def solve_gap(
     preflight: Sequence[Preflight] = (),
     say: Say = lambda _: None,
 ) -> GapSolution:
-    """Compare a recording with its model, with all that result and report need.
+    """Identify effects that a model lacks, with all that result and report need.
 
     Parameters
     ----------
-    recording, settings, say
-        As of `explain_gap`.
+    recording : Recording
+        Measured runs and the nominal model.
+    settings : GapSettings, optional
+        Settings of the comparison.
     preflight : sequence of Finding
         What `loose_env.doctor` found in the recording.
+    say : callable
+        Receives progress messages, line by line.
 
     Raises
     ------
     InvalidData
         If the position of a joint was not read, or no joint moves.
+
+    Examples
+    --------
+    Some seconds, on a recording of one's own; `loose_env.explain_gap` also shows the result:
+
+    >>> from loose_env.recording import read_recording
+    >>> result = solve_gap(read_recording("recordings/arm")).result  # doctest: +SKIP
+    >>> result.verdict, [(effect.kind, effect.where) for effect in result.effects]
+    ... # doctest: +SKIP
+    ('named', [('coulomb_friction', 'joint2')])
     """
     begun = time.monotonic()
     answer = find_gap(recording, settings, say=say)
@@ -258,7 +224,7 @@ def check_gap(
     Parameters
     ----------
     recording, settings, say
-        As of `explain_gap`.
+        As of `solve_gap`.
 
     Raises
     ------

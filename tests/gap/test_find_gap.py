@@ -14,7 +14,6 @@ from loose_env.gap import (
     GapSettings,
     Tolerances,
     check_gap,
-    explain_gap,
     find_gap,
     solve_gap,
     try_effect,
@@ -40,7 +39,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 def test_missing_friction_of_a_servoed_arm_is_named_with_its_value(recording: Recording) -> None:
-    result = explain_gap(recording, ONE)
+    result = solve_gap(recording, ONE).result
     assert result.verdict == "named"
     (friction,) = result.effects
     assert (friction.kind, friction.where) == ("coulomb_friction", "elbow")
@@ -61,7 +60,7 @@ def test_a_payload_is_named_in_a_torque_log(tmp_path: Path) -> None:
         shift = 1.0 * 0.5 / 1.5 * (0.25 - 0.12) ** 2
         lower.inertia = [0.003, 0.008 + shift, 0.008 + shift]
 
-    result = explain_gap(torque_log(tmp_path / "log", edit), ONE)
+    result = solve_gap(torque_log(tmp_path / "log", edit), ONE).result
     assert [(e.kind, e.where) for e in result.effects] == [("payload", "tool")]
     assert result.effects[0].parameters["mass"] == pytest.approx(0.5, rel=0.1)
     assert set(result.gap.by_quantity) == {"joint torque [N·m]"}
@@ -78,7 +77,7 @@ def test_commands_that_a_torque_log_lacks_put_no_drive_at_its_limit(tmp_path: Pa
 
 
 def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
-    result = explain_gap(record(tmp_path / "whole", edit=lambda spec: None), ONE)
+    result = solve_gap(record(tmp_path / "whole", edit=lambda spec: None), ONE).result
     assert result.verdict == "no_gap" and not result.effects and not result.doubtful
     assert {each.verdict for each in result.channels} == {"not needed"}
     assert result.gap.after < 1.6 and all(test.rms < 1.6 for test in result.residual_tests)
@@ -101,7 +100,7 @@ def test_runs_that_are_held_out_are_predicted_alone(recording: Recording) -> Non
     assert [run.name for run in solution.answer.recording.runs] == ["run-01.csv", "run-02.csv"]
     assert solution.played is not None
     assert [trial.name for trial in solution.played.trials] == ["run-03.csv"]
-    assert not explain_gap(recording, FEW).held_out_runs
+    assert not solve_gap(recording, FEW).result.held_out_runs
 
 
 def test_the_check_says_what_could_be_seen(recording: Recording) -> None:
@@ -231,7 +230,7 @@ def test_the_stretch_that_is_shown_of_a_joint_is_one_in_which_it_moves(
 def test_a_name_of_the_model_may_be_anything(tmp_path: Path) -> None:
     folder = tmp_path / "odd"
     record(folder, suffix=" (a)", edit=lacks_friction(" (a)"))
-    result = explain_gap(read_recording(folder), FEW)
+    result = solve_gap(read_recording(folder), FEW).result
     assert [effect.where for effect in result.effects] == ["elbow (a)"]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap import GapSettings, explain_gap
+from loose_env.gap import GapSettings, solve_gap
 from loose_env.gap.core.followers import Followers
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Recording, Run, write_recording
@@ -84,7 +84,9 @@ def test_dry_friction_is_found_beside_followers_and_tendons(
     tmp_path: Path, xml: str, joint: str, friction: float
 ) -> None:
     kinds = ("coulomb_friction", "viscous_friction", "actuator_gain", "payload", "command_delay")
-    found = explain_gap(recorded(tmp_path, xml, friction), GapSettings(kinds=kinds, simulate=False))
+    found = solve_gap(
+        recorded(tmp_path, xml, friction), GapSettings(kinds=kinds, simulate=False)
+    ).result
     assert [(e.kind, e.where) for e in found.effects] == [("coulomb_friction", joint)]
     assert found.effects[0].parameters["torque"] == pytest.approx(friction, rel=0.05)
 

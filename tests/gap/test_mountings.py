@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import tests.gap.cases.gap_case as gap_case
-from loose_env.gap import GapSettings, explain_gap
+from loose_env.gap import GapSettings, solve_gap
 from loose_env.recording import Recording
 from tests.gap.cases.gap_case import torque_log
 
@@ -43,7 +43,7 @@ def test_a_payload_of_some_runs_is_said_of_these(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = mixed(tmp_path, [carries(0.5), bare, carries(0.5), bare], monkeypatch)
-    found = explain_gap(recording, GapSettings(threads=1))
+    found = solve_gap(recording, GapSettings(threads=1)).result
     (effect,) = found.effects
     names = [run.name for run in recording.runs]
     assert effect.kind == "payload" and effect.mountings == ((names[0], names[2]),)
@@ -54,6 +54,6 @@ def test_a_payload_of_some_runs_is_said_of_these(
 def test_where_all_runs_are_alike_no_run_is_said(
     edits: list[Edit], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = explain_gap(mixed(tmp_path, edits, monkeypatch), GapSettings(threads=1))
+    found = solve_gap(mixed(tmp_path, edits, monkeypatch), GapSettings(threads=1)).result
     assert not any(effect.mountings for effect in found.effects)
     assert [e.kind for e in found.effects] == ([] if edits[0] is bare else ["payload"])

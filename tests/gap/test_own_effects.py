@@ -18,12 +18,13 @@ from loose_env.gap import (
     Hypothesis,
     JointEffect,
     Parameter,
-    explain_gap,
     find_gap,
     read_effects,
     read_result,
     register,
+    solve_gap,
     try_effect,
+    write_gap,
     write_model,
 )
 from loose_env.gap.model.effects.catalogue import CATALOGUE, candidates
@@ -318,7 +319,9 @@ def test_a_registered_effect_is_named_and_its_code_written(
     register(CubicSpring)
     kinds = ("coulomb_friction", "joint_spring", "cubic_spring")
     settings = GapSettings(threads=1, kinds=kinds)
-    found = explain_gap(recording, settings, folder=tmp_path / "out")
+    solution = solve_gap(recording, settings)
+    write_gap(tmp_path / "out", solution)
+    found = solution.result
     assert read_result(tmp_path / "out").to_json() == found.to_json()
     (spring,) = found.effects
     assert spring.kind == "cubic_spring" and not spring.in_model

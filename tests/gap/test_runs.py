@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
-from loose_env.gap import GapSettings, explain_gap
+from loose_env.gap import GapSettings, solve_gap
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import Trial, align_run, channels_of, measured_runs, pieces_of
 from loose_env.recording import Run, read_recording, write_recording
@@ -151,6 +151,8 @@ def test_an_exact_model_has_no_gap_however_its_runs_begin(begins: str, tmp_path:
     model = SERVOS if begins == "let go" else MOTORS
     write_recording(tmp_path / "recording", model_xml=model, runs=runs)
     kinds = ("viscous_friction", "rotor_inertia", "coulomb_friction", "joint_spring")
-    found = explain_gap(read_recording(tmp_path / "recording"), GapSettings(kinds=kinds, threads=1))
+    found = solve_gap(
+        read_recording(tmp_path / "recording"), GapSettings(kinds=kinds, threads=1)
+    ).result
     assert found.verdict == "no_gap", (found.effects, found.gap)
     assert 0.5 < found.gap.after < 1.6

@@ -16,7 +16,7 @@ from tyro.conf import Positional
 
 from loose_env.cli.command import command
 from loose_env.errors import LooseEnvError
-from loose_env.gap import GapSettings, NamedEffect, explain_gap
+from loose_env.gap import GapSettings, NamedEffect, solve_gap
 from loose_env.io import plain
 from loose_env.recording import Recording, read_recording
 from loose_env.report import gap_text
@@ -32,7 +32,8 @@ def row_of(recording: Recording, settings: GapSettings) -> Row:
     """Result of a recording, and the processor time it took [s]; prints what was found."""
     begun, row = time.process_time(), {"recording": recording.folder.name}
     try:
-        found = explain_gap(recording, settings, say=partial(print, file=sys.stderr, flush=True))
+        say = partial(print, file=sys.stderr, flush=True)
+        found = solve_gap(recording, settings, say=say).result
     except LooseEnvError as error:
         return row | {"error": str(error), "held_out": []}
     seconds = time.process_time() - begun
