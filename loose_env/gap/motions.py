@@ -271,20 +271,21 @@ def fitting(
     """Motions against which a check has nothing, reduced until it has; reasons of the others."""
     found, refused = list[tuple[Motion, PlannedMotion]](), list[tuple[Motion, str]]()
     for asked in dict.fromkeys(wanted):
-        motion = asked
-        for left in range(tries, 0, -1):
+        motion, planned, reason = asked, None, ""
+        for left in reversed(range(tries)):
             try:
                 planned, reason = checked(motion)
             except InvalidSetting as error:
-                planned, reason = None, str(error)
-            if planned is not None and not reason:
-                found.append((motion, planned))
-            if not reason or left == 1:
+                reason = str(error)
+            if not (reason and left):
                 break
             too_far = any(words in reason for words in ("touch", "its range", "would move"))
             slower = motion.speed if too_far else _SHRINK * motion.speed
             motion = replace(motion, amplitude=_SHRINK * motion.amplitude, speed=slower)
-        refused += [(asked, reason)] * bool(reason)
+        if planned is None or reason:
+            refused.append((asked, reason))
+        else:
+            found.append((motion, planned))
     return found, refused
 
 

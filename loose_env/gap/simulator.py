@@ -17,7 +17,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TypeVar
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import quiet
 from loose_env.errors import InvalidData
-from loose_env.gap.model.effect import DrivenEffect, Effect, Readings
+from loose_env.gap.model.effect import Effect, Readings
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, addresses
 from loose_env.gap.runs import SETTLE, Channel, Trial, steady_activations
@@ -45,30 +45,26 @@ would have no simulation."""
 
 
 _TERMS = ("torque", "feedback", "dry_friction")  # what effects do step by step
-_Own = IndexArray | slice  # simulations that have a term
-_Term = TypeVar("_Term", bound=Effect)
+_Row = tuple[Any, Array, IndexArray | slice]  # effect, its values, simulations that have it
 
 
-def _rows(
-    each: Sequence[Hypothesis], kind: type[_Term], method: str, *, stacked: bool
-) -> list[tuple[_Term, Array, _Own]]:
+def _rows(each: Sequence[Hypothesis], method: str, *, stacked: bool) -> list[_Row]:
     """Effects that have a method, in their order: values, of all simulations if stacked; which."""
-    found: dict[tuple[int, int, bytes], tuple[_Term, list[Array], list[int]]] = {}
+    found: dict[tuple[int, int, bytes], tuple[Effect, list[Array], list[int]]] = {}
     for k, hypothesis in enumerate(each):
         for place, (effect, values) in enumerate(hypothesis.pairs):
-            if isinstance(effect, kind) and effect.overrides(method):
+            if effect.overrides(method):
                 key = place, id(effect), b"" if stacked else values.tobytes()
                 _, own, those = found.setdefault(key, (effect, [], []))
                 own.append(values)
                 those.append(k)
-    every = (found[key] for key in sorted(found, key=lambda key: key[0]))
     return [
         (
             effect,
             np.stack(own, axis=-1) if stacked else own[0],
             slice(None) if len(those) == len(each) else np.array(those),
         )
-        for effect, own, those in every
+        for _, (effect, own, those) in sorted(found.items(), key=lambda item: item[0][0])
     ]
 
 
@@ -78,9 +74,9 @@ class _Stepped:
     def __init__(self, batch: Batch, joints: Sequence[str], slots: Sequence[_Slot]) -> None:
         self.batch, hypotheses = batch, [slot.hypothesis for slot in slots]
         self._places, self._dofs = map(_slice, addresses(slots[0].model, joints))
-        self._rows = _rows(hypotheses, Effect, "torque", stacked=False)
-        self._feeds = _rows(hypotheses, DrivenEffect, "feedback", stacked=True)
-        self._rubs = _rows(hypotheses, DrivenEffect, "dry_friction", stacked=True)
+        self._rows = _rows(hypotheses, "torque", stacked=False)
+        self._feeds = _rows(hypotheses, "feedback", stacked=True)
+        self._rubs = _rows(hypotheses, "dry_friction", stacked=True)
         self._option = slots[0].model.opt
         if self._rubs:
             # each simulation has its own friction
@@ -176,7 +172,7 @@ def _expand(batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
             batch.expand(name)[:] = np.stack([own[id(model)] for model in models])
 
 
-def _terms(rows: Sequence[tuple[Effect, Array, _Own]], state: State) -> Array:
+def _terms(rows: Sequence[_Row], state: State) -> Array:
     """Sum of the torque terms in a state (sims, joints) [N·m, N]."""
     position, speed = state
     found = np.zeros(position.shape)
