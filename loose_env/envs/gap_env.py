@@ -423,7 +423,6 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         """Belief about it."""
         self.seconds, self.wear = 0.0, 0.0
         self._over = True
-        self._at_first: Outlook | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -541,15 +540,13 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
 
     def _observed(self) -> NDArray[np.float32]:
         spent = (self.seconds / 60, self.wear, self.taken / self.settings.max_motions)
-        return self.layout.of(self.belief, self._outlook(), spent)
+        known = outlook(self.belief, self.settings.prices.named) if self.taken else self._at_first
+        return self.layout.of(self.belief, known, spent)
 
-    def _outlook(self) -> Outlook:
-        """Expected information and gain of the motions."""
-        if self.belief.counts:
-            return outlook(self.belief, self.settings.prices.named)
-        if self._at_first is None:  # the same for every machine: nothing is known yet
-            self._at_first = outlook(self.belief, self.settings.prices.named)
-        return self._at_first
+    @cached_property
+    def _at_first(self) -> Outlook:
+        """Expected information and gain of the first motion, the same for every machine."""
+        return outlook(Belief(self.bank), self.settings.prices.named)
 
     def _info(self) -> dict[str, Any]:
         return {

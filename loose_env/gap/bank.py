@@ -65,7 +65,7 @@ VISIBLE = (12.0, 160.0)
 """Visibility that a candidate must reach, and the largest that is considered [noise sd]."""
 _INDISTINGUISHABLE_Z = 2.0
 """Length of a signature beside that of another candidate below which both are one [noise sd]."""
-_FORMAT = "gap evidence 6"  # version of what is stored; a change of the computation changes it
+_FORMAT = "gap evidence 7"  # version of what is stored; a change of the computation changes it
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
 
@@ -102,7 +102,7 @@ class MotionEvidence:
 
     rows: NDArray[np.float32]  # Columns in noise standard deviations (R, V)
     nominal: Array  # Residuals of the nominal model by commands and by torques (2, T, J) [N·m, N]
-    grids: tuple[tuple[Grid, ...], ...]  # How both balances of each joint are whitened
+    grids: tuple[Grid, ...]  # How each joint is whitened, of one balance and then of the other
     seconds: float  # Machine time [s]
     wear: float  # Integral of the squared torque shares [s]
 
@@ -125,9 +125,8 @@ class MotionEvidence:
 
     def whitened(self, series: Array) -> Array:
         """Series of both balances (2, T, J, ...) as rows (R, ...)."""
-        pairs = ((g, own[:, j]) for gs, own in zip(self.grids, series, strict=True)
-                 for j, g in enumerate(gs))  # fmt: skip
-        whole = [g.whitened(own.reshape(len(own), -1)) for g, own in pairs]
+        each = (own[:, j].reshape(len(own), -1) for own in series for j in range(series.shape[2]))
+        whole = [grid.whitened(own) for grid, own in zip(self.grids, each, strict=True)]
         return np.concatenate(whole).reshape(-1, *series.shape[3:])
 
     def residual(self, measured: Along) -> Array:
@@ -394,10 +393,8 @@ def _evidence(
     nominal = along.residual
     for balance in along.balances:
         balance.residual[:] = 0.0  # what the nominal model leaves is no knock
-    grids = tuple(
-        tuple(grid_of(balance, int(j), taper=_TAPER) for j in arm.driven)
-        for balance in along.balances
-    )
+    pairs = ((balance, int(j)) for balance in along.balances for j in arm.driven)
+    grids = tuple(grid_of(*each, taper=_TAPER) for each in pairs)
     wear = float(np.sum((planned.torque / arm.torque_limits) ** 2)) / RATE
     seconds, nothing = len(planned.desired) / RATE, np.empty((0, 0), np.float32)
     found = MotionEvidence(nothing, nominal, grids, seconds, wear)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from loose_agents.base import EpisodeAgent
 from loose_env.envs import GapObservation, ModelGapEnv
 from loose_env.errors import UnknownName
-from loose_env.gap import motion_library
 from loose_env.typing import Array
 
 GAP_AGENTS = ("random", "battery", "brief", "greedy")
@@ -83,16 +82,12 @@ def make_gap_agent(
     name: str, env: ModelGapEnv, *, sure: float | None = None, seed: int = 0
 ) -> GapAgent:
     """Make an agent for an environment."""
-    order = _briefest(env) if name == "brief" else _battery(env)
+    order = _briefest(env) if name == "brief" else env.bank.reference
     return GapAgent(
         name, env.layout, env.bank.seconds, order,
         sure=STOPPING.get(name, 0.9) if sure is None else sure,
         most=env.settings.max_motions, seed=seed, prices=env.motion_prices,
     )  # fmt: skip
-
-
-def _battery(env: ModelGapEnv) -> list[int]:
-    return [env.motions.index(motion) for motion in motion_library(env.bank.arm, "battery")]
 
 
 def _briefest(env: ModelGapEnv) -> list[int]:
