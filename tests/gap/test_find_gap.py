@@ -144,7 +144,7 @@ def test_an_encoder_that_shows_nothing_of_its_joint_spoils_no_other(
         if shown == "nothing":
             del sensors["encoder1"]
         runs.append(replace(run, sensors=sensors))
-    result = explain_gap(replace(recording, runs=tuple(runs)), FEW)
+    result = solve_gap(replace(recording, runs=tuple(runs)), FEW).result
     assert [(e.kind, e.where) for e in result.effects] == [("coulomb_friction", "elbow")]
     assert result.effects[0].parameters["torque"] == pytest.approx(FRICTION, rel=0.2)
     words = {each.channel: each.verdict for each in result.channels}
