@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import nan
 from pathlib import Path
@@ -32,6 +32,7 @@ from loose_env.gap.next_motion import NEXT_MOTION, NextMotion, write_next_motion
 from loose_env.gap.output.corrected_model import correction_code, model_notes, write_model
 from loose_env.gap.output.result import (
     ChannelVerdict,
+    EffectLocation,
     FittedEffect,
     Gap,
     GapResult,
@@ -44,7 +45,7 @@ from loose_env.gap.output.result import (
     how_to_separate,
 )
 from loose_env.gap.runs import measured_runs
-from loose_env.recording import Recording, Run, joint_sensors
+from loose_env.recording import Recording, Run
 from loose_env.typing import Array
 
 PULLED = 2.0
@@ -55,32 +56,6 @@ _RIVAL = 0.01  # probability from which a simulated set is a rival of the best
 _DECADE = 10.0  # ratio of an interval's ends from which no order of magnitude is known
 _COMMON = 0.5  # squared correlation from which most of two residuals is the same
 _EARLY = "torques that are logged early, or before the drive gives them"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Visited:
-    """A set of effects that was fitted."""
-
-    fit: SetFit | ExactFit
-    behind: float = nan  # Minus twice its log posterior probability above the best set's
-    probability: float = 0.0  # Probability among the sets by what chose among them
-
-    @property
-    def names(self) -> frozenset[tuple[str, str]]:
-        """Kinds and locations of its effects."""
-        return frozenset(term.name for term in self.fit.terms)
-
-    def members(self, answer: Answer) -> dict[tuple[str, str], FittedEffect]:
-        """Its effects by kind and location, at their values in it."""
-        found, fit = {}, self.fit
-        for number, term in enumerate(fit.terms):
-            if isinstance(fit, ExactFit):
-                values = fit.values[number]
-            else:
-                at = fit.places(answer.selection.evidence.columns_of(term))
-                values = term.values(fit.values[at])
-            found[term.name] = _fitted(term, values)
-        return dict(sorted(found.items()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,15 +152,16 @@ def solve_gap(
             by_channel=dict(zip((each.channel for each in own), pairs, strict=True)),
             by_quantity=errors,
         )
-        visited = _visited(answer)
-        told = _told(answer, visited)
+        cells = _ranked(answer, selection.fits.values())
+        ranking = _ranked(answer, answer.exact) if len(answer.exact) > 1 else cells
+        told = _told(answer, ranking, cells)
         result = GapResult(
             verdict=_verdict(answer), gap=gap,
             effects=tuple(each for each in told if not each.doubt),
             doubtful=tuple(each for each in told if each.doubt),
             channels=_channels(answer, gap, after, played), pulled=_pulled(answer),
             held_out_runs=tuple(r.name for r in answer.held_out.runs) if answer.held_out else (),
-            ranking=_ranking(answer, visited[:_RANKED]), code=correction_code(corrected),
+            ranking=tuple(ranking[:_RANKED]), code=correction_code(corrected),
             residual_tests=tests, identifiability=identifiability(selection),
             warnings=_warnings(answer, recording), preflight=tuple(preflight),
             settings=asdict(answer.settings),
@@ -385,29 +361,61 @@ def _fitted(term: Term, values: Array) -> FittedEffect:
     )  # fmt: skip
 
 
-def _told(answer: Answer, visited: Sequence[Visited]) -> list[NamedEffect]:
+def _ranked(answer: Answer, fits: Iterable[SetFit | ExactFit]) -> list[RankedSet]:
+    """Sets of effects at their values, the best first; each of kinds and locations once."""
+    evidence, once = answer.selection.evidence, dict[frozenset[object], SetFit | ExactFit]()
+    for fit in sorted(fits, key=lambda own: own.total):
+        if isinstance(fit, ExactFit) or fit.allowed:
+            once.setdefault(frozenset(term.name for term in fit.terms), fit)
+    behind = np.array([fit.total for fit in once.values()])
+    behind -= behind[0]
+    ranked = []
+    for fit, above, chance in zip(once.values(), behind, softmax(-behind / 2), strict=True):
+        values = fit.values
+        if isinstance(fit, SetFit):
+            at = (fit.places(evidence.columns_of(term)) for term in fit.terms)
+            values = tuple(t.values(fit.values[k]) for t, k in zip(fit.terms, at, strict=True))
+        effects = sorted(map(_fitted, fit.terms, values), key=_name)
+        ranked.append(
+            RankedSet(
+                effects=tuple(effects), behind=float(above), probability=float(chance),
+                source="simulation" if isinstance(fit, ExactFit) else "force balance",
+            )
+        )  # fmt: skip
+    return ranked
+
+
+def _name(effect: EffectLocation) -> tuple[str, str]:
+    """Kind and location."""
+    return effect.kind, effect.where
+
+
+def _told(
+    answer: Answer, ranking: Sequence[RankedSet], cells: Sequence[RankedSet]
+) -> list[NamedEffect]:
     """Effects of the answer, joint by joint, with what may be there in place of each."""
     decision, balance = answer.decision, answer.selection.evidence.balance
-    cells = sorted(answer.selection.fits.values(), key=lambda fit: fit.total)
-    known = (*visited, *(Visited(fit=fit) for fit in cells))
+    sets = [({_name(e): e for e in own.effects}, own.probability) for own in ranking]
+    known = [*(own for own, _ in sets), *({_name(e): e for e in own.effects} for own in cells)]
     best = {found.term.name for found in decision.findings}
     channels = enumerate(decision.channels[::-1])
-    order = {(e.kind, e.where): -k for k, own in channels for e in own.effects}
+    order = {_name(e): -k for k, own in channels for e in own.effects}
     late = balance.encoders if (balance.forms == "inverse").any() else ()
     told = []
     for found in sorted(decision.findings, key=lambda f: (order.get(f.term.name, 1), f.term.name)):
         name, effect, instead = found.term.name, named_effect(found), set(found.confusable)
-        without = [own for own in known if name not in own.names]
         if decision.simulated:  # sets with one other effect in its place
-            others = (own.names - best for own in without if own.probability > _RIVAL)
+            others = [own.keys() - best for own, p in sets if p > _RIVAL and name not in own]
             instead = {rival for each in others if len(each) == 1 for rival in each}
-            group = (own.probability for own in visited if own.names & {name, *instead})
-            effect = replace(effect, probability=min(sum(group), 1.0))
-        rivals = []
-        for rival in sorted(instead):
-            own = next((own for own in without if rival in own.names), None)
-            fitted = {} if own is None else own.members(answer)
-            rivals.append(fitted.get(rival, FittedEffect(kind=rival[0], where=rival[1])))
+            group = sum(chance for own, chance in sets if own.keys() & {name, *instead})
+            way = "run" if len(balance.motion.runs) > 1 else "stretch"
+            gain = {way: found.by_run}
+            effect = replace(effect, probability=min(group, 1.0), held_out_gain=gain)
+        without = [own for own in known if name not in own]
+        rivals = [
+            next((own[k, w] for own in without if (k, w) in own), FittedEffect(kind=k, where=w))
+            for k, w in sorted(instead)
+        ]
         early = name[0] == "sensor_delay" and name[1] in late
         told.append(replace(effect, ambiguous_with=tuple(rivals), note=_EARLY * early))
     return told
@@ -477,9 +485,7 @@ def _advice(answer: Answer, number: int, own: ChannelVerdict, played: Played | N
 
 def _loudest(played: Played, joint: str) -> tuple[str, float]:
     """Run and frequency in which the corrected model misses most of a joint's position."""
-    read = joint_sensors(played.machine.model)[joint].position
-    own = next((k for k, c in enumerate(played.channels) if c.column[7:] in read), None)
-    loudest = (-1.0, "", nan)
+    own, loudest = played.column_of(joint), (-1.0, "", nan)
     for trial, corrected in zip(played.trials, played.corrected, strict=True):
         if own is None:
             break
@@ -503,32 +509,6 @@ def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
         if abs(pull) > PULLED
     ]
     return tuple(sorted(found, key=lambda each: -abs(each.deviations)))
-
-
-def _visited(answer: Answer) -> list[Visited]:
-    """Sets by what chose among them, the best first; each of kinds and locations once."""
-    fits: list[SetFit | ExactFit] = list(answer.exact)
-    if len(fits) < 2:
-        fits = [f for f in (*answer.selection.fits.values(), answer.decision.fit) if f.allowed]
-    ranked = sorted((Visited(fit=fit) for fit in fits), key=lambda own: own.fit.total)
-    once = list({own.names: own for own in ranked[::-1]}.values())[::-1]
-    once.sort(key=lambda own: own.fit.total)
-    behind = np.array([own.fit.total for own in once]) - once[0].fit.total
-    pairs = zip(once, behind.tolist(), softmax(-behind / 2).tolist(), strict=True)
-    return [replace(own, behind=above, probability=chance) for own, above, chance in pairs]
-
-
-def _ranking(answer: Answer, visited: Sequence[Visited]) -> tuple[RankedSet, ...]:
-    """Sets of effects as a result lists them."""
-    return tuple(
-        RankedSet(
-            effects=tuple(own.members(answer).values()),
-            behind=own.behind,
-            probability=own.probability,
-            source="force balance" if isinstance(own.fit, SetFit) else "simulation",
-        )
-        for own in visited
-    )
 
 
 def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:

@@ -31,7 +31,6 @@ from loose_env.gap import (
     kind_words,
 )
 from loose_env.io import begun, write_text
-from loose_env.recording import joint_sensors
 from loose_env.report.figures import DASHED, labels, legend, panels, plain_log_ticks
 from loose_env.report.page import (
     Brief,
@@ -150,11 +149,6 @@ def _channel_words(names: Sequence[str]) -> str:
     """Names of joints and readings, or their number where they are many."""
     shown = list(map(_reading, names))
     return named_list(shown) if len(shown) < 8 else f"{len(shown)} joints and readings"
-
-
-def summary_words(result: GapResult) -> list[str]:
-    """The residual in physical units."""
-    return [f"{begun(words)}." for words in _quantities(result)]
 
 
 def not_in_model(result: GapResult) -> list[str]:
@@ -443,7 +437,7 @@ def render_gap_page(solution: GapSolution) -> str:
             _motions_section(result),
         ],
         kicker=[solution.answer.recording.folder.name, "model error"],
-        text=summary_words(result),
+        text=[f"{begun(words)}." for words in _quantities(result)],
         notes=[
             f"Held out: {held}. All numbers stand in result.json.",
             f"Settings: {settings}. Tolerances: {tolerances}.",
@@ -581,11 +575,9 @@ def _filled(rows: Sequence[Mapping[str, str]]) -> list[dict[str, str]]:
 
 def _played_overlays(played: Played) -> list[Overlay]:
     """Positions of each joint where the simulated nominal model misses most."""
-    columns, sensors = [c.column for c in played.channels], joint_sensors(played.machine.model)
     found = []
     for joint in played.machine.joints:
-        own = next((k for k, c in enumerate(columns) if c[7:] in sensors[joint].position), None)
-        if own is None:  # taken as the nominal model moves it
+        if (own := played.column_of(joint)) is None:  # taken as the nominal model moves it
             continue
         unit, pieces = "rad" if played.machine.turns(joint) else "m", []
         models = zip(played.nominal, played.corrected, strict=True)

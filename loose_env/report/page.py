@@ -44,7 +44,7 @@ THEMED = {
 """Colours of figures that follow the page, and their roles."""
 
 _WIDTH, _NAME = 120, 20  # columns of a terminal, and of the names in its first one
-_LONG = re.compile(r"\S{25,}")  # words that do not fit into a cell of a table
+_LONG = re.compile(r"\S{12,}")  # words that may not fit into a cell of a table
 _GRADES = {
     "critical": ("Critical", "Invalidates the result"),
     "warning": ("Warnings", "Limits the result"),

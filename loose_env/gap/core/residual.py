@@ -335,6 +335,12 @@ class Played:
     begins: tuple[float, ...]
     """Times of the log at which each begins, here after the run's first sample [s]."""
 
+    def column_of(self, joint: str) -> int | None:
+        """Which column reads the position of a joint; None where none does."""
+        read = joint_sensors(self.machine.model)[joint].position
+        own = (k for k, c in enumerate(self.channels) if c.column.removeprefix("sensor.") in read)
+        return next(own, None)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
@@ -351,19 +357,16 @@ def responses(shown: Played, band: float) -> tuple[Response, ...]:
     Of the frequencies in which the command has a hundredth of its largest power.
     """
     machine, found = shown.machine, []
-    sensors = joint_sensors(machine.model)
-    columns = [channel.column for channel in shown.channels]
     for actuator, drive in enumerate(machine.actuators):
         servo = machine.affine_actuators[actuator] and machine.model.actuator_biasprm[actuator, 1]
         if not servo or drive not in machine.actuated_joint:
             continue
         joint = machine.actuated_joint[drive]
-        read = [k for k, c in enumerate(columns) if c[7:] in sensors[joint].position]
-        if not read:
+        if (read := shown.column_of(joint)) is None:
             continue
         parts = []
         for trial, *models in zip(shown.trials, shown.nominal, shown.corrected, strict=True):
-            readings = np.stack([values[:, read[0]] for values in (trial.measured, *models)])
+            readings = np.stack([values[:, read] for values in (trial.measured, *models)])
             if len(trial.time) >= 64 and np.isfinite(readings[0]).all():
                 command = trial.at_samples(trial.controls)[:, actuator]
                 rate = {"fs": trial.rate, "nperseg": max(2 * len(command) // (_SEGMENTS + 1), 32)}
