@@ -108,11 +108,6 @@ def test_mistakes_end_in_one_line_and_write_nothing(
     broken.write_text("<mujoco><worldbody><body></worldbody></mujoco>")
     other.mkdir()
     other.joinpath("notes.txt").write_text("mine")
-    unread = tmp_path / "unread"
-    one = [
-        replace(r, sensors={"encoder1": r.sensors["encoder1"]}, controls={}) for r in recording.runs
-    ]
-    write_recording(unread, model_xml=recording.model_path, runs=one)
     first, model = str(recording.folder), str(recording.model_path)
     for command, reason in (
         (["gap", str(tmp_path / "none"), "--out", str(out)], "there is no folder"),

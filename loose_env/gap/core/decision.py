@@ -128,7 +128,10 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
                 probability=chance, alone=min(chances[term.name], chance),
                 confusable=tuple(sorted(instead)),
                 z=z, by_run=by_run, by_stretch=by_stretch,
-                doubt=_doubt(chance, z > _Z, held, bool(open_[_main(selection, fit, term)])),
+                doubt=_doubt(
+                    chance, z > _Z, held, bool(open_[_main(selection, fit, term)]),
+                    _at_end(term, values, ends),
+                ),
             )
         )  # fmt: skip
     return _decision(selection, fit, findings, chances, before, after)
@@ -150,7 +153,13 @@ def _decision(
     return Decision(findings=tuple(findings), channels=channels, fit=fit, rivals=rivals)
 
 
-def _doubt(chance: float, sure: bool, gain: float, left: bool) -> str:
+def _at_end(term: Term, values: Array, ends: Array) -> bool:
+    """Whether the interval of a value has no width at an end of its parameter's range."""
+    pairs = zip(term.effect.parameters, values, np.ptp(ends, axis=0), strict=True)
+    return any(width == 0 and value in (p.low, p.high) for p, value, width in pairs)
+
+
+def _doubt(chance: float, sure: bool, gain: float, left: bool, at_end: bool = False) -> str:
     """Reason why an effect of some probability and held-out gain is not named; "" if it is.
 
     What leaves most of its channel as it was is beside something that nothing explains.
@@ -160,6 +169,7 @@ def _doubt(chance: float, sure: bool, gain: float, left: bool) -> str:
         "its interval includes no effect": not sure,
         "held-out data do not confirm it": gain < HELD_OUT,
         "most of what it acts on stays unexplained": left,
+        "its value lies at the end of what is possible": at_end,
     }
     return "; ".join(words for words, applies in reasons.items() if applies)
 

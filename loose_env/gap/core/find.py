@@ -235,7 +235,7 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
             "no joint moves by more than its noise, so that no force can be missing along the "
             "motion; record runs in which the joints move"
         )
-    return Selection(evidence)
+    return Selection(evidence, say)
 
 
 def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection, list[SetFit]]:
@@ -259,7 +259,8 @@ def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection
         again = {id(term): _again(balance, term) for term in evidence.terms}
         rigid = nuisances(balance, settings.tolerances)
         law = settings.tolerances.law
-        selection = Selection(whiten(balance, list(again.values()), rigid, law=law))
+        evidence = whiten(balance, list(again.values()), rigid, law=law)
+        selection = Selection(evidence, selection.say)
         sets = [tuple(again[id(term)] for term in own) for own in sets]
         before, best = best, selection.search([again[id(term)] for term in best.terms])
         if abs(best.total - before.total) < LEAST_GAIN:

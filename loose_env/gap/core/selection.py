@@ -8,7 +8,7 @@ not rule the others. Sets are searched by adding, exchanging and removing, to a 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -80,8 +80,8 @@ class SetFit:
 class Selection:
     """Search over sets of effects in the cells of some evidence."""
 
-    def __init__(self, evidence: Evidence) -> None:
-        self.evidence = evidence
+    def __init__(self, evidence: Evidence, say: Callable[[str], None] = lambda _: None) -> None:
+        self.evidence, self.say = evidence, say
         self.used: list[NDArray[np.bool_]] = [
             np.ones(len(c.count), bool) for c in evidence.channels
         ]
@@ -489,6 +489,8 @@ class Selection:
             if better.total > state.total - LEAST_GAIN:
                 break
             state = better
+            gained, several = self.solve(()).total - state.total, "s" * (len(state.terms) != 1)
+            self.say(f"{len(state.terms)} effect{several}: twice the log evidence +{gained:.0f}")
         return state
 
     def _weightings(self, state: SetFit) -> list[Sequence[Array]]:
