@@ -258,13 +258,14 @@ class LoadFriction(DrivenEffect, JointEffect):
         """Give the joint a trace of dry friction, whose size follows the load step by step."""
         if values[0] == 0 and not (self.variant == "external" and values[1]):
             return
+        self.export(spec, values)
         joint = spec.joint(self.where)
         joint.frictionloss = max(joint.frictionloss, _TRACE * self.load)
-        mjcf.make_it_stick(joint, spec.option.timestep)
 
     def export(self, spec: mujoco.MjSpec, values: Array) -> None:
         """Make the joint stick: all of the friction comes with the code, step by step."""
-        mjcf.make_it_stick(spec.joint(self.where), spec.option.timestep)
+        if np.any(values[: 2 if self.variant == "external" else 1]):
+            mjcf.make_it_stick(spec.joint(self.where), spec.option.timestep)
 
     def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
         """Shares of the torques of drive and load."""
