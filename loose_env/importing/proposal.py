@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -358,7 +356,7 @@ def proposal_text(proposal: Proposal, model: str) -> str:
 
 def source_name(given: str, taken: Container[str]) -> str:
     """Name of a source from that of its file."""
-    stem = Path(given).stem
+    stem = Path(given.replace("/", "-")).stem
     plain = "".join(c if (c.isascii() and c.isalnum()) or c in "-_" else "-" for c in stem)
     name = first = plain.strip("-_") or "source"
     count = 2
@@ -368,29 +366,15 @@ def source_name(given: str, taken: Container[str]) -> str:
 
 
 def _run_names(proposal: Proposal) -> list[str]:
-    """Names of the runs: of their files or folders, or what the names of a run's files share."""
+    """Names of the runs: of their files or folders; numbers where a run has several."""
     if len(proposal.runs) == 1:
         return [*proposal.logs][:1]
     taken: dict[str, None] = {}
-    files = [list(run.values()) for run in proposal.runs]
-    for call in _shared(files) or [own[0].split("/")[0] if own[1:] else own[0] for own in files]:
-        taken[source_name(call.replace("/", "-"), taken)] = None
+    for i, run in enumerate(proposal.runs):
+        folders = {file.split("/")[0] for file in run.values()}
+        call = folders.pop() if len(folders) == 1 else f"run-{i + 1:02d}"
+        taken[source_name(next(iter(run.values())) if len(run) == 1 else call, taken)] = None
     return [*taken]
-
-
-def _shared(runs: Sequence[Sequence[str]]) -> list[str]:
-    """Words with which all file names of a run begin, or end; none if they do not tell the runs."""
-    words = [[re.split(r"[-_.]+", Path(f).stem) for f in own] for own in runs if "/" not in own[0]]
-    for way in (1, -1):
-        told = []
-        for own in words:
-            alike = itertools.takewhile(
-                lambda each: len(set(each)) == 1, zip(*(w[::way] for w in own), strict=False)
-            )
-            told.append("-".join([each[0] for each in alike][::way]))
-        if len(set(told)) == len(runs) and all(told):
-            return [f"run-{call}" if call.isdigit() else call for call in told]
-    return []
 
 
 def _line(each: Line, several: bool) -> str:

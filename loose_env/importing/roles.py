@@ -30,7 +30,7 @@ from loose_env.importing.evidence import (
     speed_in,
     torque_in,
 )
-from loose_env.importing.names import Meaning, Role
+from loose_env.importing.names import Role
 from loose_env.importing.targets import (
     NEAR,
     JointTarget,
@@ -132,8 +132,6 @@ class Roles:
     def __post_init__(self) -> None:
         self.step = self.signals[0].step
         self.joints = {each.name: each for each in joint_targets(self.model)}
-        for s in self.signals:
-            s.meaning = self._as_named(s)
         self.lines: dict[str, Line] = {}
         self.open: list[Line] = []
         self.why: dict[int, str] = {}
@@ -162,16 +160,6 @@ class Roles:
         return [s for s in self.signals if s.sort not in self.used and s.moves]
 
     # --------------------------------------------------------------------- names
-
-    def _as_named(self, s: Signal) -> Meaning:
-        """Meaning of a channel; of one that is named as a column of the model, that one's."""
-        roles: tuple[Role, ...] = ("position", "velocity", "torque", "command")
-        for t in self.joints.values():
-            for role, column in zip(roles, t.columns, strict=True):
-                bare = column.partition(".")[2]  # the joint's own name tells no role
-                if s.key.channel and s.key.channel in (column, bare if bare != t.name else column):
-                    return replace(s.meaning, role=role, of=role, joint=t.name, vector=(role,))
-        return s.meaning
 
     def _label(self, s: Signal) -> str:
         """Joint that a channel has by its name or place in a vector; else the only one, or ""."""

@@ -320,7 +320,7 @@ def test_an_accelerometer_that_its_file_names_is_told_by_gravity(
     for axis in "xyz":
         column = f'"sensor.tool.{axis}" = {{ source = "acc-1", channel = "a{axis}", unit = "{unit}"'
         assert (column in said) == bool(unit)
-    assert ('file = "run-1"' in said and 'file = "run-2"' in said) or not unit
+    assert ('file = "run-01"' in said and 'file = "run-02"' in said) or not unit
 
 
 def test_a_row_without_a_time_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
