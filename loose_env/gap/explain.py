@@ -426,7 +426,7 @@ def _channels(
 ) -> tuple[ChannelVerdict, ...]:
     """Verdict of every joint and reading; joints that stand still cannot tell."""
     found, joints = [], answer.selection.evidence.balance.machine.joints
-    alike = _moving_alike(answer, after)
+    alike = moving_alike(answer, after)
     for number, own in enumerate(answer.decision.channels):
         ends, said = gap.by_channel[own.channel], alike.get(own.channel, "")
         advice = "; ".join(filter(None, [_advice(answer, number, own, played), said]))
@@ -436,7 +436,7 @@ def _channels(
     return *found, *(replace(still, channel=j) for j in joints if j not in gap.by_channel)
 
 
-def _moving_alike(answer: Answer, after: Array) -> dict[str, str]:
+def moving_alike(answer: Answer, after: Array) -> dict[str, str]:
     """Unexplained joints whose residual is mostly that of another one, in words."""
     balance, verdicts = answer.selection.evidence.balance, answer.decision.channels
     joints = balance.machine.joints

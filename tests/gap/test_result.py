@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 
 from loose_env.errors import InvalidData
@@ -27,6 +29,8 @@ from loose_env.gap import (
     read_result,
     write_gap,
 )
+from loose_env.gap.explain import moving_alike, named_effect
+from loose_env.gap.model.effects.joints import LoadFriction
 from loose_env.gap.output.result import UNIT
 from tests.gap.cases.gap_case import record, solution_for
 
@@ -179,3 +183,32 @@ def test_what_is_written_reads_back_and_carries_the_effects(
     assert best.source == "force balance"
     assert best.behind == 0.0 and all(other.behind >= 0.0 for other in others)
     assert set(found.gap.by_channel) == {each.channel for each in found.channels}
+    assert best.effects[0].parameters == pytest.approx(friction.parameters, rel=0.05)
+
+
+def test_a_parameter_without_a_value_is_told(solution: GapSolution) -> None:
+    (found,) = (f for f in solution.answer.decision.findings if f.named)
+    machine = solution.answer.selection.evidence.balance.machine
+    effect = LoadFriction(machine, "elbow", "stribeck")
+    rough = replace(
+        found, term=replace(found.term, effect=effect), values=np.array([0.5, 1.1, 0.2]),
+        low=np.array([0.4, 0.8, 0.01]), high=np.array([0.6, 1.3, 0.3]),
+    )  # fmt: skip
+    told = named_effect(rough)
+    assert told.undetermined == ("static_ratio", "speed")  # no peak; a factor of thirty
+    assert told.value_in_words("speed") == "not determined (0.01 to 0.3) rad/s"
+    assert "run" not in named_effect(replace(found, by_run=5.0, by_stretch=5.0)).held_out_gain
+
+
+def test_joints_whose_residuals_move_together_are_told(solution: GapSolution) -> None:
+    answer = solution.answer
+    count = len(answer.selection.evidence.balance.channels)
+    open_ = tuple(replace(c, verdict="unexplained") for c in answer.decision.channels)
+    open_answer = replace(answer, decision=replace(answer.decision, channels=open_))
+    one, other = np.random.default_rng(1).normal(
+        size=(2, len(answer.selection.evidence.balance.drive), 1)
+    )
+    alike = moving_alike(open_answer, np.tile(one, (1, count)))
+    assert "moves with that of elbow (correlation 0." in alike["shoulder"]
+    apart = np.where(np.arange(count) == 0, one, other)
+    assert moving_alike(open_answer, apart) == {}
