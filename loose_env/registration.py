@@ -211,4 +211,6 @@ def _settings(arguments: dict[str, Any], others: tuple[str, ...]) -> Any:
     if links is not None:  # one of the sensors' settings: given as JSON, these cannot be
         sensors = arguments.get("sensors", SensorSuite())
         arguments["sensors"] = replace(sensors, link_accelerometers=links)
+    # Lists, as of JSON, are the same settings as tuples, tuned and trained under one name.
+    arguments |= {name: tuple(v) for name, v in arguments.items() if isinstance(v, list)}
     return DiagnosisSettings(**arguments)

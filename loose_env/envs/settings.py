@@ -253,6 +253,7 @@ class DiagnosisSettings(Checked):
 
     def __post_init__(self) -> None:
         difficulty_named(self.difficulty).probabilities(self.kinds)
+        object.__setattr__(self, "kinds", checked_kinds(self.kinds))
         if self.engine not in get_args(Engine):
             raise UnknownName(f"engine is one of {list(get_args(Engine))}, got {self.engine!r}")
         super().__post_init__()

@@ -145,6 +145,8 @@ def test_arguments_reach_single_and_vector_environments() -> None:
         observation, _ = env.reset(seed=0)
         assert set(observation) == {"statistics", "command", "encoder", "tool"}
         assert observation in env.observation_space
+        env = make("loose_env/Planar-v0", durations=[0.2], kinds=["backlash", "healthy"]).unwrapped
+        assert (env.settings.durations, env.settings.kinds) == ((0.2,), ("healthy", "backlash"))
         env = make("loose_env/SearchTier-v0", prices={"record": 0.2}).unwrapped
         assert (env.arm.n, env.settings.max_moved, env.settings.prices.record) == (7, 1, 0.2)
         assert env.settings.difficulty.kinds == {"healthy": 0.125, "structural_looseness": 0.875}
