@@ -22,6 +22,7 @@ from loose_env.instrument import (
     plan,
     read_diagnosis,
     read_plan,
+    swept,
     trend,
     write_plan,
 )
@@ -70,7 +71,12 @@ class Plan(Output):
     into and that 'loose diagnose' reads. In the folder of an earlier plan the measured runs stay,
     and settings that are not given hold as before.
 
+    The first run is sweep.csv. Once recording/sweep.csv is there, plan once more: its 5 s have
+    measured how far the joints follow, and all runs are written for that. No sweep is planned where
+    --bandwidth-hz is stated, or for torques.
+
         loose plan arm.xml --controller ur_rtde --out session
+        loose plan arm.xml --out session
         loose plan arm.xml --out session --known session/diagnosis
         loose plan arm.xml --out session-after --like session
     """
@@ -102,7 +108,12 @@ class Plan(Output):
         own = settled(self.settings, before, "the earlier plan")
         if self.out.exists() and not self.out.is_dir():
             raise InvalidSetting(f"--out {self.out} is a file; give a folder")
+        found = None if own.bandwidth_hz else swept(self.out)
+        if found is not None:
+            own = replace(own, bandwidth_hz=found[0])
         made, arm = plan(self.model, own, known=known, first=next_number(self.out))
+        if found is not None:
+            made = replace(made, notes=(found[1], *made.notes))
         written = write_plan(self.out, made, arm)
         warnings = made.notes
         try:

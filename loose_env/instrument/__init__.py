@@ -12,6 +12,7 @@ from loose_env.instrument.plan import (
     MODEL,
     PLAN,
     RECORDING,
+    SWEEP,
     Plan,
     PlannedRun,
     PlanSettings,
@@ -19,6 +20,7 @@ from loose_env.instrument.plan import (
     next_number,
     plan,
     read_plan,
+    swept,
     write_plan,
 )
 from loose_env.instrument.poses import is_tested_share
@@ -39,6 +41,7 @@ __all__ = [
     "PLAN",
     "PRESETS",
     "RECORDING",
+    "SWEEP",
     "Controller",
     "DiagnoseSettings",
     "Diagnosis",
@@ -69,6 +72,7 @@ __all__ = [
     "read_diagnosis",
     "read_plan",
     "read_trend",
+    "swept",
     "trend",
     "write_plan",
 ]

@@ -30,7 +30,10 @@ def place_name(kind: str, at: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseModel:
-    """Rigid dynamics of the arm in one pose; n joints, tool frame for what the sensor reads."""
+    """Rigid dynamics of the arm in one pose as one accelerometer feels it; n joints.
+
+    The accelerometer is called the tool's, where it may be one at a link before it, too.
+    """
 
     inertia: Array
     """Inertia of the links about the joints, rotors left out (n, n) [kg·m², kg]."""
@@ -49,7 +52,9 @@ class PoseModel:
     torque: Array
     """Torque that each joint carries at rest (n,) [N·m, N]."""
     frames: Array
-    """Turns link frames into the tool's (n, 3, 3)."""
+    """Turns link frames into the tool's (n, 3, 3); zero for links beyond the accelerometer."""
+    held: Array
+    """Inertia about the joints of a unit mass in the hand (n, n) [m²; 1 where both slide]."""
     rocked: Array
     """Moment on the base about each axis of its plate by joint acceleration (ROCKS, n) [kg·m²]."""
     moment: Array
@@ -144,6 +149,25 @@ class SuspectArm:
         return self.recording_model.model
 
     @cached_property
+    def accelerometers(self) -> dict[str, int]:
+        """Accelerometers that the joints of the arm alone move, by their sites; the tool's first.
+
+        One on the ground, or beyond a finger's joint, is none of them.
+        """
+        m, own = self.model, set(self.dofs.tolist())
+        first, found = self.recording_model.accelerometer, {}
+        for k in np.flatnonzero(m.sensor_type == mujoco.mjtSensor.mjSENS_ACCELEROMETER):
+            site = int(m.sensor_objid[k])
+            moves, body = set(), int(m.site_bodyid[site])
+            while body:
+                moves |= set(range(m.body_dofadr[body], m.body_dofadr[body] + m.body_dofnum[body]))
+                body = int(m.body_parentid[body])
+            name = m.sensor(k).name
+            if name == first or (moves and moves <= own):
+                found[name] = site
+        return dict(sorted(found.items(), key=lambda item: item[0] != first))
+
+    @cached_property
     def addresses(self) -> IndexArray:
         """Index of each joint in the model's positions (n,)."""
         return np.array([int(self.model.joint(j).qposadr[0]) for j in self.joints], dtype=np.intp)
@@ -169,8 +193,8 @@ class SuspectArm:
         own = self.model.qpos0[self.addresses]
         return np.array([named.get(j, float(q)) for j, q in zip(self.joints, own, strict=True)])
 
-    def at(self, pose: Array) -> PoseModel:
-        """Rigid dynamics in a pose (n,)."""
+    def at(self, pose: Array, sensor: str | None = None) -> PoseModel:
+        """Rigid dynamics in a pose (n,), as an accelerometer feels it; by default the tool's."""
         m = self.model
         data = mujoco.MjData(m)
         data.qpos[:] = m.qpos0
@@ -180,8 +204,11 @@ class SuspectArm:
         inertia = np.zeros((m.nv, m.nv))
         mujoco.mj_fullM(m, data, inertia)
         inertia = inertia[np.ix_(dofs, dofs)] - np.diag(m.dof_armature[dofs])
-        site = m.site(self.recording_model.site).id
+        hand = m.site(self.recording_model.site).id
+        site = hand if sensor is None else self.accelerometers[sensor]
         move, turn = np.zeros((3, m.nv)), np.zeros((3, m.nv))
+        mujoco.mj_jacSite(m, data, move, None, hand)
+        held = move[:, dofs].T @ move[:, dofs]
         mujoco.mj_jacSite(m, data, move, turn, site)
         tool = data.site_xmat[site].reshape(3, 3)
         gravity = np.array(m.opt.gravity)
@@ -201,7 +228,7 @@ class SuspectArm:
             carried.append(turned.T @ own[:, dofs])
             mass.append(total)
             weight.append(-total * turned.T @ gravity)
-            frames.append(tool.T @ turned)
+            frames.append(tool.T @ turned * (m.site_bodyid[site] in beyond))
         rocked, moment, bulk, swung = self._rocking(data, data.site_xpos[site], gravity)
         return PoseModel(
             inertia=inertia,
@@ -213,6 +240,7 @@ class SuspectArm:
             weight=np.array(weight),
             torque=np.array(data.qfrc_bias[dofs]),
             frames=np.array(frames),
+            held=held,
             rocked=rocked,
             moment=moment,
             bulk=bulk,
@@ -308,8 +336,8 @@ def _chain_to_tool(file: ModelFile, tool: str | None) -> tuple[Chain, list[str]]
     if tool is not None or own is not None:
         several = tool is None and len(sites) > 1
         note = (
-            f"the model has accelerometers at {', '.join(sites)}; the one at {own} is taken for "
-            "the tool's: name another with --tool"
+            f"the model has accelerometers at {', '.join(sites)}: those that a run has columns of "
+            f"are used; the tool is at {own}, or name another place with --tool"
         )
         return find_chain(file, own if tool is None else tool, None), [note] if several else []
     chain = find_chain(file, None, None)

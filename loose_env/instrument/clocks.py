@@ -24,17 +24,18 @@ axis does."""
 
 
 def read_run_on_one_clock(
-    arm: SuspectArm, run: Run, signal: Multisine, *, level: float, corner_hz: float | None
-) -> Record | Unusable:
+    arm: SuspectArm, run: Run, signal: Multisine, *, level: float, corner_hz: float | None,
+    sensor: str | None = None,
+) -> Record | Unusable:  # fmt: skip
     """Read a run as `read_run`; the accelerometer's clock is set right where it is far apart."""
-    record = read_run(arm, run, signal, level=level, corner_hz=corner_hz)
+    record = read_run(arm, run, signal, level=level, corner_hz=corner_hz, sensor=sensor)
     if isinstance(record, Unusable):
         return record
-    late = clocks_apart_s(record, arm.at(record.pose), signal)
+    late = clocks_apart_s(record, arm.at(record.pose, sensor), signal)
     if not late:
         return record
-    moved = set_right(run, arm.recording_model.accelerometer, late)
-    again = read_run(arm, moved, signal, level=level, corner_hz=corner_hz)
+    moved = set_right(run, record.sensor, late)
+    again = read_run(arm, moved, signal, level=level, corner_hz=corner_hz, sensor=sensor)
     way = "late" if late > 0 else "early"
     said = f"the accelerometer came {abs(late):.2f} s {way}, by its motion: set right"
     if isinstance(again, Unusable):

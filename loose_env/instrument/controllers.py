@@ -255,7 +255,7 @@ PRESETS: Mapping[str, Preset] = {
         code=_PLC,
     ),
 }
-"""Name -> preset. Figures are starting points on the safe side: the first run measures the real
+"""Name -> preset. Figures are starting points on the safe side: a sweep measures the real
 bandwidth."""
 
 

@@ -76,9 +76,9 @@ def score(
 ) -> Scores:
     """Score rhythm, direction and softening of every hypothesis together, as log likelihoods."""
     covariances = [
-        gears.rotation
+        gears.rotation[k]
         @ (r.ring.covariance - (0 if healthy is None else healthy[k].ring.covariance))
-        @ gears.rotation.T
+        @ gears.rotation[k].T
         for k, r in enumerate(records)
     ]
     found = numbers.samples * rhythm.likelihood

@@ -24,6 +24,8 @@ RIGID_GAPS_MM = (0.01, 0.04)
 class Heard:
     """What rang in a session, and what loads it rang under; R records, B bands, n joints."""
 
+    sensors: tuple[str, ...]
+    """Accelerometer of each record."""
     amplitude: tuple[Array, ...]
     """Amplitude of what repeats in each band, in each pose (B, GRID)."""
     friction: tuple[Array, ...]
@@ -109,6 +111,7 @@ def hear(
         friction.append(np.sqrt(knocks.reversals(elastic[-1], speed, period)))
         free.append(knocks.loads_of(model, np.zeros((1, arm.n)), stiffening))
     return Heard(
+        sensors=tuple(record.sensor for record in records),
         amplitude=tuple(rang),
         friction=tuple(friction),
         elastic=tuple(elastic),
@@ -197,7 +200,9 @@ def _compare(heard: Heard, directions: Array) -> _Agreement:
                 np.sqrt(knocks.trains(own, directions, gap, heard.slides, heard.period_s))
                 for own in loads
             ]
-            found, share, other = correlation(heard.amplitude, told, heard.friction, shifts)
+            found, share, other = correlation(
+                heard.amplitude, told, heard.friction, shifts, heard.sensors
+            )
             chance = max(chance, other)
             timing = np.maximum(timing, found)
             alone = [
@@ -245,6 +250,7 @@ def correlation(
     told: Sequence[Array],
     friction: Sequence[Array],
     shifts: IndexArray | None = None,
+    sensors: Sequence[str] = (),
 ) -> tuple[Array, float, float]:
     """Correlation of amplitudes over all poses together, what friction explains projected out.
 
@@ -258,6 +264,8 @@ def correlation(
         Amplitude that reversals foretell (n, GRID).
     shifts : ndarray, optional
         Samples by which each pose is shifted for a comparison by chance (S, R).
+    sensors : sequence of str
+        Accelerometer of each (R,); by default one. Loudness is compared between poses of the same.
 
     Returns
     -------
@@ -269,31 +277,45 @@ def correlation(
     chance : float
         Highest correlation of any hypothesis with the shifted amplitudes; 0 without shifts.
     """
-    y = np.concatenate(heard, 1)
-    base = np.vstack([np.ones(y.shape[1]), np.concatenate(friction, 1)])
-    base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-12)
-    span = np.linalg.svd(base, full_matrices=False)[2]
-    x = np.concatenate(told, 1)
-    before = np.linalg.norm(x - x.mean(1, keepdims=True), axis=1)
-    x = x - (x @ span.T) @ span
-    size = np.linalg.norm(x, axis=1)
-    x = np.where(size > 0.1 * before, 1 / np.maximum(size, 1e-30), 0.0)[:, None] * x
+    own = np.array(sensors or [""] * len(heard))
+    groups = [np.flatnonzero(own == name) for name in dict.fromkeys(own.tolist())]
 
-    def agreement(y: Array) -> tuple[Array, Array]:
-        """Of every hypothesis, and what friction leaves of each band."""
-        left = y - (y @ span.T) @ span
-        norm = np.linalg.norm(left, axis=1)
-        each = x @ left.T / np.maximum(norm, 1e-30)
-        # Bands are unlike witnesses of the same knocks: what they leave unexplained multiplies.
-        return np.sqrt(1 - np.prod(1 - np.clip(each, 0, 1) ** 2, axis=1)), norm
+    def together(parts: Sequence[Array], group: IndexArray) -> Array:
+        return np.concatenate([parts[k] for k in group], 1)
 
-    found, left = agreement(y)
+    spans, units = [], []
+    for group in groups:
+        base = together(friction, group)
+        base = np.vstack([np.ones(base.shape[1]), base])
+        base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-12)
+        span = np.linalg.svd(base, full_matrices=False)[2]
+        x = together(told, group)
+        before = np.linalg.norm(x - x.mean(1, keepdims=True), axis=1)
+        x = x - (x @ span.T) @ span
+        size = np.linalg.norm(x, axis=1)
+        spans.append(span)
+        units.append(np.where(size > 0.1 * before, 1 / np.maximum(size, 1e-30), 0.0)[:, None] * x)
+
+    def agreement(heard: Sequence[Array]) -> tuple[Array, float]:
+        """Of every hypothesis, and the share of the first sensor's that friction leaves."""
+        unexplained, shares = np.ones(len(units[0])), []
+        for group, span, x in zip(groups, spans, units, strict=True):
+            y = together(heard, group)
+            left = y - (y @ span.T) @ span
+            norm = np.linalg.norm(left, axis=1)
+            each = x @ left.T / np.maximum(norm, 1e-30)
+            # Bands are unlike witnesses of the same knocks: what they leave unexplained multiplies.
+            # Another sensor in their midst hears the same again: its mean with the others counts.
+            unexplained *= np.prod(1 - np.clip(each, 0, 1) ** 2, axis=1) ** (1 / len(groups))
+            shares.append(norm[0] ** 2 / max(float(((y[0] - y[0].mean()) ** 2).sum()), 1e-30))
+        return np.sqrt(1 - unexplained), float(shares[0])
+
+    found, left = agreement(heard)
     chance = 0.0
     for shift in () if shifts is None else shifts:
         moved = [np.roll(a, int(k), -1) for a, k in zip(heard, shift, strict=True)]
-        chance = max(chance, float(agreement(np.concatenate(moved, 1))[0].max()))
-    variance = float(((y[0] - y[0].mean()) ** 2).sum())
-    return found, 1 - float(left[0] ** 2) / max(variance, 1e-30), chance
+        chance = max(chance, float(agreement(moved)[0].max()))
+    return found, 1 - left, chance
 
 
 def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:

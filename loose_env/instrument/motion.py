@@ -16,7 +16,7 @@ from loose_env.typing import Array, ComplexArray, IndexArray
 
 _LOSS = 0.06
 """Loss factor of a gear's spring [1]."""
-_MODE_HZ, _MODE_SPREAD = 35.0, 3.3
+MODE_HZ, _MODE_SPREAD = 35.0, 3.3
 """Usual mode of an arm on its gears [Hz] and the spread of its logarithm: 20 to 60 Hz in
 industrial arms (Klimchik et al. 2014), wide enough for a desk arm and a stiff gantry."""
 _ROTOR_SPREAD = 1.0
@@ -29,7 +29,7 @@ class Gears:
     """What carries the encoders' motion to the tool; n joints."""
 
     rotation: Array
-    """Turns the sensor as mounted into the model's (3, 3)."""
+    """Turns each record's sensor as mounted into the model's (R, 3, 3)."""
     late: Array
     """Time by which each record's accelerometer lags its encoders (R,) [s]."""
     spring: Array
@@ -72,14 +72,15 @@ def turned(
 ) -> ComplexArray:
     """Lines of the tool (k, 3) in the model's frame and on the encoders' clock."""
     late = np.exp(2j * np.pi * lines / period * gears.late[index])[:, None]
-    found: ComplexArray = (record.tool[lines] * late) @ gears.rotation.T
+    found: ComplexArray = (record.tool[lines] * late) @ gears.rotation[index].T
     return found
 
 
 def mounted(records: Sequence[Record], models: Sequence[PoseModel], signal: Multisine) -> Array:
-    """Turn of the sensor (3, 3), by gravity and slow motion in every pose (Wahba's problem)."""
-    b = np.zeros((3, 3))
+    """Turn of each record's sensor (R, 3, 3), by gravity and slow motion (Wahba's problem)."""
+    each = {name: np.zeros((3, 3)) for name in {record.sensor for record in records}}
     for record, model in zip(records, models, strict=True):
+        b = each[record.sensor]  # one in all poses
         if np.any(model.up):
             b += 3 * np.outer(model.up, record.gravity) / (model.up @ model.up)
         slow = np.arange(1, len(record.joints))
@@ -89,8 +90,9 @@ def mounted(records: Sequence[Record], models: Sequence[PoseModel], signal: Mult
         told = own @ model.jacobian.T + model.tilt(own, slow / signal.period_s)
         read = record.tool[slow]
         b += np.real(told.T @ read.conj()) / max(float((np.abs(read) ** 2).sum()), 1e-12)
-    u, _, v = np.linalg.svd(b)
-    rotation: Array = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+    u, _, v = np.linalg.svd(np.array([each[record.sensor] for record in records]))
+    u[:, :, 2] *= np.linalg.det(u @ v)[:, None]
+    rotation: Array = u @ v
     return rotation
 
 
@@ -108,11 +110,11 @@ def fit_gears(
         _Lines(
             hertz=signal.hertz,
             joints=record.joints[excited],
-            tool=record.tool[excited] @ rotation.T,
+            tool=record.tool[excited] @ turn.T,
             model=model,
             scale=float(np.sqrt(np.mean(np.abs(record.tool[excited]) ** 2))),
         )
-        for record, model in zip(records, models, strict=True)
+        for record, model, turn in zip(records, models, rotation, strict=True)
     ]
     own = np.mean([np.diag(d.model.inertia) for d in data], 0)
 
@@ -124,7 +126,7 @@ def fit_gears(
         use = signal.hertz <= highest
         spring, rotor = parts(p)
         found = [
-            (p[:n] - np.log(_MODE_HZ)) / _MODE_SPREAD,
+            (p[:n] - np.log(MODE_HZ)) / _MODE_SPREAD,
             (p[n : 2 * n] + 4.0) / _ROTOR_SPREAD,
             p[2 * n :],
         ]
@@ -234,15 +236,14 @@ def softening(
     """Tool motion left where one joint has become softer, or the tool heavier."""
     n = len(gears.spring)
     rotors = np.diag(gears.rotor)
-    felt = [3 / np.trace(m.jacobian @ np.linalg.inv(m.inertia + rotors) @ m.jacobian.T)
-            for m in models]  # fmt: skip
+    felt = [3 / np.trace(np.linalg.solve(m.inertia + rotors, m.held)) for m in models]
     reads = [turned(r, gears, k, signal.excited, signal.period_s) for k, r in enumerate(records)]
 
     def left(factors: Array, losses: Array, load: float) -> float:
         """Share left with springs by factors, and a mass at the tool."""
         shares = []
         for record, model, read in zip(records, models, reads, strict=True):
-            inertia = model.inertia + load * model.jacobian.T @ model.jacobian
+            inertia = model.inertia + load * model.held
             moved = links_of(
                 record.joints[signal.excited], replace(model, inertia=inertia),
                 gears.spring * factors, gears.rotor, signal.hertz, losses,

@@ -24,9 +24,9 @@ from loose_env.instrument.locate import (
     rhythm_of,
 )
 from loose_env.instrument.motion import Gears, fit_gears
-from loose_env.instrument.plan import Plan, read_plan
+from loose_env.instrument.plan import SWEEP, Plan, read_plan
 from loose_env.instrument.poses import is_tested_share, tested_share
-from loose_env.instrument.records import Record, Unusable, exchanged, followed_hz
+from loose_env.instrument.records import Record, Unusable, exchanged, followed_hz, shares_followed
 from loose_env.instrument.reference import Change, change, pairs
 from loose_env.instrument.result import Diagnosis, Place, PlaceVerdict, RunSeen, Verdict
 from loose_env.instrument.ringing import GRID, amplitude
@@ -71,6 +71,11 @@ class _Session:
     """The healthy record of each; empty without a reference."""
     runs: tuple[RunSeen, ...]
     remarks: tuple[str, ...]
+
+    @property
+    def used(self) -> int:
+        """Number of runs of the suspect machine."""
+        return len({record.name for record in self.suspect})
 
 
 def diagnose(
@@ -156,16 +161,21 @@ def listen(
             f"has {', '.join(arm.joints)}; give the recording the plan that it was played by"
         )
     signal = plan.signal.signal
+    if plan.sweep is not None:
+        shaken = tuple(
+            r for r in recording.runs if not Path(r.name).stem.endswith(Path(SWEEP).stem)
+        )
+        recording = replace(recording, runs=shaken)
     session = _read(arm, recording, plan, settings)
-    enough = len(session.suspect) >= decide.FEWEST_POSES
+    enough = session.used >= decide.FEWEST_POSES
     twisted = exchanged(session.suspect, signal, arm.joints) if enough else ()
     found = Evidence(
         recording=recording, plan=plan, arm=arm, session=session, exchanged=twisted, started=started
     )
     if twisted or not enough:
         return found
-    models = [arm.at(record.pose) for record in session.suspect]
-    say(f"fitting {arm.n} gears from encoders to tool by {len(models)} runs")
+    models = [arm.at(record.pose, record.sensor) for record in session.suspect]
+    say(f"fitting {arm.n} gears from encoders to tool by {session.used} runs")
     gears, compared = _gears(arm, session, models, signal)
     heard = hear(arm, session.suspect, models, gears, signal, healthy=session.healthy or None)
     say(f"following the loads of {len(arm.places)} places")
@@ -200,23 +210,35 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
     for run in recording.runs:
         if run.condition == "healthy" and not own.reference:
             continue
-        record = read_run_on_one_clock(
-            arm,
-            run,
-            signal,
-            level=levels.get(Path(run.name).stem, 1.0),
-            corner_hz=plan.settings.corner_hz,
-        )
-        if isinstance(record, Unusable):
-            why = f"{record.why}: {record.remedy}"
+        sensors = [s for s in arm.accelerometers if s in run.sensors]
+        sensors = sensors or [arm.recording_model.accelerometer]
+        each = [
+            read_run_on_one_clock(
+                arm,
+                run,
+                signal,
+                level=levels.get(Path(run.name).stem, 1.0),
+                corner_hz=plan.settings.corner_hz,
+                sensor=sensor,
+            )
+            for sensor in sensors
+        ]
+        good = [record for record in each if isinstance(record, Record)]
+        for number, bad in enumerate(each):
+            if isinstance(bad, Unusable):
+                why = f"{bad.why}: {bad.remedy}"
+                at = f"{run.name}: {sensors[number]}" if good else run.name
+                remarks.append(f"{at} is not used: {why}")
+        if not good:
             runs.append(
                 RunSeen(file=run.name, condition=run.condition, pose={}, used=False, why=why)
             )
-            remarks.append(f"{run.name} is not used: {why}")
             continue
-        runs.append(_seen(arm, record, signal))
-        remarks += [f"{run.name}: {remark}" for remark in record.remarks]
-        records[run.condition].append(record)
+        runs.append(_seen(arm, good[0], signal))
+        for record in good:
+            at = f" ({record.sensor})" if len(good) > 1 else ""
+            remarks += [f"{run.name}{at}: {remark}" for remark in record.remarks]
+        records[run.condition] += good
     there = {Path(run.name).stem for run in recording.runs}
     missing = [r.file for r in plan.runs if Path(r.file).stem not in there]
     late = [f for f in missing if f.startswith("run-")]
@@ -224,11 +246,11 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
         remarks.append(f"{len(late)} of the planned runs are not there, such as {late[0]}")
     suspect, healthy = records["suspect"], records["healthy"]
     together = pairs(suspect, healthy)
-    if healthy and len(together) < decide.FEWEST_POSES:
+    if healthy and len({suspect[k].name for k, _ in together}) < decide.FEWEST_POSES:
         remarks.append("too few healthy runs are in the same poses: compared with none")
         healthy = []
     elif healthy:
-        alone = len(suspect) - len(together)
+        alone = len({r.name for r in suspect} - {suspect[k].name for k, _ in together})
         if alone:
             remarks.append(f"{alone} runs have no healthy run in their pose and are left out")
         suspect = [suspect[k] for k, _ in together]
@@ -245,17 +267,20 @@ def _short(session: _Session, plan: Plan) -> tuple[str, ...]:
     """Remark on joints that did not follow their commands up to the highest line."""
     peaks = {Path(run.file).stem: run.peak for run in plan.runs}
     played = [r for r in session.suspect if Path(r.name).stem in peaks]
+    signal = plan.signal.signal
     if not played or plan.settings.limits.commands == "torque":
         return ()
     own = [peaks[Path(r.name).stem] for r in played]
-    band = followed_hz(played, own, plan.signal.signal, plan.joints)
-    if not band:
+    shares = shares_followed([r.joints for r in played], own, signal, plan.joints)
+    short = [j for j, each in zip(plan.joints, shares.T, strict=True)
+             if 0 < followed_hz(each[:, None], signal) < signal.hertz.max()]  # fmt: skip
+    if not short:
         return ()
-    lowest = min(band.values())
-    words = f"{', '.join(band)} followed less than half of the command above {lowest:g} Hz"
-    if lowest >= LEAST_BANDWIDTH_HZ:
+    hertz = followed_hz(shares, signal)
+    words = f"{', '.join(short)} followed less than half of the command at the highest lines"
+    if LEAST_BANDWIDTH_HZ <= hertz < signal.hertz.max():
         words += (
-            f": plans with --bandwidth-hz {lowest:g} shake harder below it, and compare among "
+            f": plans with --bandwidth-hz {hertz:g} shake harder below it, and compare among "
             "themselves alone"
         )
     return (words,)
@@ -268,7 +293,7 @@ def _gears(
     gears = fit_gears(arm, session.suspect, models, signal)
     if not session.healthy:
         return gears, None
-    then = [arm.at(record.pose) for record in session.healthy]
+    then = [arm.at(record.pose, record.sensor) for record in session.healthy]
     known = fit_gears(arm, session.healthy, then, signal)
     mixed = Gears(
         rotation=gears.rotation,
@@ -306,7 +331,7 @@ class _Finished:
     def unread(self) -> Diagnosis:
         """Result of a session with too few records."""
         session = self.found.session
-        used = len(session.suspect)
+        used = session.used
         why = [run.why for run in session.runs if not run.used]
         headline = (
             f"Nothing can be said: {used} of {len(session.runs)} runs can be used, "
@@ -357,12 +382,13 @@ class _Finished:
     def _with_told(self, heard: Heard, told: Sequence[Array], loose: bool) -> tuple[RunSeen, ...]:
         """Runs with what the best place foretells, and the healthy day's lines."""
         session = self.found.session
-        own = {record.name: k for k, record in enumerate(session.suspect)}
-        thin = [t.reshape(_SHOWN, GRID // _SHOWN).mean(1) for t in told]
+        own: dict[str, int] = {}
+        for number, record in enumerate(session.suspect):
+            own.setdefault(record.name, number)  # a page shows one accelerometer
+        thin = {k: told[k].reshape(_SHOWN, GRID // _SHOWN).mean(1) for k in own.values()}
         seen = {run.file: np.array(run.heard) for run in session.runs if run.condition == "suspect"}
-        rang = [seen[name] for name in own]
-        scale = sum(float(a @ t) for a, t in zip(rang, thin, strict=True)) / max(
-            sum(float(t @ t) for t in thin), 1e-30
+        scale = sum(float(seen[name] @ thin[k]) for name, k in own.items()) / max(
+            sum(float(t @ t) for t in thin.values()), 1e-30
         )
         found = []
         for run in session.runs:

@@ -11,19 +11,41 @@ import numpy as np
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.instrument.arm import SuspectArm, read_arm
 from loose_env.instrument.controllers import Controller, adjusted, preset
-from loose_env.instrument.poses import Candidate, choose_poses, is_tested_share, tested_share
-from loose_env.instrument.records import FEWEST_PERIODS
+from loose_env.instrument.motion import MODE_HZ
+from loose_env.instrument.poses import (
+    Candidate,
+    candidate,
+    choose_poses,
+    is_tested_share,
+    tested_share,
+)
+from loose_env.instrument.records import (
+    FEWEST_PERIODS,
+    Unusable,
+    followed_hz,
+    read_motion,
+    shares_followed,
+)
 from loose_env.instrument.result import Diagnosis
-from loose_env.instrument.signals import Multisine, multisine
+from loose_env.instrument.signals import LEAST_BANDWIDTH_HZ, Multisine, multisine
 from loose_env.io import JsonFile, json_text, read_result_file, write_text
-from loose_env.recording import DESCRIPTION, read_description, write_csv
+from loose_env.recording import (
+    DESCRIPTION,
+    RunEntry,
+    read_description,
+    read_recording,
+    write_csv,
+)
 from loose_env.recording import FORMAT as RECORDING_FORMAT
 from loose_env.typing import Array
 
 FORMAT = "loose-plan/2"
-PLAN, RECORDING, MODEL = "plan.json", "recording", "model.xml"
+PLAN, RECORDING, MODEL, SWEEP = "plan.json", "recording", "model.xml", "sweep.csv"
 _MARGIN = 0.05
 """Share of a joint's range that poses keep from its ends [1]."""
+_OCTAVE, _SAMPLES = 2.0, 4.0
+"""A sweep reaches an octave beyond the assumed bandwidth, with four commands a cycle or more: fewer
+are no sine [1]. Beyond the usual mode of gears the links do not follow their encoders."""
 _SEED = 1995
 """Of the phases: the same signal every month, so that sessions compare."""
 
@@ -48,7 +70,8 @@ class PlanSettings:
     rate_hz: float | None = None
     """Rate of the commands [Hz], where it is not the controller's usual."""
     bandwidth_hz: float | None = None
-    """Highest frequency that the joints follow [Hz], where it is known."""
+    """Highest frequency that the joints follow [Hz], where it is known; by default a sweep measures
+    it."""
     max_speed_rad_s: tuple[float, ...] = ()
     """Largest speed, one value or one a joint [rad/s; m/s where it slides]."""
     max_acceleration_rad_s2: tuple[float, ...] = ()
@@ -202,6 +225,8 @@ class Plan(JsonFile):
     runs: tuple[PlannedRun, ...]
     tested: Mapping[str, float]
     """Place -> share of its directions that the poses test at full level [1]."""
+    sweep: PlannedRun | None = None
+    """First run, which measures the bandwidth; None where it is known."""
     slides: tuple[str, ...] = ()
     """Joints that slide, among those that turn."""
     hobby: bool = False
@@ -220,6 +245,12 @@ class Plan(JsonFile):
     def untested(self) -> tuple[str, ...]:
         """Places that the poses do not test in full."""
         return tuple(p for p, share in self.tested.items() if not is_tested_share(share))
+
+    def signal_of(self, run: PlannedRun) -> Multisine:
+        """Signal that a run plays."""
+        if run == self.sweep:
+            return _sweep_signal(len(self.joints), self.settings.limits)
+        return self.signal.signal
 
     @property
     def seconds(self) -> float:
@@ -284,6 +315,11 @@ def plan(
     chosen = choose_poses(arm, signal, limits, own.poses, rng, low=low, high=high, wanted=wanted)
     runs = _runs(arm, chosen, own, first)
     share = tested_share(np.array([c.reversing for c in chosen]), arm.n)
+    sweep = None
+    if own.bandwidth_hz is None and limits.commands != "torque" and known is None:
+        wide = _sweep_signal(arm.n, limits)
+        peak = candidate(arm, chosen[0].pose, wide, limits).peak
+        sweep = _run(arm, SWEEP, chosen[0].pose, own.levels[0], "suspect", peak)
     made = Plan(
         model=Path(model).name,
         joints=arm.joints,
@@ -292,6 +328,7 @@ def plan(
         signal=Lines.of(signal),
         runs=runs,
         tested=dict(zip(arm.places, share.round(3).tolist(), strict=True)),
+        sweep=sweep,
         slides=tuple(j for j, slide in zip(arm.joints, arm.slides, strict=True) if slide),
         hobby=preset(own.controller).hobby,
         notes=arm.notes,
@@ -341,19 +378,74 @@ def _runs(
         number = first
         for level in own.levels:
             for one in chosen:
-                found.append(
-                    PlannedRun(
-                        file=f"{stem}-{number:02d}.csv",
-                        pose=dict(zip(arm.joints, one.pose.round(4).tolist(), strict=True)),
-                        level=level,
-                        condition=condition,
-                        peak=dict(
-                            zip(arm.joints, (level * one.peak).round(4).tolist(), strict=True)
-                        ),
-                    )
-                )
+                file = f"{stem}-{number:02d}.csv"
+                found.append(_run(arm, file, one.pose, level, condition, one.peak))
                 number += 1
     return tuple(found)
+
+
+def _run(
+    arm: SuspectArm, file: str, pose: Array, level: float, condition: str, peak: Array
+) -> PlannedRun:
+    """Run in a pose, at a share of the peaks at full level (n,)."""
+    return PlannedRun(
+        file=file,
+        pose=dict(zip(arm.joints, pose.round(4).tolist(), strict=True)),
+        level=level,
+        condition=condition,
+        peak=dict(zip(arm.joints, (level * peak).round(4).tolist(), strict=True)),
+    )
+
+
+def _sweep_signal(n: int, limits: Controller) -> Multisine:
+    """Signal of the sweep for n joints."""
+    known = max(limits.bandwidth_hz, MODE_HZ)
+    highest = min(_OCTAVE * limits.bandwidth_hz, limits.rate_hz / _SAMPLES, known)
+    return multisine(n, max(highest, LEAST_BANDWIDTH_HZ), np.random.default_rng(_SEED))
+
+
+def swept(folder: Path) -> tuple[float, str] | None:
+    """Bandwidth that the sweep of a session measured, as `PlanSettings.bandwidth_hz` takes it.
+
+    Parameters
+    ----------
+    folder : Path
+        The session.
+
+    Returns
+    -------
+    (float, str) or None
+        Highest line that the joints follow by half their commands [Hz], and a sentence on it; None
+        where no sweep is measured, or runs of the plan are already.
+
+    Raises
+    ------
+    InvalidData
+        If the sweep cannot be used.
+    """
+    recording = folder / RECORDING
+    if not (folder / PLAN).is_file() or not (recording / DESCRIPTION).is_file():
+        return None
+    made, measured = read_plan(folder), _measured(recording)
+    if made.sweep is None or [Path(e.file).stem for e in measured] != [Path(SWEEP).stem]:
+        return None
+    found, signal = read_recording(recording), made.signal_of(made.sweep)
+    file = recording / measured[0].file
+    motion = read_motion(read_arm(found.model_path), found.runs[0], signal)
+    if isinstance(motion, Unusable):
+        raise InvalidData(f"{file}: {motion.why}; play {SWEEP} again, or state --bandwidth-hz")
+    shares = shares_followed([motion.lines], [made.sweep.peak], signal, made.joints)
+    hertz, assumed = followed_hz(shares, signal), made.settings.limits.bandwidth_hz
+    said = f"{SWEEP}: the joints follow half their commands up to {hertz:g} Hz"
+    if hertz < LEAST_BANDWIDTH_HZ:
+        said += f", and the runs need {LEAST_BANDWIDTH_HZ:g} Hz, more than they follow"
+    return max(hertz, LEAST_BANDWIDTH_HZ), f"{said}; {assumed:g} Hz were assumed"
+
+
+def _measured(recording: Path) -> list[RunEntry]:
+    """Runs of a recording whose tables are there, of whatever format."""
+    entries = read_description(recording / DESCRIPTION).runs
+    return [entry for entry in entries if (recording / entry.file).is_file()]
 
 
 def commands_of(made: Plan, arm: SuspectArm, run: PlannedRun) -> tuple[Array, Array]:
@@ -362,7 +454,8 @@ def commands_of(made: Plan, arm: SuspectArm, run: PlannedRun) -> tuple[Array, Ar
     pose = arm.pose_of(dict(run.pose))
     peak = np.array([run.peak[j] for j in arm.joints])
     inertia = arm.at(pose).inertia
-    played = made.signal.signal.played(peak, limits.commands, pose, inertia, limits.rate_hz)
+    signal = made.signal_of(run)
+    played = signal.played(peak, limits.commands, pose, inertia, limits.rate_hz)
     return np.arange(len(played)) / limits.rate_hz, played
 
 
@@ -387,14 +480,13 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
             )
         earlier = read_plan(recording)
         known = {Path(run.file).stem: run for run in earlier.runs}
-        for entry in read_description(recording / DESCRIPTION).runs:
-            if (recording / entry.file).is_file():  # its table may be of another format
-                pose, condition = dict(entry.pose or {}), entry.condition
-                other = PlannedRun(
-                    file=entry.file, pose=pose, level=1.0, condition=condition, peak={}
-                )
-                run = known.get(Path(entry.file).stem, other)
-                kept.append(replace(run, file=entry.file))
+        for entry in _measured(recording):
+            if Path(entry.file).stem == Path(SWEEP).stem:
+                continue
+            pose, condition = dict(entry.pose or {}), entry.condition
+            other = PlannedRun(file=entry.file, pose=pose, level=1.0, condition=condition, peak={})
+            run = known.get(Path(entry.file).stem, other)
+            kept.append(replace(run, file=entry.file))
         if kept and earlier.signal != made.signal:
             raise InvalidData(
                 f"{recording}: its runs were planned with another signal, up to "
@@ -409,16 +501,17 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
                 f"{recording}: {clash[0]} is measured already; plan(..., first=K) begins with "
                 "another number"
             )
-    whole = replace(made, runs=(*kept, *made.runs))
+    sweep = () if made.sweep is None or kept else (made.sweep,)
+    whole = replace(made, runs=(*kept, *made.runs), sweep=sweep[0] if sweep else None)
     written = [write_text(recording / MODEL, arm.recording_model.xml)]
     description = {
         "format": RECORDING_FORMAT,
         "model": MODEL,
-        "runs": [_entry(run) for run in whole.runs],
+        "runs": [_entry(run) for run in (*sweep, *whole.runs)],
     }
     written.append(write_text(recording / DESCRIPTION, json_text(description)))
     kind = made.settings.limits.commands
-    for run in made.runs:
+    for run in (*sweep, *made.runs):
         if run.condition == "healthy":
             continue
         time, played = commands_of(made, arm, run)
@@ -461,10 +554,6 @@ def next_number(folder: Path) -> int:
     """Number of the first run to come in a session's folder."""
     if not (folder / RECORDING / DESCRIPTION).exists():
         return 1
-    files = [
-        e.file
-        for e in read_description(folder / RECORDING / DESCRIPTION).runs
-        if (folder / RECORDING / e.file).is_file()
-    ]
-    numbers = [int(Path(f).stem.rsplit("-", 1)[-1]) for f in files]
+    stems = [Path(e.file).stem for e in _measured(folder / RECORDING)]
+    numbers = [int(stem.rsplit("-", 1)[-1]) for stem in stems if stem != Path(SWEEP).stem]
     return max(numbers, default=0) + 1

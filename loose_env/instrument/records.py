@@ -28,9 +28,11 @@ FEWEST_PERIODS = 2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record:
-    """A run that can be used; n joints, L lines from 0 upwards, all of one period."""
+    """A run as one accelerometer felt it; n joints, L lines from 0 upwards, all of one period."""
 
     name: str
+    sensor: str
+    """Accelerometer."""
     condition: str
     level: float
     """Share of the largest level at which it was played [1]."""
@@ -63,9 +65,70 @@ class Unusable:
     remedy: str
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Motion of the joints in a run of periodic commands."""
+
+    time: Array
+    """Of the run, from its first sample (T,) [s]."""
+    first: float
+    """Time of the first whole period [s]."""
+    periods: int
+    lines: ComplexArray
+    """Lines of joint acceleration (L, n) [rad/s², m/s²]."""
+    pose: Array
+    """Mean joint positions (n,) [rad, m]."""
+
+
+def read_motion(arm: SuspectArm, run: Run, signal: Multisine) -> Motion | Unusable:
+    """Find the periods of a signal in the joints' motion; lines are fitted at the sample times."""
+
+    def useless(why: str, remedy: str) -> Unusable:
+        return Unusable(name=run.name, why=why, remedy=remedy)
+
+    missing = [s for s in arm.recording_model.positions if s not in run.sensors]
+    if missing:
+        return useless(*_no_column(missing))
+    t = run.time - run.time[0]
+    q = np.column_stack([_whole(t, run.sensors[s]) for s in arm.recording_model.positions])
+    if not np.isfinite(q).all():
+        return useless(*_NO_NUMBER)
+    window = _moving(t, q)
+    if window is None:
+        return useless("no joint moves", "play the signal while the logger runs")
+    start, end = window
+    guess, top = start + _SWELLS * signal.lead_s, int(signal.excited.max()) + 4
+    first, periods = guess, min(int((end - guess) / signal.period_s), signal.periods)
+    if periods >= FEWEST_PERIODS:
+        first = _in_phase(t, q, guess, periods, top, signal)
+        moved, logged = (np.array([end, t[-1]]) - first) / signal.period_s
+        periods = min(int(moved + _SEEN), int(logged + _SHORT), signal.periods)
+    if periods < FEWEST_PERIODS:
+        return useless(
+            f"the joints move for {end - start:.2g} s; the signal lasts {signal.seconds:.2g} s",
+            "the machine stopped: see its log, lower --levels, and run again",
+        )
+    inside = (t >= first) & (t < first + periods * signal.period_s)
+    omega = 2 * np.pi * np.arange(top + 1) / signal.period_s
+    lines, _ = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)
+    return Motion(
+        time=t, first=first, periods=periods, lines=-lines * omega[:, None] ** 2, pose=lines[0].real
+    )
+
+
+_NO_NUMBER = "a channel holds no number", "check the logger's columns"
+
+
+def _no_column(missing: Sequence[str]) -> tuple[str, str]:
+    """Reason and remedy of sensors that a run lacks."""
+    listed = ", ".join(missing)
+    return f"it has no column for {listed}", f"log sensor.{missing[0]} too, and import again"
+
+
 def read_run(
-    arm: SuspectArm, run: Run, signal: Multisine, *, level: float, corner_hz: float | None
-) -> Record | Unusable:
+    arm: SuspectArm, run: Run, signal: Multisine, *, level: float, corner_hz: float | None,
+    sensor: str | None = None,
+) -> Record | Unusable:  # fmt: skip
     """Read a run of a plan's signal: find its periods, and what repeats in them.
 
     Clocks need not agree: the signal is found in the joints' motion, and lines are fitted at the
@@ -75,23 +138,22 @@ def read_run(
     ----------
     corner_hz : float, optional
         Highest frequency that the accelerometer passes [Hz]; by default 0.45 of its rate.
+    sensor : str, optional
+        The accelerometer; by default the tool's.
     """
 
     def useless(why: str, remedy: str) -> Unusable:
         return Unusable(name=run.name, why=why, remedy=remedy)
 
-    sensor = arm.recording_model.accelerometer
-    missing = [s for s in (sensor, *arm.recording_model.positions) if s not in run.sensors]
-    if missing:
-        return useless(
-            f"it has no column for {', '.join(missing)}",
-            f"log sensor.{missing[0]} too, and import again",
-        )
-    t = run.time - run.time[0]
-    q = np.column_stack([_whole(t, run.sensors[s]) for s in arm.recording_model.positions])
+    motion, sensor = read_motion(arm, run, signal), sensor or arm.recording_model.accelerometer
+    if isinstance(motion, Unusable):
+        return motion
+    if sensor not in run.sensors:
+        return useless(*_no_column([sensor]))
+    t, first, periods = motion.time, motion.first, motion.periods
     tool = np.column_stack([_whole(t, a) for a in run.sensors[sensor].T])
-    if not (np.isfinite(q).all() and np.isfinite(tool).all()):
-        return useless("a channel holds no number", "check the logger's columns")
+    if not np.isfinite(tool).all():
+        return useless(*_NO_NUMBER)
     rate, highest = float(1 / np.median(np.diff(t))), float(signal.hertz.max())
     passes = min(corner_hz or np.inf, 0.45 * rate / 0.9)
     if TOP_BAND[0] * passes <= highest:
@@ -101,9 +163,6 @@ def read_run(
             f"log at {2 * highest / TOP_BAND[0]:.0f} Hz or more with an accelerometer that passes "
             "half of it, or plan with a lower --bandwidth-hz",
         )
-    window = _moving(t, q)
-    if window is None:
-        return useless("no joint moves", "play the signal while the logger runs")
     if np.ptp(tool, axis=0).min() == 0:
         axis = "xyz"[int(np.ptp(tool, axis=0).argmin())]
         return useless(
@@ -115,24 +174,10 @@ def read_run(
             f"the accelerometer is at its limit in {100 * clipped:.2g} % of the samples",
             "take a larger range, or plan with lower --levels",
         )
-    start, end = window
-    guess, top = start + _SWELLS * signal.lead_s, int(signal.excited.max()) + 4
-    periods = min(int((end - guess) / signal.period_s), signal.periods)
-    if periods >= FEWEST_PERIODS:
-        first = _in_phase(t, q, guess, periods, top, signal)
-        moved, logged = (np.array([end, t[-1]]) - first) / signal.period_s
-        periods = min(int(moved + _SEEN), int(logged + _SHORT), signal.periods)
-    if periods < FEWEST_PERIODS:
-        return useless(
-            f"the joints move for {end - start:.2g} s; the signal lasts {signal.seconds:.2g} s",
-            "the machine stopped: see its log, lower --levels, and run again",
-        )
-    remarks = []
+    remarks, top = [], len(motion.lines) - 1
     if periods < signal.periods:
         remarks.append(f"{periods} of {signal.periods} periods are whole")
     inside = (t >= first) & (t < first + periods * signal.period_s)
-    omega = 2 * np.pi * np.arange(top + 1) / signal.period_s
-    lines, _ = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)
     read, read_noise = _lines(t[inside] - first, tool[inside], periods, top, signal.period_s)
     scale = 1.0
     gravity = read[0].real
@@ -149,10 +194,11 @@ def read_run(
     excited = read[signal.excited] * scale
     return Record(
         name=run.name,
+        sensor=sensor,
         condition=run.condition,
         level=level,
-        pose=lines[0].real,
-        joints=-lines * omega[:, None] ** 2,
+        pose=motion.pose,
+        joints=motion.lines,
         tool=read * scale,
         tool_noise=read_noise * scale**2,
         gravity=gravity * scale,
@@ -235,28 +281,39 @@ def _in_phase(t: Array, q: Array, first: float, periods: int, top: int, signal: 
     return first + float(shift[agreed.argmax()])
 
 
-def followed_hz(
-    records: Sequence[Record], peaks: Sequence[Mapping[str, float]], signal: Multisine,
+def shares_followed(
+    moved: Sequence[ComplexArray], peaks: Sequence[Mapping[str, float]], signal: Multisine,
     joints: tuple[str, ...],
-) -> dict[str, float]:  # fmt: skip
-    """Highest line that each joint followed by half its command, where lines above it fell short.
+) -> Array:  # fmt: skip
+    """Share of its command by which each joint followed each excited line, at most 1 (K, n).
 
     Parameters
     ----------
+    moved : sequence of ndarray
+        Lines of joint acceleration of each run (L, n) [rad/s², m/s²].
     peaks : sequence of mapping
-        Peak acceleration of each joint that was played, by record [rad/s², m/s²].
+        Peak acceleration of each joint that was played, by run [rad/s², m/s²].
     """
-    shares = [
-        np.abs(record.joints[signal.excited])
-        / np.maximum([peak[j] for j in joints] / signal.crest, 1e-12)
-        for record, peak in zip(records, peaks, strict=True)
-    ]
-    short = np.median(shares, 0) < _FOLLOWS
-    found = {}
-    for name, each in zip(joints, short.T, strict=True):
-        if each[-1] and not each.all():
-            found[name] = float(signal.hertz[np.flatnonzero(~each)[-1]])
-    return found
+    found = []
+    for lines, peak in zip(moved, peaks, strict=True):
+        power = np.abs(lines) ** 2
+        # Even lines were not commanded: beside an odd one they show what comes without a command.
+        beside = (power[signal.excited - 1] + power[signal.excited + 1]) / 2
+        answered = np.sqrt(np.maximum(power[signal.excited] - beside, 0))
+        asked = np.array([peak[j] for j in joints]) / signal.crest
+        found.append(np.minimum(answered / np.maximum(asked, 1e-12), 1))
+    shares: Array = np.median(found, 0)
+    return shares
+
+
+def followed_hz(shares: Array, signal: Multisine) -> float:
+    """Highest line that is followed by half, of shares (K, n) taken together; 0 if none is [Hz].
+
+    It is where the sum of all shares, less a half each, is largest: neither a dip below it nor
+    noise above it is taken for the end.
+    """
+    gained = np.cumsum(shares.mean(1) - _FOLLOWS)
+    return float(np.r_[0.0, signal.hertz][np.r_[0.0, gained].argmax()])
 
 
 _FOLLOWS = 0.5

@@ -29,13 +29,14 @@ def decibels(power: Array | float) -> Array:
 
 
 def pairs(records: Sequence[Record], reference: Sequence[Record]) -> list[tuple[int, int]]:
-    """Indices of suspect and healthy records of one pose and level, made by measured motion."""
+    """Indices of suspect and healthy records of a sensor, pose and level, by measured motion."""
     found, free = [], set(range(len(reference)))
     for k, record in enumerate(records):
         near = [
             (float(np.abs(record.pose - reference[r].pose).max()), r)
             for r in free
             if abs(np.log(record.level / reference[r].level)) < 0.1
+            and record.sensor == reference[r].sensor
         ]
         if near and min(near)[0] < _NEAR:
             found.append((k, min(near)[1]))

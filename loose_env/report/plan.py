@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loose_env.instrument import RECORDING, Plan, PlannedRun, is_tested_share, preset
+from loose_env.instrument import RECORDING, SWEEP, Plan, PlannedRun, is_tested_share, preset
 from loose_env.io import sentence, write_text
 from loose_env.report.page import (
     Brief,
@@ -187,7 +187,7 @@ def _tested_words(plan: Plan) -> str:
 
 
 def _steps(plan: Plan) -> list[str]:
-    run = _under_test(plan)[0]
+    run = plan.sweep or _under_test(plan)[0]
     healthy = [each.file for each in plan.runs if each.condition == "healthy"]
     kind = plan.settings.limits.commands
     way = "from that of the first row" if kind == "position" else "from zero"
@@ -206,6 +206,9 @@ def _steps(plan: Plan) -> list[str]:
         "Go on with the next run: move, look, record, play. All runs belong to one session; leave "
         "screws and cables as they are.",
     ]
+    if plan.sweep is not None:
+        said[4:4] = [f"Then plan again, by the same command: {SWEEP} measured how far the joints "
+                     "follow, and all runs are written anew for that."]  # fmt: skip
     if len(plan.settings.levels) > 1:
         said.append("Play the higher level only if the one below shows no knock.")
     if healthy:

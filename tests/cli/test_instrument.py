@@ -12,8 +12,9 @@ import pytest
 from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.cli.main import main
 from loose_env.instrument import read_diagnosis, read_plan
-from loose_env.recording import read_recording
+from loose_env.recording import read_recording, write_csv
 from scripts.example_recording import loose_arm
+from tests.instrument.machine import JOINTS, NOMINAL, Truth, played, simulated
 
 Capture = pytest.CaptureFixture[str]
 ARM = str(SIX_AXIS_SERVO_ARM)
@@ -71,6 +72,33 @@ def test_a_plan_is_written_for_the_machine_and_goes_on(home: Path, tmp_path: Pat
     assert table.dtype.names[0] == "time" and len(table) == 1120
     entries = json.loads((out / "recording" / "recording.json").read_text())["runs"]
     assert all(entry["planned"] for entry in entries)
+
+
+def test_a_sweep_corrects_the_plan(tmp_path: Path, capsys: Capture) -> None:
+    out, model = tmp_path / "session", tmp_path / "bench.xml"
+    model.write_text(NOMINAL)
+    words = ["plan", str(model), "--controller", "ros2_jtc", "--poses", "3", "--out", str(out)]
+    assert main(words) == 0
+    made = read_plan(out)
+    assert made.sweep is not None and max(made.signal.excited) <= 20
+    assert "sweep.csv" in (out / "plan.html").read_text()
+    given = np.loadtxt(out / "sweep.csv", delimiter=",", skiprows=1)[:, 1:]
+    rng, rate = np.random.default_rng(0), made.settings.limits.rate_hz
+    time, read = played(simulated(Truth()), given, rate, rng)
+    measured = {"time": time, **{f"sensor.{j}_position": read[j] for j in JOINTS}}
+    write_csv(out / "recording" / "sweep.csv", {n: v[:2000] for n, v in measured.items()})
+    assert main(words) == 1
+    assert "sweep.csv: the joints move for" in last_line(capsys)
+    write_csv(out / "recording" / "sweep.csv", measured)
+    assert main(["plan", str(model), "--out", str(out)]) == 0
+    said, corrected = capsys.readouterr(), read_plan(out)
+    assert "20 Hz were assumed" in said.out + said.err
+    # Its servos, 22 Hz with 0.7 of critical damping, follow by half up to 29 Hz.
+    assert corrected.sweep is None and 27 <= (corrected.settings.bandwidth_hz or 0) <= 31
+    assert 25 <= max(corrected.signal.excited) <= 31
+    assert [run.file for run in corrected.runs] == ["run-01.csv", "run-02.csv", "run-03.csv"]
+    entries = json.loads((out / "recording" / "recording.json").read_text())["runs"]
+    assert [entry["file"] for entry in entries] == [run.file for run in corrected.runs]
 
 
 def test_a_session_is_repeated_with_the_limits_of_the_first(

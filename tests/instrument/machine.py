@@ -45,6 +45,10 @@ NOMINAL = """<mujoco model="bench">
   <sensor><accelerometer name="acc" site="tool"/></sensor>
 </mujoco>
 """
+TWO = NOMINAL.replace(
+    '<body name="fore"', '<site name="elbow" pos=".4 0 .03" euler=".4 -.3 1"/><body name="fore"'
+).replace("</sensor>", '<accelerometer name="elbow_acc" site="elbow"/></sensor>')
+"""The same arm with a second accelerometer, half-way up."""
 RATE, STEP, REST = 1000.0, 2e-4, 0.6
 """Rate of the log [Hz], step of the simulation [s], time at rest before the commands [s]."""
 SERVO_HZ, COULOMB = 22.0, 0.25
@@ -77,9 +81,9 @@ class Truth:
     """Mass at the tool that the model lacks [kg]."""
 
 
-def simulated(truth: Truth) -> mujoco.MjModel:
+def simulated(truth: Truth, nominal_xml: str = NOMINAL) -> mujoco.MjModel:
     """The arm itself: servos, friction, springs, and what is loose."""
-    spec = mujoco.MjSpec.from_string(NOMINAL)
+    spec = mujoco.MjSpec.from_string(nominal_xml)
     nominal = spec.compile()
     data = mujoco.MjData(nominal)
     mujoco.mj_forward(nominal, data)
@@ -151,17 +155,17 @@ def played(
     sensed = rollout.rollout(model, data, state[None], (given[rows] + lift)[None])[1][0]
     every = round(1 / RATE / STEP)
     low = butter(4, 0.42 * RATE, fs=1 / STEP, output="sos")
-    acc = slice(int(model.sensor("acc").adr[0]), int(model.sensor("acc").adr[0]) + 3)
-    smooth = sosfilt(low, sensed[:, acc] - sensed[0, acc], axis=0) + sensed[0, acc]
     read = {
         j: np.round(sensed[::every, int(model.sensor(j).adr[0])] / COUNT) * COUNT for j in JOINTS
     }
     for sensor in map(model.sensor, range(model.nsensor)):
         if sensor.name.endswith("_spring"):
             read[sensor.name] = sensed[::every, int(sensor.adr[0])]
-    tool = smooth[::every]
-    read["acc"] = tool + rng.normal(0, NOISE, tool.shape)
-    return np.arange(len(tool)) / RATE, read
+        elif sensor.type == mujoco.mjtSensor.mjSENS_ACCELEROMETER:
+            felt = sensed[:, int(sensor.adr[0]) :][:, :3]
+            smooth = (sosfilt(low, felt - felt[0], axis=0) + felt[0])[::every]
+            read[sensor.name] = smooth + rng.normal(0, NOISE, smooth.shape)
+    return np.arange(len(read["acc"])) / RATE, read
 
 
 def session(
@@ -172,7 +176,7 @@ def session(
     runs = []
     for number, run in enumerate(made.runs):
         healthy = run.condition == "healthy"
-        model = simulated((before or Truth()) if healthy else truth)
+        model = simulated((before or Truth()) if healthy else truth, arm.path.read_text())
         rng = np.random.default_rng([seed, number])
         _, given = commands_of(made, arm, run)
         time, read = played(model, given, made.settings.limits.rate_hz, rng)
@@ -182,7 +186,7 @@ def session(
             Run(
                 name=run.file,
                 time=time,
-                sensors={**sensors, arm.recording_model.accelerometer: read["acc"]},
+                sensors=sensors | {name: read[name] for name in arm.accelerometers},
                 pose=run.pose,
                 condition="healthy" if healthy else "suspect",
             )

@@ -22,7 +22,7 @@ from loose_env.instrument import (
 )
 from loose_env.recording import Recording, Run
 from tests.instrument.conftest import Play
-from tests.instrument.machine import RATE, Truth
+from tests.instrument.machine import RATE, TWO, Truth, session
 
 DIRECTION = (0.6, 0.0, 0.8)
 LOOSE = Truth(seat="fore", direction=DIRECTION, mode_hz=40)
@@ -64,6 +64,36 @@ def test_a_loose_seat_is_placed_with_its_direction(found: Diagnosis) -> None:
     assert np.degrees(np.arccos(min(1, abs(np.dot(top.direction or (0, 0, 0), DIRECTION))))) < 15
     assert sum(place.probability for place in found.places) == pytest.approx(1, abs=0.01)
     assert found.settled == (top.verdict == "loose") and top.words in found.headline.lower()
+
+
+def test_all_accelerometers_that_a_run_has_are_used(tmp_path: Path) -> None:
+    (tmp_path / "two.xml").write_text(TWO)
+    made, arm = plan(tmp_path / "two.xml", PlanSettings(poses=3))
+    assert tuple(arm.accelerometers) == ("acc", "elbow_acc")
+    both = session(tmp_path, made, arm, LOOSE)
+
+    def told(keep: Callable[[int, Run], Run]) -> tuple[Diagnosis, float]:
+        runs = tuple(keep(k, run) for k, run in enumerate(both.runs))
+        found = diagnose(replace(both, runs=runs))
+        place = found.place("structural_looseness@fore")
+        way = abs(np.dot(place.direction or (0, 0, 0), DIRECTION))
+        return found, float(np.degrees(np.arccos(min(1, way))))
+
+    def without(run: Run, sensor: str) -> Run:
+        return replace(run, sensors={n: v for n, v in run.sensors.items() if n != sensor})
+
+    def clipped(run: Run) -> Run:
+        return with_sensors(run, elbow_acc=np.clip(run.sensors["elbow_acc"], -10, 3))
+
+    whole, off = told(lambda k, run: clipped(run) if k == 1 else run)
+    alone, alone_off = told(lambda k, run: without(run, "elbow_acc"))
+    moved, _ = told(lambda k, run: without(run, ("acc", "elbow_acc")[k % 2]))
+    for found in (whole, alone, moved):
+        assert found.verdict == "loose" and found.places[0].at == "fore" and len(found.runs) == 3
+        assert all(run.used for run in found.runs)
+    assert off <= alone_off + 1
+    assert whole.places[0].probability >= alone.places[0].probability - 0.01
+    assert any(r.startswith("run-02.parquet: elbow_acc is not used") for r in whole.remarks)
 
 
 def test_a_healthy_reference_says_what_rose(loose: Recording) -> None:
@@ -114,7 +144,8 @@ def test_a_result_is_read_back_and_comes_again(
 ) -> None:
     read = read_diagnosis(quiet.write(tmp_path / "result.json"))
     assert read.to_json() == quiet.to_json() and read.places == quiet.places
-    again = diagnose(healthy)
+    sweep = replace(healthy.runs[0], name="sweep.csv")  # planned beside the runs, and no run of it
+    again = diagnose(replace(healthy, runs=(sweep, *healthy.runs)))
     assert replace(again, seconds=0.0) == replace(quiet, seconds=0.0)
 
 

@@ -17,7 +17,7 @@ from loose_env.instrument.arm import ROCKS
 from loose_env.instrument.knocks import knocks, rung, sphere
 from loose_env.instrument.locate import correlation
 from loose_env.instrument.motion import accelerations, fit_gears, links_of, mounted, softening, wave
-from loose_env.instrument.records import Record, followed_hz, read_run
+from loose_env.instrument.records import Record, followed_hz, read_run, shares_followed
 from loose_env.instrument.ringing import GRID
 from loose_env.instrument.signals import Multisine, multisine
 from loose_env.recording import Run
@@ -167,7 +167,7 @@ def test_the_sensor_may_be_mounted_at_any_angle(elastic: Elastic) -> None:
     models = [elastic.arm.at(r.pose) for r in elastic.records]
     found = mounted(elastic.records, models, elastic.signal)
     between = Rotation.from_matrix(found @ elastic.turn.T).magnitude()
-    assert np.degrees(between) < 3
+    assert len(found) == len(elastic.records) and np.degrees(between).max() < 3
 
 
 def test_a_bandwidth_below_the_plan_is_measured(elastic: Elastic) -> None:
@@ -182,8 +182,13 @@ def test_a_bandwidth_below_the_plan_is_measured(elastic: Elastic) -> None:
         lines[signal.excited, 0] = peaks[0]["turn"] / signal.crest[0]
         lines[signal.excited[-3:], 0] *= 0.3
         slow.append(replace(record, joints=lines))
-    found = followed_hz(slow, [peaks[0]] * len(slow), signal, joints)
-    assert found["turn"] == signal.hertz[-4]
+    shares = shares_followed([r.joints for r in slow], [peaks[0]] * len(slow), signal, joints)
+    assert followed_hz(shares[:, :1], signal) == signal.hertz[-4]
+    # A dip below the end, or a loud line above it, is not the end.
+    for k, share in ((2, 0.2), (-1, 0.8)):
+        other = np.where(np.arange(len(shares)) == k % len(shares), share, shares[:, 0])
+        assert followed_hz(other[:, None], signal) == signal.hertz[-4]
+    assert followed_hz(0.3 * shares, signal) == 0
 
 
 def test_springs_of_the_gears_are_found_and_carry_the_links(elastic: Elastic) -> None:
@@ -213,9 +218,7 @@ def test_a_heavier_tool_is_told_from_a_softer_joint(elastic: Elastic) -> None:
         """Records of the arm as its gears foretell them, with a mass at the tool."""
         found = []
         for k, (record, model) in enumerate(zip(elastic.records, models, strict=True)):
-            heavier = replace(
-                model, inertia=model.inertia + load * model.jacobian.T @ model.jacobian
-            )
+            heavier = replace(model, inertia=model.inertia + load * model.held)
             lines, spring = np.arange(1, len(record.joints)), gears.spring * factors
             moved = links_of(
                 record.joints[lines], heavier, spring, gears.rotor, lines / signal.period_s, 0.06
@@ -223,7 +226,7 @@ def test_a_heavier_tool_is_told_from_a_softer_joint(elastic: Elastic) -> None:
             tool = record.tool.copy()
             read = moved @ model.jacobian.T + model.tilt(moved, lines / signal.period_s)
             early = np.exp(-2j * np.pi * lines / signal.period_s * gears.late[k])[:, None]
-            tool[lines] = read @ gears.rotation * early
+            tool[lines] = read @ gears.rotation[k] * early
             found.append(replace(record, tool=tool))
         return found
 

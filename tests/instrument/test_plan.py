@@ -126,7 +126,8 @@ def test_a_plan_is_written_read_back_and_ready_to_be_filled(bench: Path, tmp_pat
         np.testing.assert_allclose(table["time"], time)
         np.testing.assert_allclose(np.array(table.tolist())[:, 1:], played, atol=1e-12)
     entries = read_description(tmp_path / "recording" / "recording.json").runs
-    assert [e.file for e in entries] == [r.file for r in made.runs]
+    assert made.sweep is not None
+    assert [e.file for e in entries] == [r.file for r in (made.sweep, *made.runs)]
     assert all(e.planned for e in entries)
     stated = mujoco.MjModel.from_xml_path(str(tmp_path / "recording" / "model.xml"))
     assert stated.sensor("acc").type == mujoco.mjtSensor.mjSENS_ACCELEROMETER
