@@ -137,6 +137,12 @@ class ToolFrames:
         rotations = self._beyond(self._turns(self._poses(poses))).mT @ self._links
         return np.asarray(rotations[:, :, self._seen, : self.dimension])
 
+    def axes(self, poses: ArrayLike) -> Array:
+        """Axis of each joint in the tool frame (P, n, 3), unit vectors (4.30)."""
+        # A joint does not turn its own axis.
+        turned = self._beyond(self._turns(self._poses(poses)))
+        return np.asarray(np.einsum("pkji,kj->pki", turned, self._axis))
+
     def lines(self, poses: ArrayLike) -> Array:
         """Tool motion per motion of each joint, tool frame (P, n, d) [m, or 1 where it slides]."""
         poses = self._poses(poses)

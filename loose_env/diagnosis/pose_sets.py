@@ -236,7 +236,7 @@ def link_posterior(
     >>> poses = np.array([[0.0, 0.3], [0.0, 1.6]])
     >>> seen = frames.images(poses)[:, 0] @ [0.8, 0.6]  # a slide at link 1
     >>> found = link_posterior(frames, poses, seen, width=0.05)
-    >>> found.probabilities.argmax(), np.abs(found.directions[0]).round(6).tolist()
+    >>> int(found.probabilities.argmax()), np.abs(found.directions[0]).round(6).tolist()
     (0, [0.8, 0.6])
     """
     axes, images = np.array(seen), frames.images(np.array(poses))

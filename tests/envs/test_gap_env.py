@@ -131,7 +131,7 @@ def test_bad_input_is_told_what_is_allowed() -> None:
         made.reset(options={"fault": 1})
     with pytest.raises(UnknownName, match="unknown arguments \\['speed'\\]"):
         gymnasium.make(GAP_ID, speed=3)
-    with pytest.raises(UnknownName, match="unknown effect 'slack'; the catalogue has"):
+    with pytest.raises(UnknownName, match="unknown effect 'slack'; there are"):
         gymnasium.make(GAP_ID, kinds=("slack",), library="battery")
 
 
