@@ -488,9 +488,10 @@ class Selection:
             better = self.polished(state if better is None else better)
             if better.total > state.total - LEAST_GAIN:
                 break
-            state = better
-            gained, several = self.solve(()).total - state.total, "s" * (len(state.terms) != 1)
-            self.say(f"{len(state.terms)} effect{several}: twice the log evidence +{gained:.0f}")
+            state, count = better, len(better.terms)
+            gained, several = self.solve(()).total - state.total, "s" * (count != 1)
+            if count:
+                self.say(f"{count} effect{several}: twice the log evidence +{gained:.0f}")
         return state
 
     def _weightings(self, state: SetFit) -> list[Sequence[Array]]:
