@@ -16,7 +16,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.gap.core import residual
 from loose_env.gap.core.catalogue import Term, shapes, shows, terms_of
 from loose_env.gap.core.decision import Finding, decide, held_out_rms
-from loose_env.gap.core.evidence import append, weight_of
+from loose_env.gap.core.evidence import weight_of
 from loose_env.gap.core.exact import LARGE, ExactFit
 from loose_env.gap.core.find import Answer, Say, evidence_of, find_gap, readable, silent
 from loose_env.gap.core.identifiability import identifiability
@@ -170,21 +170,9 @@ def solve_gap(
         shown = after.copy()
         for channel in evidence.channels:
             shown[weight_of(evidence.balance, channel.joint) < 0.5, channel.joint] = nan
-        clock = {
-            piece.name: float(piece.time[0])
-            for pieces in measured_runs(recording.runs, evidence.balance.machine.model)[0]
-            for piece in pieces
-        }
-        if played is not None:
-            begins = (
-                begin + clock[trial.name]
-                for begin, trial in zip(played.begins, played.trials, strict=True)
-            )
-            played = replace(played, begins=tuple(begins))
-        overlays = residual.overlays(selection, before, shown, FIGURES)
     return GapSolution(
         answer=answer, corrected=corrected,
-        overlays=tuple(replace(own, time=own.time + clock[own.run]) for own in overlays),
+        overlays=residual.overlays(selection, before, shown, FIGURES),
         correlations=tuple(correlations[k] for k in sorted(largest)), played=played,
         parameters=residual.parameter_correlation(selection, fit),
         responses=residual.responses(played, evidence.balance.motion.band) if played else (),
@@ -257,9 +245,7 @@ def try_effect(answer: Answer, effect: type[Effect] | str, where: str) -> NamedE
                 f"these motions do not show {own.kind} at {where}; record one in which it acts"
             )
         new = [term for term in terms if id(term) not in evidence.places]
-        append(evidence, *new)
-        for counted in ("_places", "_shapes") if new else ():  # anew, with what was added
-            selection.__dict__.pop(counted, None)
+        selection.consider(*new)
         rest = [term for term in fit.terms if term.name != name]
         fits = [selection.solve((*rest, term)) for term in terms]
         best = min(fits, key=lambda f: (not f.allowed, f.total))

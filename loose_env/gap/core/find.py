@@ -123,12 +123,12 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
     runs = [run for each in measured_runs(recording.runs, machine.model)[0] for run in each]
     read = set.intersection(*(set(run.sensors) for run in runs))
     encoders = {machine.joints.index(j): n for n, j in machine.encoders.items() if n in read}
-    joints = sorted(servoed(machine, runs) & set(encoders))
+    servos = servoed(machine, runs)
+    joints = sorted(servos.keys() & encoders.keys())
     if not joints:
         return recording
-    names = {machine.joint_number(j): n for n, j in machine.actuated_joint.items()}
-    drives = [names[k] for k in joints]
-    ratio = np.array([servo_share(machine, name) for name in drives])
+    drives = [machine.actuators[servos[k]] for k in joints]
+    ratio = np.array([servo_share(machine, servos[k]) for k in joints])
     moves, misses, asked, noise = np.zeros((4, len(joints)))
     for run, own in zip(runs, motions_of_model(runs, machine, joints), strict=True):
         shown = np.stack([run.sensors[encoders[k]] for k in joints], axis=1)
@@ -155,14 +155,17 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
         kept = [k for k in others if moves_at(balance, k)]
         return float(np.sum(np.log(np.mean(balance.residual[:, kept] ** 2, axis=0))))
 
-    for joint in doubtful if len(doubtful) < len(joints) else ():
+    if not 0 < len(doubtful) < len(joints):
+        return recording
+    least = left(recording)
+    for joint in doubtful:
         name = encoders[joint]
         columns = ({n: v for n, v in run.sensors.items() if n != name} for run in recording.runs)
         kept = map(lambda run, own: replace(run, sensors=own), recording.runs, columns)
         without = replace(recording, runs=tuple(kept))
-        if left(without) < left(recording):
+        if (rest := left(without)) < least:
             say(f"{name} shows nothing of the motion of {machine.joints[joint]} and is set aside")
-            recording = without
+            recording, least = without, rest
     return recording
 
 

@@ -63,6 +63,7 @@ class RunMotion:
     limited: Array  # Share of a sample in which the nominal drive is at its limit (T, joints)
     log_step: float  # Interval of the log [s]
     begin: float  # Time of the first sample after the log's first one [s]
+    clock: float = 0.0  # Time of the log's first sample by its own clock [s]
     followed: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     """Speed of each follower per speed of each joint (T, P, joints)."""
 
@@ -70,6 +71,11 @@ class RunMotion:
     def time(self) -> Array:
         """Times of the samples [s], from 0 (T,)."""
         return np.arange(len(self.position), dtype=float) * self.step
+
+    @property
+    def logged(self) -> Array:
+        """Times of the samples by the clock of the log [s] (T,)."""
+        return self.clock + self.begin + self.time
 
     @cached_property
     def finer_commands(self) -> Array:
@@ -129,7 +135,7 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
     read = {j for j in machine.joints if set(encoders[j].position) & common}
     followers = Followers.of(machine, read)
     unread = [k for k, j in enumerate(machine.joints) if j not in read]
-    foretold = [k for k in unread if k not in followers.numbers and k in servoed(machine, runs_)]
+    foretold = sorted(set(servoed(machine, runs_)).intersection(unread) - {*followers.numbers})
     foretold = foretold if read else []
     moved = motions_of_model(runs_, machine, foretold)
     logs = [
@@ -183,27 +189,22 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
     )  # fmt: skip
 
 
-def servoed(machine: NominalModel, runs: Iterable[Run]) -> set[int]:
-    """Joints that a position servo of the model holds, if commands drive all runs."""
-    if any(run.comparison != "forward" for run in runs):
-        return set()
-    holds = machine.affine_actuators & (machine.model.actuator_biasprm[:, 1] != 0)
-    return {machine.joint_number(machine.actuated_joint[name])
-            for name, own in zip(machine.actuators, holds, strict=True)
-            if own and name in machine.actuated_joint}  # fmt: skip
+def servoed(machine: NominalModel, runs: Iterable[Run]) -> dict[int, int]:
+    """Joints with the servo of the model that holds each, if commands drive all runs."""
+    return machine.servos if all(run.comparison == "forward" for run in runs) else {}
 
 
-def servo_share(machine: NominalModel, actuator: str) -> float:
-    """Position to which a servo leads its joint, per command [rad, m]; 0 where it leads nowhere."""
-    number = machine.actuators.index(actuator)
-    stiffness = machine.model.actuator_biasprm[number, 1] * machine.model.actuator_gear[number, 0]
-    return float(-machine.model.actuator_gainprm[number, 0] / stiffness) if stiffness else 0.0
+def servo_share(machine: NominalModel, servo: int) -> float:
+    """Position to which a servo leads its joint, per command [rad, m]."""
+    model = machine.model
+    stiffness = model.actuator_biasprm[servo, 1] * model.actuator_gear[servo, 0]
+    return float(-model.actuator_gainprm[servo, 0] / stiffness)
 
 
 def motions_of_model(
     runs: Sequence[Run], machine: NominalModel, joints: Sequence[int]
 ) -> list[Array]:
-    """Positions of some joints in simulations of the nominal model, at each run's samples (T, J).
+    """Positions of servoed joints in simulations of the nominal model, at the samples (T, J).
 
     NaN where that diverges.
     """
@@ -220,11 +221,9 @@ def motions_of_model(
             own = [name for name in encoders[joint].position if name in run.sensors]
             first = run.sensors[own[0]][0] if own else np.nan
             start[k] = first if np.isfinite(first) else start[k]
-        for name, joint in machine.actuated_joint.items():
-            if (k := machine.joint_number(joint)) in joints:  # what it reads may be nonsense
-                start[k] = (
-                    servo_share(machine, name) * trial.controls[0, machine.actuators.index(name)]
-                )
+        for k in joints:  # what it reads may be nonsense
+            servo = machine.servos[k]
+            start[k] = servo_share(machine, servo) * trial.controls[0, servo]
         trials.append(replace(trial, position=start, resting=True))
     return Simulator(machine, trials, channels, threads=1).predict([Hypothesis()])[0]
 
@@ -380,6 +379,7 @@ def _run_motion(
         limited=_blocks(_limited(log, whole[0], whole[1], machine), thin)[taken],
         log_step=log.step,
         begin=((thin - 1) // 2 + first * thin) * log.step,
+        clock=float(log.run.time[0]),
     )
 
 

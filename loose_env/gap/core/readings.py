@@ -85,12 +85,10 @@ class Readings:
         if model is not None and model.nv == self.model.nv and self._moved(model):
             found = self.of(model, *self._states)
         if effect is not None and effect.overrides("read"):
-            if found is self.foretold and not positions:
-                fine = self._finer
-            else:
-                fine = [
-                    *map(finer, self.motion.split(np.column_stack([found, *positions.values()])))
-                ]
+            fine = self._finer
+            if found is not self.foretold or positions:
+                columns = np.column_stack([found, *positions.values()])
+                fine = [*map(finer, self.motion.split(columns))]
             found = found + np.concatenate(
                 [
                     self._read(run, own, effect, values, tuple(positions))

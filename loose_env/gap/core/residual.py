@@ -178,7 +178,7 @@ class Overlay:
     channel: str  # Joint, or reading with its axis
     run: str  # File of the run
     unit: str  # Unit of the values
-    time: Array  # Times of the log, here after the run's first sample [s] (T,)
+    time: Array  # Times by the clock of the log [s] (T,)
     measured: Array  # Force of the drive, or what was read (T,)
     nominal: Array  # The same as the nominal model needs or foretells it (T,)
     corrected: Array  # The same of the corrected model (T,)
@@ -188,8 +188,8 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
     """Measured against both models, of the channels that the nominal one misses most."""
     balance = selection.evidence.balance
     machine, readings = balance.machine, balance.motion.stacked("readings")
+    logged = balance.motion.stacked("logged")
     length = int(OVERLAY_S / balance.motion.step)
-    starts = np.cumsum([0, *(len(own.position) for own in balance.motion.runs)])
     found: list[tuple[float, Overlay]] = []
     for k in (channel.joint for channel in selection.evidence.channels):
         at_joint = k < len(machine.joints)
@@ -204,12 +204,10 @@ def overlays(selection: Selection, before: Array, after: Array, most: int) -> tu
         ]
         run, rows = max(stretches, key=lambda own: float(np.mean(lost[own[1]])))
         measured = balance.drive[rows, k] if at_joint else readings[rows, k - len(machine.joints)]
-        own, passed = balance.motion.runs[run], rows.start - starts[run]
         unit = "as recorded" if not at_joint else "N·m" if machine.turns(machine.joints[k]) else "N"
         overlay = Overlay(
-            channel=balance.channels[k], run=own.name, unit=unit,
-            time=own.begin + (passed + np.arange(len(measured))) * own.step,
-            measured=measured, nominal=measured - before[rows, k],
+            channel=balance.channels[k], run=balance.motion.runs[run].name, unit=unit,
+            time=logged[rows], measured=measured, nominal=measured - before[rows, k],
             corrected=measured - after[rows, k],
         )  # fmt: skip
         found.append((_rms(whitened(balance, before[:, k], k)[0]), overlay))
@@ -257,7 +255,7 @@ def simulated(
     return errors, Played(
         machine=balance.machine, trials=tuple(played.trials), channels=exact.channels,
         nominal=tuple(nominal), corrected=tuple(found),
-        begins=tuple(run.begin for run in balance.motion.runs),
+        begins=tuple(float(run.logged[0]) for run in balance.motion.runs),
     )  # fmt: skip
 
 
@@ -333,7 +331,7 @@ class Played:
     corrected: tuple[Array, ...]
     """Readings of the corrected model."""
     begins: tuple[float, ...]
-    """Times of the log at which each begins, here after the run's first sample [s]."""
+    """Times at which each begins, by the clock of the log [s]."""
 
     def column_of(self, joint: str) -> int | None:
         """Which column reads the position of a joint; None where none does."""
@@ -357,11 +355,8 @@ def responses(shown: Played, band: float) -> tuple[Response, ...]:
     Of the frequencies in which the command has a hundredth of its largest power.
     """
     machine, found = shown.machine, []
-    for actuator, drive in enumerate(machine.actuators):
-        servo = machine.affine_actuators[actuator] and machine.model.actuator_biasprm[actuator, 1]
-        if not servo or drive not in machine.actuated_joint:
-            continue
-        joint = machine.actuated_joint[drive]
+    for number, actuator in machine.servos.items():
+        joint = machine.joints[number]
         if (read := shown.column_of(joint)) is None:
             continue
         parts = []

@@ -94,6 +94,12 @@ class Selection:
         self._replaced: dict[tuple[object, ...], Term | None] = {}
         self._off: dict[tuple[object, ...], dict[int, Array]] = {}
 
+    def consider(self, *terms: Term) -> None:
+        """Add candidates, which count in the prior as the others do."""
+        append(self.evidence, *terms)
+        for counted in ("_places", "_shapes"):
+            self.__dict__.pop(counted, None)
+
     # ---- the prior of sets
 
     @cached_property

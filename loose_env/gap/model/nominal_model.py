@@ -109,6 +109,16 @@ class NominalModel:
         return affine_actuators(self.model)
 
     @cached_property
+    def servos(self) -> dict[int, int]:
+        """Joints that a position servo of affine force holds, with the number of its actuator."""
+        model, found = self.model, {}
+        for number in np.flatnonzero(self.affine_actuators & (model.actuator_biasprm[:, 1] != 0)):
+            name = self.actuators[number]
+            if name in self.actuated_joint and model.actuator_gear[number, 0]:
+                found[self.joint_number(self.actuated_joint[name])] = int(number)
+        return found
+
+    @cached_property
     def moments(self) -> Array:
         """Torque on each joint per force of each actuator, at its zero (joints, actuators)."""
         data = self.at_zero

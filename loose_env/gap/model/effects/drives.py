@@ -282,8 +282,8 @@ class SpeedLimit(JointDriveEffect):
     @classmethod
     def locations(cls, machine: NominalModel) -> tuple[str, ...]:
         """Return drives that hold a position."""
-        holds = machine.model.actuator_biasprm[:, 1] != 0
-        return tuple(n for n in super().locations(machine) if holds[machine.actuators.index(n)])
+        servos = {machine.actuators[number] for number in machine.servos.values()}
+        return tuple(name for name in super().locations(machine) if name in servos)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
