@@ -28,7 +28,7 @@ help: ## list the verbs
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | while IFS='	' read -r verb does; do \
 		printf '  make %-10s %s\n' "$$verb" "$$does"; done
 
-run: $(RUN) ## let six agents and two constant baselines find hidden faults: a table, and a page with pictures
+run: $(RUN) ## let five agents and two constant baselines find hidden faults: a table, and a page with pictures
 	$(BIN)/python scripts/run_demo.py $(ARGS)
 
 thesis: $(RUN) ## run the thesis's experiments and set them beside what it printed

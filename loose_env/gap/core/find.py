@@ -259,6 +259,7 @@ def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection
         if not beside:
             break
         balance = evidence.balance.beside(beside)
+        selection.say("search beside the rigid bodies that were found")
         again = {id(term): _again(balance, term) for term in evidence.terms}
         rigid = nuisances(balance, settings.tolerances)
         law = settings.tolerances.law

@@ -332,7 +332,11 @@ class Selection:
 
         The shapes of the best one's laws are refined.
         """
-        found = sorted((self.search(start) for start in self.starts()), key=lambda f: f.total)
+        starts, found = self.starts(), list[SetFit]()
+        for number, start in enumerate(starts, start=1):
+            self.say(f"search {number} of {len(starts)}")
+            found.append(self.search(start))
+        found.sort(key=lambda f: f.total)
         best = found[0]
         for _ in range(2):
             refined = self.refined(best)
