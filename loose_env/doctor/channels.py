@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.doctor.findings import Defect, Finding
-from loose_env.doctor.machine import PAUSE_STEPS, Channel, Machine, channels_of
+from loose_env.doctor.machine import PAUSE_STEPS, Channel, Machine, channels_of, told_to_move
 from loose_env.importing import median_step
 from loose_env.recording import Run, without_corrupt
 from loose_env.typing import Array
@@ -167,6 +167,27 @@ def without_absurd(machine: Machine, run: Run) -> tuple[Run, list[Finding]]:
     return clean, found
 
 
+def without_dead(machine: Machine, runs: Sequence[Run]) -> list[Run]:
+    """Runs without encoders that hold one value while their joint is told to move.
+
+    One that holds a value in every run is dead in all of them.
+    """
+    still: list[set[str]] = []
+    dead: list[set[str]] = []
+    for run in runs:
+        readings = [c for c in channels_of(machine, run) if c.kind == "position"]
+        rest = {c.name: c.of for c in readings if c.there.size and np.ptp(c.there) == 0}
+        still.append(set(rest))
+        dead.append({name for name, joint in rest.items() if joint in told_to_move(machine, run)})
+    always = set.intersection(*still) & set[str]().union(*dead)
+    kept = []
+    for run, own in zip(runs, dead, strict=True):
+        lost = own | always
+        sensors = {name: v for name, v in run.sensors.items() if f"sensor.{name}" not in lost}
+        kept.append(replace(run, sensors=sensors) if lost else run)
+    return kept
+
+
 def check_channels(machine: Machine, run: Run) -> Iterator[Finding]:
     """Check every channel of one run by itself."""
     channels = channels_of(machine, run)
@@ -190,8 +211,7 @@ def _stuck(
 ) -> Iterator[Finding]:
     """Judge an encoder that holds one value while its joint, or another one, moves."""
     moved = [c for c in channels if c.name in moves]
-    drives = [d for c in moved if (d := machine.drives.get(c.of)) is not None]
-    driven = any(d.follows and d.joint == channel.of for d in drives)
+    driven = channel.of in told_to_move(machine, run)
     shaken = channel.of in run.excited
     if channel.kind == "position" and (
         driven or shaken or any(c.kind == "position" for c in moved)

@@ -217,6 +217,11 @@ def servos_of(machine: Machine, run: Run) -> list[tuple[Drive, Array]]:
     ]
 
 
+def told_to_move(machine: Machine, run: Run) -> set[str]:
+    """Joints whose position servo has a command that moves."""
+    return {own.joint for own, command in servos_of(machine, run) if np.ptp(command) > 0}
+
+
 def forces_of(
     machine: Machine, run: Run, *, commands_only: bool = False
 ) -> dict[str, tuple[str, Array]]:

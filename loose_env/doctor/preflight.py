@@ -12,6 +12,7 @@ from loose_env.doctor.channels import (
     check_channels,
     check_sampling,
     without_absurd,
+    without_dead,
 )
 from loose_env.doctor.clocks import check_clocks
 from loose_env.doctor.corrections import corrected
@@ -89,7 +90,7 @@ def examine(
             if 1 / median_step(run.time) <= HIGHEST_RATE_HZ:
                 runs.append(run)
         if runs:
-            found += _together(machine, runs, settings, say)
+            found += _together(machine, without_dead(machine, runs), settings, say)
     seconds = sum(float(run.time[-1] - run.time[0]) for run in recording.runs)
     return Report.of(recording.folder.name, len(recording.runs), seconds, found)
 

@@ -345,6 +345,17 @@ def test_stuck_encoders_and_axes_are_errors_where_their_joint_is_shaken(servo: R
     assert all("the encoders imply motion there" in one.found for one in dead)
 
 
+@pytest.mark.parametrize("joint", JOINTS)
+def test_an_encoder_that_reads_nothing_blames_no_other_channel(
+    servo: Recording, joint: str
+) -> None:
+    quiet = each_run(servo, lambda run: replace(run, pose=None, excited=()))
+    dead = with_sensors(quiet, f"q_{joint}", lambda v: np.full_like(v, 0.4))
+    found = [one for one in examine(dead).findings if one.severity != "note"]
+    assert ("stuck", f"sensor.q_{joint}") in {(one.check, one.channel) for one in found}
+    assert [one for one in found if one.severity == "error"] == []
+
+
 def test_exchanged_poses_and_joints_outside_their_limits_are_named(servo: Recording) -> None:
     one, two, three = servo.runs
     wrong = replace(servo, runs=(replace(one, pose=two.pose), replace(two, pose=one.pose), three))

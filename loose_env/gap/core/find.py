@@ -129,14 +129,14 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
         return recording
     drives = [machine.actuators[servos[k]] for k in joints]
     ratio = np.array([servo_share(machine, servos[k]) for k in joints])
-    moves, misses, asked, noise = np.zeros((4, len(joints)))
-    for run, own in zip(runs, motions_of_model(runs, machine, joints), strict=True):
-        shown = np.stack([run.sensors[encoders[k]] for k in joints], axis=1)
+    played = motions_of_model(runs, machine, joints)
+    shown = [np.stack([run.sensors[encoders[k]] for k in joints], axis=1) for run in runs]
+    moves, asked, noise = np.zeros((3, len(joints)))
+    for run, own, seen in zip(runs, played, shown, strict=True):
         commands = [run.controls.get(name, 0 * run.time) for name in drives]
         moves += np.var(own, axis=0)
-        misses += np.nanvar(shown - own, axis=0)
-        asked += np.nanvar(shown, axis=0) + ratio**2 * np.nanvar(commands, axis=1)
-        noise += [noise_floor(column) ** 2 for column in shown.T]
+        asked += np.nanvar(seen, axis=0) + ratio**2 * np.nanvar(commands, axis=1)
+        noise += [noise_floor(column) ** 2 for column in seen.T]
     clear = _MOVES**2 * float(np.quantile(noise, 0.5, method="lower"))
     if not np.sum(moves) < _FALLS**2 * np.sum(asked + clear):
         raise InvalidData(
@@ -144,6 +144,8 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
             "as they are told and as was read: the model falls or diverges; check gains and signs "
             "of its drives, and the unit of the commands"
         )
+    off = [np.nanvar(seen - own, axis=0) for own, seen in zip(played, shown, strict=True)]
+    misses = np.sum(off, axis=0)
     doubtful = [
         k for k, *own in zip(joints, moves, misses, strict=True)
         if own[1] > own[0] / 2 > clear

@@ -135,11 +135,12 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
     read = {j for j in machine.joints if set(encoders[j].position) & common}
     followers = Followers.of(machine, read)
     unread = [k for k, j in enumerate(machine.joints) if j not in read]
-    foretold = sorted(set(servoed(machine, runs_)).intersection(unread) - {*followers.numbers})
-    foretold = foretold if read else []
-    moved = motions_of_model(runs_, machine, foretold)
+    held = servoed(machine, runs_) if read else {}
+    foretold = sorted(held.keys() & set(unread) - {*followers.numbers})
+    beside = sorted(held.keys() - set(unread)) if foretold else []
+    moved = motions_of_model(runs_, machine, [*foretold, *beside])
     logs = [
-        _Log.of(run, machine, sensors, followers, dict(zip(foretold, own.T, strict=True)))
+        _Log.of(run, machine, sensors, followers, dict(zip(foretold, own.T, strict=False)))
         for run, own in zip(runs_, moved, strict=True)
     ]
     step = float(np.median([log.step for log in logs]))
@@ -150,6 +151,9 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
     band = float(np.clip(max(ends), LOWEST_HZ, min(0.35 / step, HIGHEST_HZ)))
     if like is not None:
         band = like.band
+    # as wrong as the nominal model is of the joints that are read, in the band of the motion
+    wrong = _misfit([log.position for log in logs], moved, [*foretold, *beside], len(foretold))
+    noise[0, foretold] = np.maximum(wrong / np.sqrt(2 * band * step), noise[0, foretold])
     thin = max(1, int(1 / (step * max(_PER_CYCLE * band, _LEAST_RATE))))
     if like is not None:
         noise = like.noise * np.sqrt(thin)
@@ -187,6 +191,23 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
         followers=followers.numbers,
         foretold=tuple(foretold) if like is None else like.foretold,
     )  # fmt: skip
+
+
+def _misfit(
+    measured: Sequence[Array], played: Sequence[Array], joints: Sequence[int], unread: int
+) -> Array:
+    """Error of the first joints of a simulation, by that of the others, which were read (unread,).
+
+    As the same share of each joint's own motion; all of it where no other was read.
+    """
+    if not unread:
+        return np.zeros(0)
+    moves = np.mean([np.var(own, axis=0) for own in played], axis=0)
+    ends = zip(measured, played, strict=True)
+    # of samples as they are: grids differ by less than one
+    off = [np.var(own[:, joints][: len(sim)] - sim[: len(own)], axis=0) for own, sim in ends]
+    shares = np.mean(off, axis=0)[unread:] / np.maximum(moves[unread:], 1e-300)
+    return np.asarray(np.sqrt(moves[:unread] * (np.median(shares) if len(shares) else 1.0)))
 
 
 def servoed(machine: NominalModel, runs: Iterable[Run]) -> dict[int, int]:
