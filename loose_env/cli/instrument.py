@@ -26,7 +26,7 @@ from loose_env.instrument import (
     trend,
     write_plan,
 )
-from loose_env.recording import load_model, read_recording
+from loose_env.recording import read_recording
 
 PAGE = "plan.html"
 
@@ -52,9 +52,8 @@ class Inspect(Output):
         """Inspect the model."""
         from loose_env.report import summary
 
-        made, _ = plan(self.model, self.settings)
-        model = load_model(self.model, package=self.settings.package_path)[1]
-        words = [f"drive {each.words}" for each in drives_of(model).values()] + followers(model)
+        made, arm = plan(self.model, self.settings)
+        words = [f"drive {each.words}" for each in drives_of(arm.model)] + followers(arm.model)
         text = "\n".join([summary(made), *words])
         return Outcome(text=text, json=made.to_json, warnings=made.notes)
 

@@ -70,7 +70,7 @@ class Machine:
             if int(model.jnt_type[j]) in _SINGLE and model.joint(j).name
         ]
         """Hinges and slides with a name."""
-        self.drives = {n: drive for n, drive in drives_of(model).items() if not drive.tendon}
+        self.drives = {drive.name: drive for drive in drives_of(model) if not drive.tendon}
         """Actuators on joints, by name."""
 
     def hinge(self, joint: str) -> bool:

@@ -80,17 +80,18 @@ def command_delays(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, Comm
         for each in targets
     }
     needed = needed_torques(model, positions, step)
-    found, drives = {}, drives_of(model)
+    found, drives = {}, {drive.name: drive for drive in drives_of(model)}
     for each in targets:
         drive = each.command[5:]
-        if each.name in needed and drive and drives[drive].gain and not drives[drive].tendon:
+        own = drives.get(drive)
+        if each.name in needed and own and own.gain and not own.filter_s and not own.tendon:
             parts = [
                 (needed[each.name][k], positions[each.name][k], grid, run.time, held)
                 for k, (run, grid) in enumerate(zip(runs, grids, strict=True))
                 if drive in run.controls and np.ptp(held := _held(run, drive)) > 0
             ]
             if parts:
-                found[drive] = _delay(drives[drive], step, parts)
+                found[drive] = _delay(own, step, parts)
     return {drive: delay for drive, delay in found.items() if np.isfinite([*delay]).all()}
 
 

@@ -39,6 +39,8 @@ class Drive:
     """Actuator at a joint or tendon by its force: gain · command + bias · (1, position, speed)."""
 
     name: str
+    number: int
+    """Among the actuators of the model."""
     joints: tuple[str, ...]
     """The joint that it drives, or those of its tendon."""
     tendon: str
@@ -46,7 +48,9 @@ class Drive:
     gear: float
     """Joint torque over actuator force [1]."""
     gain: float
-    """Actuator force over command; 0 where it is not constant."""
+    """Actuator force over command, after its filter; 0 where it is not constant."""
+    filter_s: float
+    """Time constant of a filter on its command [s]; 0 without."""
     bias: tuple[float, float, float]
     integrates: bool
     """Whether its command is the rate of what it follows."""
@@ -65,12 +69,12 @@ class Drive:
     @property
     def follows(self) -> bool:
         """True for a position servo, which rests where its command is."""
-        return self.sets == "position" and bool(np.isclose(self.bias[1], -self.gain))
+        return self.gain > 0 and bool(np.isclose(self.bias[1], -self.gain))
 
     @property
     def motor(self) -> bool:
         """True if its force is the gain times the command, whatever the motion."""
-        return bool(self.gain) and not any(self.bias)
+        return bool(self.gain) and not self.filter_s and not any(self.bias)
 
     @property
     def words(self) -> str:
@@ -84,21 +88,25 @@ class Drive:
         law = f"{stiff * self.gear ** (1 + (self.sets != 'torque')):.3g} {unit}"
         law = law if self.gain or self.integrates else "a force that is not linear in its command"
         where = " and ".join(self.joints) + (f" by tendon {self.tendon}" if self.tendon else "")
-        return f"{self.name}: {kind[self.sets]} of {where}, {law}" + (
-            ", which integrates its command" if self.integrates else "")  # fmt: skip
+        late = ", which integrates its command" if self.integrates else ""
+        late = f", through a filter of {self.filter_s:.3g} s" if self.filter_s else late
+        return f"{self.name}: {kind[self.sets]} of {where}, {law}{late}"
 
 
-def drives_of(model: mujoco.MjModel) -> dict[str, Drive]:
-    """Actuators of one command at a joint or a fixed tendon, by name.
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+
+
+def drives_of(model: mujoco.MjModel) -> list[Drive]:
+    """Actuators of one command at a joint or a fixed tendon, in the model's order.
 
     Examples
     --------
     >>> xml = '''<mujoco><worldbody><body><joint name="turn"/><geom size=".1"/></body></worldbody>
     ... <actuator><velocity name="spin" joint="turn" kv="20"/></actuator></mujoco>'''
-    >>> drives_of(mujoco.MjModel.from_xml_string(xml))["spin"].words
+    >>> drives_of(mujoco.MjModel.from_xml_string(xml))[0].words
     'spin: velocity drive of turn, 20 N·m·s/rad'
     """
-    found = {}
+    found = []
     kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     for a in range(model.nu):
         own, at = model.actuator(a), int(model.actuator_trnid[a, 0])
@@ -113,19 +121,23 @@ def drives_of(model: mujoco.MjModel) -> dict[str, Drive]:
             continue
         bias = np.where(own.biastype == mujoco.mjtBias.mjBIAS_AFFINE, own.biasprm[:3], 0.0)
         integrates = bool(own.dyntype[0] == mujoco.mjtDyn.mjDYN_INTEGRATOR and bias[1])
-        linear = own.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED and own.dyntype[0] == 0
+        filter_s = float(own.dynprm[0]) * (int(own.dyntype[0]) in _FILTERS)
+        linear = own.gaintype[0] == mujoco.mjtGain.mjGAIN_FIXED and (
+            own.dyntype[0] == mujoco.mjtDyn.mjDYN_NONE or int(own.dyntype[0]) in _FILTERS
+        )
         gear, gain = float(own.gear[0]), float(own.gainprm[0]) * bool(linear)
         damping = float(model.dof_damping[model.jnt_dofadr[joints[0]]]) - bias[2] * gear**2
         sets: Quantity = "velocity" if integrates else (
             "position" if bias[1] else "velocity" if bias[2] and gain else "torque")  # fmt: skip
         slides = model.jnt_type[joints[0]] == mujoco.mjtJoint.mjJNT_SLIDE
-        found[own.name] = Drive(
-            name=own.name, joints=tuple(model.joint(j).name for j in joints), tendon=tendon,
-            sets=sets, gear=gear, gain=gain, bias=tuple(bias.tolist()), integrates=integrates,
-            lag=float(damping / (gain * gear**2)) if gain and gear else 0.0,
+        found.append(Drive(
+            name=own.name, number=a, joints=tuple(model.joint(j).name for j in joints),
+            sets=sets, gear=gear, gain=gain, filter_s=filter_s, bias=tuple(bias.tolist()),
+            tendon=tendon, integrates=integrates,
+            lag=float(damping / (gain * gear**2)) + filter_s if gain and gear else 0.0,
             unit="N" if slides else "N·m",
             limits=tuple(own.ctrlrange.tolist()) if own.ctrllimited[0] else None,
-        )  # fmt: skip
+        ))  # fmt: skip
     return found
 
 
@@ -158,7 +170,7 @@ def joint_targets(model: mujoco.MjModel) -> list[JointTarget]:
     for name, sensors in joint_sensors(model).items():
         joint = model.joint(name).id
         low, high = map(float, model.jnt_range[joint])
-        own = [d for d in drives.values() if name == d.joint]
+        own = [d for d in drives if name == d.joint]
         drive, kind = (own[0].name, own[0].sets) if len(own) == 1 else ("", "torque")
         columns = {
             "position": f"sensor.{sensors.position[0]}" if sensors.position else "",
@@ -190,8 +202,8 @@ def vector_orders(model: mujoco.MjModel) -> list[list[str]]:
     ['', '', '', '', '', '', 'turn']
     """
     single = [t.name for t in joint_targets(model)]
-    drives = {d.name: d.joint for d in drives_of(model).values()}
-    orders = [single, [drives.get(model.actuator(a).name, "") for a in range(model.nu)]]
+    drives = {drive.number: drive.joint for drive in drives_of(model)}
+    orders = [single, [drives.get(a, "") for a in range(model.nu)]]
     for count, places in ((model.nq, model.jnt_qposadr), (model.nv, model.jnt_dofadr)):
         order = [""] * count
         for name in single:

@@ -85,10 +85,10 @@ class PoseModel:
         stiff : ndarray
             Force by unit acceleration of each seat's opening, link frame (n, 3, 3) [kg].
         turns : ndarray
-            Acceleration of the tool by unit torque pair in each joint, and about each axis of the
-            base (n + ROCKS, 3).
+            Acceleration of the tool by unit acceleration of each joint's opening, and about each
+            axis of the base (n + ROCKS, 3); zero where the joints take up all of it.
         free : ndarray
-            Inertia that such a torque accelerates (n + ROCKS,) [kg·m², kg].
+            Torque by unit acceleration of each (n + ROCKS,) [kg·m², kg].
         """
         inverse = np.linalg.inv(self.inertia + np.diag(stiffening))
         seats, stiff = [], []
@@ -96,9 +96,10 @@ class PoseModel:
             seats.append(frame - self.jacobian @ inverse @ carried.T)
             stiff.append(mass * np.eye(3) - carried @ inverse @ carried.T)
         base = self.bulk - np.einsum("ki,ij,kj->k", self.rocked, inverse, self.rocked)
-        swings = (self.swung - self.rocked @ (self.jacobian @ inverse).T) / base[:, None]
-        turns = np.vstack([(self.jacobian @ inverse).T, swings])
-        return np.array(seats), np.array(stiff), turns, np.r_[1 / np.diag(inverse), base]
+        turns, joints = (self.jacobian @ inverse).T, 1 / np.diag(inverse)
+        swings = self.swung - self.rocked @ turns
+        turns = np.vstack([turns * joints[:, None], swings])
+        return np.array(seats), np.array(stiff), turns, np.r_[joints, base]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,10 +159,8 @@ class SuspectArm:
         first, found = self.recording_model.accelerometer, {}
         for k in np.flatnonzero(m.sensor_type == mujoco.mjtSensor.mjSENS_ACCELEROMETER):
             site = int(m.sensor_objid[k])
-            moves, body = set(), int(m.site_bodyid[site])
-            while body:
-                moves |= set(range(m.body_dofadr[body], m.body_dofadr[body] + m.body_dofnum[body]))
-                body = int(m.body_parentid[body])
+            on = int(m.site_bodyid[site])
+            moves = {d for d, b in enumerate(m.dof_bodyid) if carried_bodies(m, int(b))[on]}
             name = m.sensor(k).name
             if name == first or (moves and moves <= own):
                 found[name] = site

@@ -55,7 +55,7 @@ class Loads:
     stiff: Array
     """Force by unit acceleration of each seat's opening (n, 3, 3) [kg]."""
     turns: Array
-    """Acceleration of the tool by unit torque of each (n + ROCKS, 3)."""
+    """Acceleration of the tool by unit acceleration of each's opening (n + ROCKS, 3)."""
     inertia: Array
     """Inertia that flies free when it parts (n + ROCKS,) [kg·m², kg]."""
 
@@ -110,9 +110,7 @@ def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period
     gap[count:] = np.where(_sliding(slides), gap_mm * 1e-3, gap_mm * 1e-2)
     energy = knocks(load, mass, gap, friction_of(loads, each.shape[1], slides), period)
     thrown = np.concatenate([p[2] for p in parts])
-    loud = np.concatenate(
-        [(thrown**2).sum(1), ((loads.turns * loads.inertia[:, None]) ** 2).sum(1)]
-    )
+    loud = np.concatenate([(thrown**2).sum(1), (loads.turns**2).sum(1)])
     return rung(energy * loud[:, None], _RING_S, period)
 
 
@@ -142,7 +140,8 @@ def reversals(loads: Loads, speed: Array, period: float) -> Array:
     """Ringing that friction foretells (n, GRID): each motor turning round, faster is louder."""
     turned = (np.sign(speed) != np.sign(np.roll(speed, 1, 0))) * np.abs(np.gradient(speed, axis=0))
     turned = turned.T
-    loud = (loads.turns[: len(turned)] ** 2).sum(-1)
+    n = len(turned)
+    loud = (loads.turns[:n] ** 2).sum(-1) / loads.inertia[:n] ** 2
     found: Array = rung(turned, _REVERSAL_S, period) * loud[:, None]
     return found
 

@@ -24,7 +24,7 @@ from loose_env.instrument.locate import (
     rhythm_of,
 )
 from loose_env.instrument.motion import Gears, fit_gears
-from loose_env.instrument.plan import SWEEP, Plan, read_plan
+from loose_env.instrument.plan import Plan, is_sweep, read_plan
 from loose_env.instrument.poses import is_tested_share, tested_share
 from loose_env.instrument.records import Record, Unusable, exchanged, followed_hz, shares_followed
 from loose_env.instrument.reference import Change, change, pairs
@@ -161,11 +161,8 @@ def listen(
             f"has {', '.join(arm.joints)}; give the recording the plan that it was played by"
         )
     signal = plan.signal.signal
-    if plan.sweep is not None:
-        shaken = tuple(
-            r for r in recording.runs if not Path(r.name).stem.endswith(Path(SWEEP).stem)
-        )
-        recording = replace(recording, runs=shaken)
+    shaken = tuple(run for run in recording.runs if not is_sweep(run.name))
+    recording = replace(recording, runs=shaken)
     session = _read(arm, recording, plan, settings)
     enough = session.used >= decide.FEWEST_POSES
     twisted = exchanged(session.suspect, signal, arm.joints) if enough else ()
@@ -212,8 +209,8 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
             continue
         sensors = [s for s in arm.accelerometers if s in run.sensors]
         sensors = sensors or [arm.recording_model.accelerometer]
-        each = [
-            read_run_on_one_clock(
+        each = {
+            sensor: read_run_on_one_clock(
                 arm,
                 run,
                 signal,
@@ -222,18 +219,17 @@ def _read(arm: SuspectArm, recording: Recording, plan: Plan, own: DiagnoseSettin
                 sensor=sensor,
             )
             for sensor in sensors
-        ]
-        good = [record for record in each if isinstance(record, Record)]
-        for number, bad in enumerate(each):
-            if isinstance(bad, Unusable):
-                why = f"{bad.why}: {bad.remedy}"
-                at = f"{run.name}: {sensors[number]}" if good else run.name
-                remarks.append(f"{at} is not used: {why}")
+        }
+        good = [record for record in each.values() if isinstance(record, Record)]
+        bad = {s: f"{r.why}: {r.remedy}" for s, r in each.items() if isinstance(r, Unusable)}
         if not good:
+            why = "; ".join(dict.fromkeys(bad.values()))  # all sensors may lack the same
+            remarks.append(f"{run.name} is not used: {why}")
             runs.append(
                 RunSeen(file=run.name, condition=run.condition, pose={}, used=False, why=why)
             )
             continue
+        remarks += [f"{run.name}: {sensor} is not used: {why}" for sensor, why in bad.items()]
         runs.append(_seen(arm, good[0], signal))
         for record in good:
             at = f" ({record.sensor})" if len(good) > 1 else ""

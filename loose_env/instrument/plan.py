@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -278,7 +279,7 @@ def plan(
         What a session found: the poses then test what was not tested, or tell the places that are
         still open apart.
     first : int
-        Number of the first run.
+        Number of the first run; from 2 on, where runs are measured already, no sweep is planned.
 
     Returns
     -------
@@ -316,7 +317,7 @@ def plan(
     runs = _runs(arm, chosen, own, first)
     share = tested_share(np.array([c.reversing for c in chosen]), arm.n)
     sweep = None
-    if own.bandwidth_hz is None and limits.commands != "torque" and known is None:
+    if own.bandwidth_hz is None and limits.commands != "torque" and known is None and first == 1:
         wide = _sweep_signal(arm.n, limits)
         peak = candidate(arm, chosen[0].pose, wide, limits).peak
         sweep = _run(arm, SWEEP, chosen[0].pose, own.levels[0], "suspect", peak)
@@ -427,19 +428,37 @@ def swept(folder: Path) -> tuple[float, str] | None:
     if not (folder / PLAN).is_file() or not (recording / DESCRIPTION).is_file():
         return None
     made, measured = read_plan(folder), _measured(recording)
-    if made.sweep is None or [Path(e.file).stem for e in measured] != [Path(SWEEP).stem]:
+    if made.sweep is None or [is_sweep(e.file) for e in measured] != [True]:
         return None
     found, signal = read_recording(recording), made.signal_of(made.sweep)
     file = recording / measured[0].file
     motion = read_motion(read_arm(found.model_path), found.runs[0], signal)
+    hertz, still, why = (
+        0.0,
+        list[str](),
+        "the joints follow none of its lines by half their commands",
+    )
     if isinstance(motion, Unusable):
-        raise InvalidData(f"{file}: {motion.why}; play {SWEEP} again, or state --bandwidth-hz")
-    shares = shares_followed([motion.lines], [made.sweep.peak], signal, made.joints)
-    hertz, assumed = followed_hz(shares, signal), made.settings.limits.bandwidth_hz
+        why = motion.why
+    else:
+        shares = shares_followed([motion.lines], [made.sweep.peak], signal, made.joints)
+        hertz = followed_hz(shares, signal)
+        each = dict(zip(made.joints, shares.T[:, :, None], strict=True))
+        still = [joint for joint, own in each.items() if not followed_hz(own, signal)]
+    if not hertz:
+        raise InvalidData(f"{file}: {why}; play {SWEEP} again, or state --bandwidth-hz")
+    assumed = made.settings.limits.bandwidth_hz
     said = f"{SWEEP}: the joints follow half their commands up to {hertz:g} Hz"
+    if still:
+        said += f", and {' and '.join(still)} none of them: see drive and encoder"
     if hertz < LEAST_BANDWIDTH_HZ:
         said += f", and the runs need {LEAST_BANDWIDTH_HZ:g} Hz, more than they follow"
     return max(hertz, LEAST_BANDWIDTH_HZ), f"{said}; {assumed:g} Hz were assumed"
+
+
+def is_sweep(file: str) -> bool:
+    """Whether a run is the sweep, whatever the format of its table."""
+    return Path(file).stem == Path(SWEEP).stem
 
 
 def _measured(recording: Path) -> list[RunEntry]:
@@ -481,7 +500,7 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
         earlier = read_plan(recording)
         known = {Path(run.file).stem: run for run in earlier.runs}
         for entry in _measured(recording):
-            if Path(entry.file).stem == Path(SWEEP).stem:
+            if is_sweep(entry.file):
                 continue
             pose, condition = dict(entry.pose or {}), entry.condition
             other = PlannedRun(file=entry.file, pose=pose, level=1.0, condition=condition, peak={})
@@ -501,8 +520,8 @@ def write_plan(folder: Path, made: Plan, arm: SuspectArm) -> list[Path]:
                 f"{recording}: {clash[0]} is measured already; plan(..., first=K) begins with "
                 "another number"
             )
-    sweep = () if made.sweep is None or kept else (made.sweep,)
-    whole = replace(made, runs=(*kept, *made.runs), sweep=sweep[0] if sweep else None)
+    sweep = () if made.sweep is None else (made.sweep,)
+    whole = replace(made, runs=(*kept, *made.runs))
     written = [write_text(recording / MODEL, arm.recording_model.xml)]
     description = {
         "format": RECORDING_FORMAT,
@@ -554,6 +573,5 @@ def next_number(folder: Path) -> int:
     """Number of the first run to come in a session's folder."""
     if not (folder / RECORDING / DESCRIPTION).exists():
         return 1
-    stems = [Path(e.file).stem for e in _measured(folder / RECORDING)]
-    numbers = [int(stem.rsplit("-", 1)[-1]) for stem in stems if stem != Path(SWEEP).stem]
-    return max(numbers, default=0) + 1
+    named = [re.search(r"-(\d+)$", Path(e.file).stem) for e in _measured(folder / RECORDING)]
+    return max((int(number[1]) for number in named if number), default=0) + 1

@@ -51,11 +51,13 @@ def test_inspect_names_drives_and_couplings_as_what_they_are(
     {finger.format("left")}{finger.format("right")}</body></body></worldbody>
     <tendon><fixed name="both"><joint joint="left" coef="1"/><joint joint="right" coef="1"/></fixed>
     </tendon><equality><joint joint1="right" joint2="left"/></equality>
-    <actuator><velocity name="v" joint="lift" kv="2e6"/><intvelocity name="i" joint="bend"
+    <actuator><position joint="bend" kp="30" timeconst=".02"/>
+    <velocity name="v" joint="lift" kv="2e6"/><intvelocity name="i" joint="bend"
     kp="100" actrange="-3 3"/><position name="p" tendon="both" kp="50"/></actuator></mujoco>"""
     (tmp_path / "arm.xml").write_text(text)
     assert main(["inspect", str(tmp_path / "arm.xml")]) == 0
-    assert capsys.readouterr().out.splitlines()[-4:] == [
+    assert capsys.readouterr().out.splitlines()[-5:] == [
+        "drive actuator1: position drive of bend, 30 N·m/rad, through a filter of 0.02 s",
         "drive v: velocity drive of lift, 2e+06 N·m·s/rad",
         "drive i: velocity drive of bend, 100 N·m/rad, which integrates its command",
         "drive p: position drive of left and right by tendon both, 50 N/m",
@@ -89,6 +91,11 @@ def test_a_sweep_corrects_the_plan(tmp_path: Path, capsys: Capture) -> None:
     write_csv(out / "recording" / "sweep.csv", {n: v[:2000] for n, v in measured.items()})
     assert main(words) == 1
     assert "sweep.csv: the joints move for" in last_line(capsys)
+    noise = {n: rng.normal(0, 1e-3, len(v)) if n != "time" else v for n, v in measured.items()}
+    write_csv(out / "recording" / "sweep.csv", noise)
+    assert main(words) == 1
+    assert "sweep.csv: the joints follow none of its lines" in last_line(capsys)
+    assert read_plan(out) == made
     write_csv(out / "recording" / "sweep.csv", measured)
     assert main(["plan", str(model), "--out", str(out)]) == 0
     said, corrected = capsys.readouterr(), read_plan(out)

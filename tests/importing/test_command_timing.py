@@ -16,7 +16,7 @@ from loose_env.errors import InvalidData
 from loose_env.gap.core.motion import low_passed
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import align_run, channels_of
-from loose_env.importing import command_delays, import_recording
+from loose_env.importing import command_delays, drives_of, import_recording
 from loose_env.recording import CommandTiming, Run, read_recording, write_recording
 
 RATE, STEP = 50.0, 1e-3
@@ -165,6 +165,16 @@ def test_the_gap_simulates_and_balances_what_acts() -> None:
     assert seen == pytest.approx(np.sin(3 * (time + 0.004))[20:-20], abs=1e-3)
     held = low_passed(values[:, None], 10.0, 1 / RATE, [CommandTiming()])[20:-20, 0]
     assert held == pytest.approx(np.sin(3 * (time - 0.5 / RATE))[20:-20], abs=1e-3)
+
+
+def test_a_filter_makes_a_servo_late_and_a_negative_gain_makes_it_none() -> None:
+    late = ARM.replace('kv="5"', 'kv="5" timeconst="0.03"').replace('name="bend" joint', "joint")
+    lift, bend = drives_of(mujoco.MjModel.from_xml_string(late))
+    assert (lift.name, lift.filter_s, bend.name, bend.filter_s) == ("lift", 0.0, "", 0.03)
+    assert lift.follows and bend.follows
+    assert (lift.lag, bend.lag) == pytest.approx((8.3 / 200, 5.2 / 120 + 0.03))
+    away, _ = drives_of(mujoco.MjModel.from_xml_string(ARM.replace('kp="200"', 'kp="-200"')))
+    assert away.sets == "position" and not away.follows
 
 
 def test_recordings_keep_their_timings_and_refuse_others(tmp_path: Path) -> None:

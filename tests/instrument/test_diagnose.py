@@ -94,6 +94,10 @@ def test_all_accelerometers_that_a_run_has_are_used(tmp_path: Path) -> None:
     assert off <= alone_off + 1
     assert whole.places[0].probability >= alone.places[0].probability - 0.01
     assert any(r.startswith("run-02.parquet: elbow_acc is not used") for r in whole.remarks)
+    unread = [with_sensors(r, turn_position=np.full(len(r.time), np.nan)) for r in both.runs]
+    remarks = diagnose(replace(both, runs=tuple(unread))).remarks
+    unused = [r.split(": ")[1] for r in remarks if "is not used" in r]
+    assert unused == ["a channel holds no number"] * 3
 
 
 def test_a_healthy_reference_says_what_rose(loose: Recording) -> None:

@@ -248,6 +248,21 @@ def test_rigid_dynamics_agree_with_weights(arm: SuspectArm) -> None:
     assert turns.shape == (6 + ROCKS, 3) and (free > 0).all()
 
 
+def test_joints_that_are_all_parallel_leave_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "planar.xml"
+    path.write_text("""<mujoco><worldbody><body name="a"><joint name="lift" axis="0 1 0"
+    range="-2 2"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="2"/><body name="b"
+    pos=".3 0 0"><joint name="bend" axis="0 1 0" range="-2 2"/><site name="tool" pos=".3 0 .1"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/></body></body></worldbody>
+    </mujoco>""")
+    made, planar = plan(path, PlanSettings(poses=3, max_torque_nm=(50.0,)))
+    assert np.isfinite([*made.tested.values()]).all()
+    found = planar.at(np.array([0.3, 0.4])).throws(np.zeros(2))
+    assert all(np.isfinite(each).all() for each in found)
+    # The free joint takes up all of a rocking about its own axis.
+    np.testing.assert_allclose(found[2][2 + ROCKS // 2], 0, atol=1e-9)
+
+
 def test_a_link_that_is_called_base_is_not_the_ground(tmp_path: Path) -> None:
     path = tmp_path / "named.xml"
     named = NOMINAL.replace('"foot"', '"plate"').replace('"column"', '"base"')

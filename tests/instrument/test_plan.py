@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -132,6 +133,13 @@ def test_a_plan_is_written_read_back_and_ready_to_be_filled(bench: Path, tmp_pat
     stated = mujoco.MjModel.from_xml_path(str(tmp_path / "recording" / "model.xml"))
     assert stated.sensor("acc").type == mujoco.mjtSensor.mjSENS_ACCELEROMETER
     assert next_number(tmp_path) == 1
+    described = tmp_path / "recording" / "recording.json"
+    other = json.loads(described.read_text())
+    other["runs"] += [{"file": "knock.csv"}, {"file": "extra-7.csv"}]
+    described.write_text(json.dumps(other))
+    for name in ("knock", "extra-7"):
+        (tmp_path / "recording" / f"{name}.csv").write_text("time\n0\n")
+    assert next_number(tmp_path) == 8
 
 
 def diagnosed(verdict: str, **verdicts: str) -> Diagnosis:
