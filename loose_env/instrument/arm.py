@@ -21,6 +21,8 @@ BOLTS, GEARS = "structural_looseness", "backlash"
 ROCKS = 12
 """Axes in its plate about which the base may rock that are tried: 15 degrees apart."""
 _TURN = 2 * np.pi
+_ROUNDING = 1e-12
+"""Least share of its inertia that the base rocks with: free joints may take up all of it [1]."""
 
 
 def place_name(kind: str, at: str) -> str:
@@ -96,6 +98,7 @@ class PoseModel:
             seats.append(frame - self.jacobian @ inverse @ carried.T)
             stiff.append(mass * np.eye(3) - carried @ inverse @ carried.T)
         base = self.bulk - np.einsum("ki,ij,kj->k", self.rocked, inverse, self.rocked)
+        base = np.maximum(base, _ROUNDING * self.bulk)
         turns, joints = (self.jacobian @ inverse).T, 1 / np.diag(inverse)
         swings = self.swung - self.rocked @ turns
         turns = np.vstack([turns * joints[:, None], swings])

@@ -433,20 +433,16 @@ def swept(folder: Path) -> tuple[float, str] | None:
     found, signal = read_recording(recording), made.signal_of(made.sweep)
     file = recording / measured[0].file
     motion = read_motion(read_arm(found.model_path), found.runs[0], signal)
-    hertz, still, why = (
-        0.0,
-        list[str](),
-        "the joints follow none of its lines by half their commands",
-    )
+    again = f"play {SWEEP} again, or state --bandwidth-hz"
     if isinstance(motion, Unusable):
-        why = motion.why
-    else:
-        shares = shares_followed([motion.lines], [made.sweep.peak], signal, made.joints)
-        hertz = followed_hz(shares, signal)
-        each = dict(zip(made.joints, shares.T[:, :, None], strict=True))
-        still = [joint for joint, own in each.items() if not followed_hz(own, signal)]
+        raise InvalidData(f"{file}: {motion.why}; {again}")
+    shares = shares_followed([motion.lines], [made.sweep.peak], signal, made.joints)
+    hertz = followed_hz(shares, signal)
     if not hertz:
-        raise InvalidData(f"{file}: {why}; play {SWEEP} again, or state --bandwidth-hz")
+        none = "the joints follow none of its lines by half their commands"
+        raise InvalidData(f"{file}: {none}; {again}")
+    each = zip(made.joints, shares.T[:, :, None], strict=True)
+    still = [joint for joint, own in each if not followed_hz(own, signal)]
     assumed = made.settings.limits.bandwidth_hz
     said = f"{SWEEP}: the joints follow half their commands up to {hertz:g} Hz"
     if still:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.instrument import PlanSettings, SuspectArm, commands_of, plan, read_arm
 from loose_env.instrument.arm import ROCKS
-from loose_env.instrument.knocks import knocks, rung, sphere
+from loose_env.instrument.knocks import knocks, loads_of, rung, sphere, trains
 from loose_env.instrument.locate import correlation
 from loose_env.instrument.motion import accelerations, fit_gears, links_of, mounted, softening, wave
 from loose_env.instrument.records import Record, followed_hz, read_run, shares_followed
@@ -261,6 +261,10 @@ def test_joints_that_are_all_parallel_leave_numbers(tmp_path: Path) -> None:
     assert all(np.isfinite(each).all() for each in found)
     # The free joint takes up all of a rocking about its own axis.
     np.testing.assert_allclose(found[2][2 + ROCKS // 2], 0, atol=1e-9)
+    swing = np.sin(np.linspace(0, 20 * np.pi, 200))[:, None] * np.array([200.0, 300.0])
+    loads = loads_of(planar.at(np.array([0.3, 0.4])), swing, np.zeros(2))
+    rang = trains(loads, np.eye(3), 0.05, planar.slides, 1.0)
+    assert np.isfinite(rang).all() and rang[-ROCKS // 2].max() < 1e-9 * rang.max()
 
 
 def test_a_link_that_is_called_base_is_not_the_ground(tmp_path: Path) -> None:
