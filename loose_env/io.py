@@ -317,7 +317,9 @@ def whole_of(text: str, *, format: str, noun: str) -> dict[str, Any]:
     try:
         whole = json.loads(text, parse_constant=_refused, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
-        raise InvalidData(f"the {noun} is no JSON: {error}") from None
+        raise InvalidData(
+            f"the {noun} is no JSON, or was cut off: {error}; write it again"
+        ) from None
     if not isinstance(whole, dict) or whole.get("format") != format:
         given = whole.get("format") if isinstance(whole, dict) else whole
         raise InvalidData(f"a {noun} of the format {format!r} is needed, not {given!r:.60}")
@@ -469,10 +471,11 @@ class Checked:
 
 
 def check_fields(settings: Any, kind: Any = None) -> None:
-    """Refuse values that the annotations of a dataclass do not allow.
+    """Refuse values that the annotations of a dataclass do not allow; make tuples of lists.
 
     Numbers, words, one of several words, tuples, dataclasses and optional fields are checked;
-    fields of any other type are not. With ``kind``, a base class, its fields alone are checked.
+    fields of any other type are not. A list, as JSON has it, or an array is the same setting as the
+    tuple of its values. With ``kind``, a base class, its fields alone are checked.
 
     Raises
     ------
@@ -485,8 +488,9 @@ def check_fields(settings: Any, kind: Any = None) -> None:
     ... class Own(Checked):
     ...     most: int = 3
     ...     share: NonNegative | None = None
-    >>> Own(share=1).share
-    1
+    ...     ends: tuple[float, ...] = ()
+    >>> Own(share=1, ends=[0.0, 0.5])
+    Own(most=3, share=1, ends=(0.0, 0.5))
     >>> Own(most=2.5)
     Traceback (most recent call last):
     ...
@@ -494,9 +498,13 @@ def check_fields(settings: Any, kind: Any = None) -> None:
     """
     kind = kind or type(settings)
     for name, (validator, words) in _rules(kind):
+        if validator is None:
+            continue
         value = getattr(settings, name)
-        if validator is not None and not validator.isinstance_python(_bare(value)):
+        if not validator.isinstance_python(bare := _bare(value)):
             raise InvalidSetting(f"{kind.__name__}.{name} must be {words}; got {value!r:.200}")
+        if isinstance(value, list | np.ndarray):
+            object.__setattr__(settings, name, bare)
 
 
 def unmet(hint: Any, value: Any) -> str:

@@ -207,10 +207,8 @@ def _settings(arguments: dict[str, Any], others: tuple[str, ...]) -> Any:
         if isinstance(given := arguments.get(name), Mapping):
             check(name, given, kind)
             arguments[name] = restored(kind, dict(given), name)
-    links = arguments.pop(_ON_LINKS, None)
-    if links is not None:  # one of the sensors' settings: given as JSON, these cannot be
-        sensors = arguments.get("sensors", SensorSuite())
+    links, sensors = arguments.pop(_ON_LINKS, None), arguments.get("sensors", SensorSuite())
+    # One of the sensors' settings: given as JSON, these cannot be.
+    if links is not None and isinstance(sensors, SensorSuite):
         arguments["sensors"] = replace(sensors, link_accelerometers=links)
-    # Lists, as of JSON, are the same settings as tuples, tuned and trained under one name.
-    arguments |= {name: tuple(v) for name, v in arguments.items() if isinstance(v, list)}
     return DiagnosisSettings(**arguments)

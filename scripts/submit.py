@@ -53,7 +53,7 @@ from loose_agents.registry import describe
 from tyro.conf import Positional
 
 from loose_env.cli.command import Actions, commands, one_of
-from loose_env.errors import InvalidData, InvalidSetting
+from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError
 from loose_env.io import Count, NonNegativeCount, write_text
 from scripts.study import write_between
 
@@ -182,7 +182,7 @@ def check(given: Check) -> None:
             said = check_results(
                 results, episodes=given.episodes, rng=rng, by_agent=not given.actions_only
             )
-        except InvalidData as error:
+        except LooseEnvError as error:
             raise InvalidData(f"{path}: {error}") from error
         print(f"{path}: {said}")
 

@@ -64,6 +64,7 @@ from loose_env.arms.model_file import (
     files_of,
     load_spec,
     model_file,
+    model_path,
     read_model_file,
     require_numbers,
 )
@@ -114,6 +115,7 @@ __all__ = [
     "link_site",
     "load_spec",
     "model_file",
+    "model_path",
     "new_spec",
     "place_shaker",
     "planar",

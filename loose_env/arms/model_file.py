@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -431,6 +431,13 @@ class ModelFile:
     warnings: tuple[str, ...]
 
 
+def model_path(path: Any) -> Path:
+    """Path of a model's file; refuses what is none."""
+    if not isinstance(path, (str, PathLike)):
+        raise InvalidSetting(f"a model is the path of an MJCF or URDF file, got {path!r}")
+    return Path(path)
+
+
 def load_spec(
     path: str | Path, *, package: str | Path | None = None
 ) -> tuple[Path, str, mujoco.MjSpec]:
@@ -457,9 +464,7 @@ def load_spec(
     InvalidData
         If it is no MJCF or URDF, refers to anything outside its folder, or cannot be read.
     """
-    if not isinstance(path, (str, PathLike)):
-        raise InvalidSetting(f"a model is the path of an MJCF or URDF file, got {path!r}")
-    file = Path(path)
+    file = model_path(path)
     try:
         there = file.is_file()
     except OSError as error:  # such as a name that is too long

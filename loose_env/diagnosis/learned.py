@@ -281,7 +281,7 @@ class AmortisedPosterior:
         reference: NoveltyReference | None = None,
     ) -> None:
         self.linear, self.network, self.friction = linear, network, friction
-        self.hypotheses = hypotheses(linear.arm, KINDS, everywhere=True)
+        self.hypotheses = hypotheses(linear.arm, everywhere=True)
         self.features = SeatFeatures(linear, sensors, mismatch, directions=directions)
         self.reference = reference
         wanted = (len(LOCATION_FEATURES), len(RECORD_FEATURES), 2 * linear.arm.n)

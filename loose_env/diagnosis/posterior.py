@@ -370,8 +370,7 @@ class PosteriorSettings:
         beyond = [k for k, share in self.kinds.items() if k not in KINDS and share > 0]
         if beyond:
             raise InvalidSetting(
-                f"the posterior has no model of {beyond}, only of {list(KINDS)}: keep to "
-                "these kinds, or use an agent that works without it"
+                f"the posterior has no model of {beyond}: keep to the kinds {list(KINDS)}"
             )
         if not 0 < self.temper <= 1:
             raise InvalidSetting(f"temper must be above 0 and at most 1, got {self.temper}")
@@ -455,7 +454,7 @@ class FaultPosterior:
                 f"arm {arm.name!r} reads {axes} axis at its tool; the posterior needs 2, for "
                 "an arm that moves in a plane, or 3"
             )
-        self.linear, self.hypotheses = linear, hypotheses(arm, KINDS, everywhere=True)
+        self.linear, self.hypotheses = linear, hypotheses(arm, everywhere=True)
         self.table = shipped_table()
         self.floor = SensorFloor.of(sensors, arm.band)
         count = self.settings.directions if axes == 2 else self.settings.space_directions

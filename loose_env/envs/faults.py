@@ -9,7 +9,7 @@ import numpy as np
 
 from loose_env.arms import FASTEST_TURN, Arm, LinearArm
 from loose_env.envs.settings import Difficulty
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import SeatDrive
 from loose_env.faults import (
     KINDS,
@@ -21,6 +21,8 @@ from loose_env.faults import (
     RotationalLooseness,
     SeveralFaults,
     StructuralLooseness,
+    hypotheses,
+    hypothesis_at,
     parts_of,
     place_of,
     places_of_kind,
@@ -168,9 +170,10 @@ class FaultSampler:
         self.drive = SeatDrive(linear, over=difficulty.friction_over)
         self.linear = linear
         """The nominal arm."""
+        self._known = hypotheses(self.arm, everywhere=True)
         rng = np.random.default_rng(0)
-        self._poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
-        self._masses = SeatMasses(linear, self._poses)
+        poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
+        self._masses = SeatMasses(linear, poses)
 
     def _with_a_place(self, shares: Mapping[str, float]) -> Mapping[str, float]:
         """Shares of the kinds that can be somewhere, of one together."""
@@ -185,7 +188,14 @@ class FaultSampler:
         """Draw a fault, of one hypothesis if it is given.
 
         Every draw takes ten variates from ``rng``.
+
+        Raises
+        ------
+        UnknownName
+            If the arm has no such hypothesis.
         """
+        if not (hypothesis is None or hypothesis in self._known):
+            raise UnknownName(f"unknown hypothesis {hypothesis!r}; they are {list(self._known)}")
         d = self.difficulty
         u = rng.random(10)
         if hypothesis is None:
@@ -194,14 +204,11 @@ class FaultSampler:
             kind = kinds[min(int(np.searchsorted(edges, u[0], side="right")), len(kinds) - 1)]
             places = places_of_kind(self.arm, kind)
             place = places[min(int(u[1] * len(places)), len(places) - 1)]
-        else:
-            name, _, _ = hypothesis.partition("@")
-            kind, place = name, place_of(hypothesis) or 1  # type: ignore[assignment]
-        if kind == "healthy":
+            hypothesis = hypothesis_at(kind, place) if kind != "healthy" else kind
+        if hypothesis == "healthy":
             return Healthy()
-        part = "joint" if kind == "backlash" else "link"
         return self.fault(
-            f"{kind}@{part}{place}",
+            hypothesis,
             gap=log_uniform(d.gap, u[2]),
             ratio=log_uniform(d.friction, u[3]),
             modes=np.array([uniform(d.contact_mode, v) for v in u[4:6]]),
@@ -278,8 +285,7 @@ class FaultSampler:
         for place in sorted(int(p) for p in places):
             here = weights * [place in places_of_kind(self.arm, k) for k in kinds]
             kind = kinds[int(rng.choice(len(kinds), p=here / here.sum()))]
-            part = "joint" if kind == "backlash" else "link"
-            faults.append(self.draw(rng, hypothesis=f"{kind}@{part}{place}"))  # type: ignore[arg-type]
+            faults.append(self.draw(rng, hypothesis=hypothesis_at(kind, place)))  # type: ignore[arg-type]
         seats = [self._seat(f.place, getattr(f, "direction", None)) for f in faults]
         share = self._masses.softening(
             np.array(seats),

@@ -15,7 +15,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from loose_env.arms import SERVO_ARM
+from loose_env.arms import SERVO_ARM, model_path
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.gap import (
     VISIBLE,
@@ -564,6 +564,8 @@ def make_model_gap(*, model: str | Path | None = None, **arguments: Any) -> Mode
     ------
     UnknownName
         If there is no such argument.
+    InvalidSetting
+        If a setting cannot be used, or there is no such file.
     InvalidData
         If the file is no model with position servos.
     """
@@ -574,10 +576,8 @@ def make_model_gap(*, model: str | Path | None = None, **arguments: Any) -> Mode
     if unknown:
         raise UnknownName(f"unknown arguments {unknown}; known are {['model', *known]}")
     settings = ModelGapSettings(**arguments)
-    path = SERVO_ARM if model is None else Path(model)
-    bank = _bank(
-        str(path), settings.tolerance, settings.max_speed, tuple(settings.kinds), settings.library
-    )
+    path = str(SERVO_ARM if model is None else model_path(model))
+    bank = _bank(path, settings.tolerance, settings.max_speed, settings.kinds, settings.library)
     return ModelGapEnv(bank, settings)
 
 

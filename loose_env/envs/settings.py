@@ -41,7 +41,7 @@ class Difficulty:
     """Travel, log-uniform [m].
 
     Play in a joint that turns is this travel at the arm's full reach, in a joint that slides the
-    travel itself; the angle of a rocking link is that of this travel at the tool."""
+    travel itself."""
     contact_mode: Range = (300.0, 360.0)
     """Mode of the distal part on a stop with the rest held, uniform for each side [Hz].
 

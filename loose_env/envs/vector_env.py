@@ -173,7 +173,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         limit = 1 if max_episode_steps is None else max_episode_steps
         for name, given in (("num_envs", num_envs), ("max_episode_steps", limit)):
             if not is_whole(given) or given < 1:
-                raise InvalidSetting(f"{name} must be 1 or more, got {given!r}")
+                raise InvalidSetting(f"{name} must be 1 or more, a whole number; got {given!r}")
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise UnknownName(
                 f"a batch has no render_mode {render_mode!r}; it has 'rgb_array', and a single "

@@ -46,7 +46,7 @@ def checked_kinds(kinds: Sequence[str]) -> tuple[FaultKind, ...]:
     if isinstance(kinds, str) or not isinstance(kinds, Sequence):
         raise InvalidSetting(f"kinds are several names out of {list(KINDS)}, got {kinds!r}")
     unknown = [kind for kind in kinds if kind not in KINDS]
-    if unknown and set(unknown) <= set(get_args(FaultKind)):
+    if unknown and all(kind in get_args(FaultKind) for kind in unknown):
         raise InvalidSetting(
             f"{unknown} are no hypotheses, for no posterior knows them; kinds are {list(KINDS)}. "
             "Hide such a fault by reset(options={'fault': RotationalLooseness(...)})"
@@ -92,14 +92,22 @@ def hypotheses(
     >>> hypotheses(vera(), ("healthy", "backlash"))[1:]
     ('backlash@joint1', 'backlash@joint2')
     """
-    names = []
+    names: list[str] = []
     for kind in checked_kinds(kinds):
-        if kind == "healthy":
-            names.append("healthy")
-            continue
         places = places_of_kind(arm, kind) if not everywhere else tuple(range(1, arm.n + 1))
-        names += [f"{kind}@{_part(kind)}{i}" for i in places]
+        names += [hypothesis_at(kind, i) for i in places] if kind != "healthy" else [kind]
     return tuple(names)
+
+
+def hypothesis_at(kind: str, place: int) -> str:
+    """Hypothesis of a kind of fault at a link or joint.
+
+    Examples
+    --------
+    >>> hypothesis_at("backlash", 2), hypothesis_at("structural_looseness", 1)
+    ('backlash@joint2', 'structural_looseness@link1')
+    """
+    return f"{kind}@{_part(kind)}{place}"
 
 
 def _part(kind: str) -> str:
@@ -160,7 +168,7 @@ class _Placed(Checked):
     @property
     def hypothesis(self) -> str:
         """Name of the hypothesis that this arm belongs to."""
-        return f"{self.kind}@{_part(self.kind)}{self.place}"
+        return hypothesis_at(self.kind, self.place)
 
 
 @dataclass(frozen=True, kw_only=True)

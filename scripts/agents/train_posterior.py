@@ -90,7 +90,7 @@ def train(options: Options) -> None:
     import torch
 
     torch.set_num_threads(1)
-    if problem.hypotheses != hypotheses(problem.arm, KINDS):
+    if problem.hypotheses != hypotheses(problem.arm):
         raise InvalidSetting(
             f"the posterior learns the kinds {list(KINDS)}; leave the environment's kinds "
             "as they are by default"

@@ -131,7 +131,7 @@ def test_a_batch_obeys_a_limit_of_steps_as_a_single_environment_does(mode: str) 
     last = infos["final_obs"] if mode == "SameStep" else found
     np.testing.assert_array_equal(last[0], seen)
     assert not batch.step(np.stack([record] * 2))[3].any()
-    for wrong in (-1, 0):
+    for wrong in (-1, 0, 1.5, float("nan"), "x"):
         with pytest.raises(InvalidSetting, match="max_episode_steps must be 1 or more"):
             gymnasium.make_vec("loose_env/Planar-v0", max_episode_steps=wrong)
 
@@ -147,6 +147,9 @@ def test_arguments_reach_single_and_vector_environments() -> None:
         assert observation in env.observation_space
         env = make("loose_env/Planar-v0", durations=[0.2], kinds=["backlash", "healthy"]).unwrapped
         assert (env.settings.durations, env.settings.kinds) == ((0.2,), ("healthy", "backlash"))
+        assert env.settings == DiagnosisSettings(
+            durations=np.array([0.2]), kinds=env.settings.kinds
+        )  # type: ignore[arg-type]
         env = make("loose_env/SearchTier-v0", prices={"record": 0.2}).unwrapped
         assert (env.arm.n, env.settings.max_moved, env.settings.prices.record) == (7, 1, 0.2)
         assert env.settings.difficulty.kinds == {"healthy": 0.125, "structural_looseness": 0.875}

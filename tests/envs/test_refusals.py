@@ -57,7 +57,10 @@ MADE: list[tuple[str, dict[str, Any], type[LooseEnvError], tuple[str, ...]]] = [
         ("Planar", {"kinds": ("healthy", kind)}, InvalidSetting, (kind, "no posterior", "reset("))
         for kind in ("rotational_looseness", "compound_looseness")
     ),
+    ("Planar", {"kinds": ["healthy", ["backlash"]]}, UnknownName, ("[['backlash']]", "kinds are")),
     ("Planar", {"rig": "x"}, LooseEnvError, ("rig",)),
+    ("Planar", {"sensors": 3, "link_accelerometers": True}, InvalidSetting, ("a SensorSuite", "3")),
+    ("Gap", {"model": 3}, InvalidSetting, ("path of an MJCF or URDF", "3")),
     ("Planar", {"max_moved": 5}, InvalidSetting, ("max_moved is 1 to 4", "got 5")),
     ("Vera", {"max_excited": 9}, InvalidSetting, ("max_excited is 1 to 2", "got 9")),
     *(
@@ -187,6 +190,9 @@ def test_a_difficulty_hides_hypotheses_alone() -> None:
         with refused(InvalidSetting, "hides ['backlash'], but only", "add"):
             make()
     sampler = FaultSampler(LinearArm(planar(2)), Difficulty())
+    for name in ("rotational_looseness@link1", "backlash@joint3", "backlash"):
+        with refused(UnknownName, f"hypothesis '{name}'", "'backlash@joint2'"):
+            sampler.draw(np.random.default_rng(0), hypothesis=name)
     with refused(InvalidSetting, "2 to 2"):
         sampler.several(np.random.default_rng(0), count=3)
 

@@ -196,11 +196,11 @@ def read_results(path: Path) -> Results:
     """Read a results file and check it against the format."""
 
     def parse(text: str) -> Results:
-        results = restored(Results, whole_of(text, format=FORMAT, noun="results"), "results")
+        results = restored(Results, whole_of(text, format=FORMAT, noun="results file"), "results")
         _check(results)
         return results
 
-    return read_result_file(path, parse, noun="results")
+    return read_result_file(path, parse, noun="results file")
 
 
 def _check(results: Results) -> None:

@@ -59,15 +59,17 @@ def table(rows: Sequence[Row]) -> str:
         "|---|---|---|---:|---:|---:|---:|",
     ]
     for row in rows:
-        cells = ["", f"refused: {row['error']}", "", "", "", ""]
-        if row["error"] is None:
-            names = [f"`{Path(name).stem}`" for name in row["held_out"]]
-            held = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} runs"
-            before, after = row["rmse"] or (0.0, 0.0)
-            errors = f"{before:.4f}", f"{after:.4f}", f"{after / (before or 1.0):.2f}"
-            cells = [held, row["named"], *(errors if before else ("", "", ""))]
-            cells.append(f"{row['seconds']:.0f}")
-        lines.append(f"| {' | '.join((row['recording'], *cells))} |")
+        if row["error"] is not None:
+            lines.append(f"| {row['recording']} | | refused: {row['error']} | | | | |")
+            continue
+        names = [f"`{Path(name).stem}`" for name in row["held_out"]]
+        held = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} runs"
+        errors = " |  | "
+        if row["rmse"] is not None:
+            before, after = row["rmse"]
+            errors = f"{before:.4f} | {after:.4f} | {after / before:.2f}"
+        cells = (row["recording"], held, row["named"], errors, f"{row['seconds']:.0f}")
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
