@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from loose_env.doctor.findings import Defect, Finding
+from loose_env.doctor.findings import Defect, DoctorSettings, Finding
 from loose_env.doctor.machine import Machine, Motion, filled, forces_of, positions_of, servos_of
-from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.signals import implied_readings
 from loose_env.importing import early_by
 from loose_env.statistics import phase_delay
@@ -177,13 +176,11 @@ def check_clocks(
 def _seen(machine: Machine, motion: Motion) -> Iterator[tuple[str, _Seen]]:
     """Delays of all channels of a run, by the clock that they have."""
     run, step = motion.run, float(motion.edges[1] - motion.edges[0])
-    columns = {f"sensor.{name}": values for name, values in run.sensors.items()}
-    for name, kind, of, implied in implied_readings(machine, motion):
-        values = columns[name] if name in columns else columns[name[:-2]][:, "xyz".index(name[-1])]
-        found = delay_between(implied, motion.mean(values), step)
+    for c, implied in implied_readings(machine, motion):
+        found = delay_between(implied, motion.mean(c.values), step)
         if found is not None:
-            clock = f"{_SENSORS.get(kind, 'recorder of the velocity')} of {of}"
-            yield clock, _Seen(motion, name if kind == "velocity" else f"sensor.{of}", found)
+            clock = f"{_SENSORS.get(c.kind, 'recorder of the velocity')} of {c.of}"
+            yield clock, _Seen(motion, c.name if c.kind == "velocity" else f"sensor.{c.of}", found)
     if set(machine.joints) <= motion.known:
         for joint, (column, values) in forces_of(machine, run).items():
             if joint in run.excited:

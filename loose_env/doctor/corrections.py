@@ -148,25 +148,20 @@ def corrected(run: Run, corrections: Sequence[Correction]) -> Run:
         if each.kind == "exchange" and len(there) == 2:
             (first, a), (second, b) = there
             first[a], second[b] = second[b], first[a]
-        elif each.kind == "scale":
-            for group, name in there:
+        for group, name in there:
+            if each.kind == "scale":
                 group[name] = group[name] * each.factor
-        elif each.kind == "unwrap":
-            for group, name in there:
+            elif each.kind == "unwrap":
                 good = np.isfinite(group[name])
-                whole = np.array(group[name])
-                whole[good] = np.unwrap(whole[good])
-                group[name] = whole
-        elif each.kind == "shift":
-            for group, name in there:
+                group[name] = np.array(group[name])
+                group[name][good] = np.unwrap(group[name][good])
+            elif each.kind == "shift":
                 group[name] = _shifted(run.time, group[name], each.seconds)
     return replace(run, controls=groups["ctrl"], sensors=groups["sensor"], torques=groups["torque"])
 
 
 def _shifted(time: Array, values: Array, seconds: float) -> Array:
     """Values that were recorded some time later, missing where none was recorded."""
-    if values.ndim > 1:
-        return np.stack([_shifted(time, column, seconds) for column in values.T], axis=1)
     good = np.isfinite(values)
     if not good.any():
         return values

@@ -1,27 +1,52 @@
-"""Findings of the preflight, and their report as text and JSON."""
+"""Findings of the preflight, tolerances that a user may set, and the report as text and JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from loose_env.doctor.corrections import Correction
 from loose_env.errors import InvalidData
-from loose_env.io import json_text
+from loose_env.io import Checked, json_text, positive
 
 Severity = Literal["error", "warning", "note"]
 """``"error"``: a result would be wrong. ``"warning"``: it may be. ``"note"``: worth knowing."""
 
 FORMAT = "loose-doctor/1"
-_RANK: dict[str, int] = {"error": 0, "warning": 1, "note": 2}
+SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
 _SHOWN = 3
-_GRADES: Mapping[Severity, Literal["critical", "warning", "note"]] = {
-    "error": "critical",
-    "warning": "warning",
-    "note": "note",
-}
-"""Severity of a finding -> weight of a warning of the result."""
+"""Findings of one kind that are written out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoctorSettings(Checked):
+    """Tolerances of the preflight.
+
+    Raises
+    ------
+    InvalidSetting
+        If one is not a positive number.
+
+    Examples
+    --------
+    >>> DoctorSettings(clock_s=-1.0)
+    Traceback (most recent call last):
+    ...
+    loose_env.errors.InvalidSetting: DoctorSettings.clock_s must be positive seconds; got -1.0
+    """
+
+    clock_s: Annotated[float, positive("seconds")] = 1e-3
+    """Offset between the clocks of two recorders, from which it is a warning [s]: 54 degrees of
+    phase at 150 Hz."""
+    turned_deg: Annotated[float, positive("degrees")] = 15.0
+    """Angle between measured and predicted gravity at an accelerometer, from which it is a warning
+    [deg]: mounting and pose are known to a few degrees."""
+    pose_offset: Annotated[float, positive("rad or m")] = 0.05
+    """Distance of a measured from a noted joint position, from which it is a warning [rad or m]:
+    servos sag by less."""
+    fastest: Annotated[float, positive("rad/s or m/s")] = 60.0
+    """Joint speed above which the unit is doubted [rad/s or m/s]: fast arms reach 10 rad/s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +108,7 @@ class Report:
     @classmethod
     def of(cls, recording: str, runs: int, seconds: float, findings: Iterable[Finding]) -> Report:
         """Make a report of findings in any order."""
-        ordered = sorted(findings, key=lambda each: _RANK[each.severity])
+        ordered = sorted(findings, key=lambda each: SEVERITIES.index(each.severity))
         return cls(recording=recording, runs=runs, seconds=seconds, findings=tuple(ordered))
 
     def of_severity(self, severity: Severity) -> tuple[Finding, ...]:
@@ -107,17 +132,10 @@ class Report:
 
     def headline(self) -> str:
         """Count of the findings, in one line."""
-        counts = [
-            f"{len(rows)} {word}{'s' * (len(rows) != 1)}"
-            for word, rows in (
-                ("error", _grouped(self.findings, "error")),
-                ("warning", _grouped(self.findings, "warning")),
-                ("note", _grouped(self.findings, "note")),
-            )
-            if rows
-        ]
+        counts = {each: len(_grouped(self.findings, each)) for each in SEVERITIES}
+        told = [f"{n} {each}{'s' * (n != 1)}" for each, n in counts.items() if n]
         runs = f"{self.runs} run{'s' * (self.runs != 1)}, {self.seconds:.4g} s"
-        return f"{self.recording} ({runs}): {', '.join(counts) or 'nothing found'}"
+        return f"{self.recording} ({runs}): {', '.join(told) or 'nothing found'}"
 
     def lines(self, *, least: Severity = "note") -> list[str]:
         """Findings as text; a defect that several runs have is written once.
@@ -127,13 +145,9 @@ class Report:
         least : {"error", "warning", "note"}
             Least severity that is written.
         """
-        found = []
-        for severity in ("error", "warning", "note"):
-            if _RANK[severity] > _RANK[least]:
-                break
-            for group in _grouped(self.findings, severity):
-                found += _lines(severity, group)
-        return found
+        severe = SEVERITIES[: SEVERITIES.index(least) + 1]
+        groups = [(each, group) for each in severe for group in _grouped(self.findings, each)]
+        return [line for severity, group in groups for line in _lines(severity, group)]
 
     def text(self) -> str:
         """Whole report as text."""
@@ -203,12 +217,12 @@ def graded_findings(
     """
     return tuple(
         (
-            _GRADES[severity],
+            "critical" if severity == "error" else severity,
             f"{'in ' if _place(group[0]) else ''}{_observed(group[0])}"
             f"{f' (and {len(group) - 1} more)' if len(group) > 1 else ''}; "
             f"{group[0].consequence}; {group[0].remedy}",
         )
-        for severity in _GRADES
+        for severity in SEVERITIES
         for group in _grouped(findings, severity)
     )
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from loose_env.importing import Drive, drives_of, inverse_dynamics, median_step
-from loose_env.recording import Run
+from loose_env.importing import Drive, drives_of, inverse_dynamics, joint_targets, median_step
+from loose_env.kinematics import carried_bodies
+from loose_env.recording import Run, table_of
 from loose_env.typing import Array
 
 Kind = Literal["position", "velocity", "acceleration", "turning", "torque", "command", "other"]
@@ -24,7 +25,7 @@ _KINDS: dict[int, Kind] = {
     int(mujoco.mjtSensor.mjSENS_ACCELEROMETER): "acceleration",
     int(mujoco.mjtSensor.mjSENS_GYRO): "turning",
 }
-_SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_GROUPS: dict[str, Kind] = {"ctrl": "command", "torque": "torque"}
 
 BLOCK_S = 0.1
 """Length of the block means of slow signals [s]: a period at 10 Hz, where servos end."""
@@ -64,29 +65,18 @@ class Machine:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
-        self.joints = [
-            model.joint(j).name
-            for j in range(model.njnt)
-            if int(model.jnt_type[j]) in _SINGLE and model.joint(j).name
-        ]
+        self.joints = {target.name: target for target in joint_targets(model)}
         """Hinges and slides with a name."""
         self.drives = {drive.name: drive for drive in drives_of(model) if not drive.tendon}
         """Actuators on joints, by name."""
 
     def hinge(self, joint: str) -> bool:
         """Return True for a hinge, False for a slide."""
-        return int(self.model.jnt_type[self.model.joint(joint).id]) == _SINGLE[0]
+        return not self.joints[joint].slide
 
     def unit(self, joint: str) -> str:
         """Unit of the joint's position."""
         return "rad" if self.hinge(joint) else "m"
-
-    def limits(self, joint: str) -> tuple[float, float] | None:
-        """Limits of the joint [rad or m]; None where it has none."""
-        j = self.model.joint(joint).id
-        if not self.model.jnt_limited[j]:
-            return None
-        return float(self.model.jnt_range[j][0]), float(self.model.jnt_range[j][1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,37 +155,25 @@ def _means(time: Array, values: Array, edges: Array) -> Array:
 def carried(machine: Machine, sensor: str, known: frozenset[str]) -> bool:
     """Return whether all joints that carry a site sensor are known."""
     model = machine.model
-    body = int(model.site_bodyid[int(model.sensor_objid[model.sensor(sensor).id])])
-    while body > 0:
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        if any(model.joint(j).name not in known for j in range(first, first + count)):
-            return False
-        body = int(model.body_parentid[body])
-    return True
+    on = int(model.site_bodyid[int(model.sensor_objid[model.sensor(sensor).id])])
+    joints = (j for j, b in enumerate(model.jnt_bodyid) if carried_bodies(model, int(b))[on])
+    return all(model.joint(j).name in known for j in joints)
 
 
 def channels_of(machine: Machine, run: Run) -> list[Channel]:
     """All columns of a run but the time, in the order controls, sensors, torques."""
-    model = machine.model
-    found = [
-        Channel(name=f"ctrl.{name}", kind="command", of=name, values=values)
-        for name, values in run.controls.items()
-    ]
-    for name, values in run.sensors.items():
-        sensor = model.sensor(name).id
-        kind = _KINDS.get(int(model.sensor_type[sensor]), "other")
-        on_joint = kind in ("position", "velocity")
-        of = model.joint(int(model.sensor_objid[sensor])).name if on_joint else name
-        if values.ndim == 1:
-            found.append(Channel(name=f"sensor.{name}", kind=kind, of=of, values=values))
-            continue
-        for axis, letter in enumerate("xyz"):
-            column = values[:, axis]
-            found.append(Channel(name=f"sensor.{name}.{letter}", kind=kind, of=of, values=column))
-    found += [
-        Channel(name=f"torque.{joint}", kind="torque", of=joint, values=values)
-        for joint, values in run.torques.items()
-    ]
+    model, found = machine.model, []
+    for column, values in table_of(run).items():
+        group, _, name = column.partition(".")
+        kind, of = _GROUPS.get(group, "other"), name
+        if group == "sensor":
+            of = name if name in run.sensors and run.sensors[name].ndim == 1 else name[:-2]
+            sensor = model.sensor(of).id
+            kind = _KINDS.get(int(model.sensor_type[sensor]), "other")
+            if kind in ("position", "velocity"):
+                of = model.joint(int(model.sensor_objid[sensor])).name
+        if group in ("sensor", *_GROUPS):
+            found.append(Channel(name=column, kind=kind, of=of, values=values))
     return found
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from loose_env.doctor.corrections import Correction
-from loose_env.doctor.findings import Defect, Finding
+from loose_env.doctor.findings import Defect, DoctorSettings, Finding
 from loose_env.doctor.machine import (
     Channel,
     Machine,
@@ -21,7 +21,6 @@ from loose_env.doctor.machine import (
     positions_of,
     servos_of,
 )
-from loose_env.doctor.settings import POSE_SPREAD, DoctorSettings
 from loose_env.doctor.units import ANGLE, LENGTH, UNIT_MATCH, grouped, named_unit
 from loose_env.recording import Run
 from loose_env.typing import Array
@@ -39,6 +38,9 @@ MANY_TURNS_RAD = 20.0
 LEAST_POSE = 0.2
 """Largest noted position, below which measured positions are not compared with the notes [rad or
 m]: ten times a wrong zero."""
+POSE_SPREAD = 0.2
+"""Rms motion of a joint in a run with a noted pose, above which it is a finding, and a diagnosis
+refuses the run [rad or m]: shaking about a pose stays within 0.1."""
 TURN_MATCH = 0.1
 """Relative distance of a jump from a turn, up to which it is one: the joint moves meanwhile."""
 LARGEST_STEP_RAD = 1.5
@@ -173,7 +175,7 @@ def _alone(
             return _NOTED
     if not _outside_by_unit(machine, joint, values):
         return None
-    consistent = machine.limits(joint) is None and _moves_alike(machine, run, joint)
+    consistent = machine.joints[joint].limits is None and _moves_alike(machine, run, joint)
     return None if consistent else _LIMITS
 
 
@@ -192,7 +194,7 @@ def _moves_alike(machine: Machine, run: Run, joint: str) -> bool:
 
 def _outside_by_unit(machine: Machine, joint: str, values: Array) -> bool:
     """Return whether positions are outside the limits as they stand, and inside once converted."""
-    limits = machine.limits(joint)
+    limits = machine.joints[joint].limits
     if limits is None:
         return machine.hinge(joint) and float(np.abs(values).max()) > MANY_TURNS_RAD
     (factor,) = (ANGLE if machine.hinge(joint) else LENGTH).values()
@@ -203,7 +205,7 @@ def _outside_by_unit(machine: Machine, joint: str, values: Array) -> bool:
 
 def _excess(machine: Machine, joint: str, values: Array) -> float:
     """Excess of samples over the limits of their joint [rad or m]; 0 for a wrong zero's."""
-    low, high = machine.limits(joint) or (-np.inf, np.inf)
+    low, high = machine.joints[joint].limits or (-np.inf, np.inf)
     excess = float(max(low - values.min(initial=np.inf), values.max(initial=-np.inf) - high))
     return (
         excess if excess > (OUT_OF_RANGE_RAD if machine.hinge(joint) else OUT_OF_RANGE_M) else 0.0
@@ -221,7 +223,7 @@ def _judged(
     pair = f"measured {mean:.4g}, noted {noted.get(joint, 0.0):.4g} in {run.name}"
     fix = Correction(kind="scale", columns=(channel.name,), factor=1 / factor)
     if word in (_UNIT, _LIMITS):
-        limits, found = machine.limits(joint), f"reaches {reach:.4g}: {words} ({pair})"
+        limits, found = machine.joints[joint].limits, f"reaches {reach:.4g}: {words} ({pair})"
         if joint not in noted or abs(noted[joint]) < LEAST_POSE:
             within = f"goes from {limits[0]:.3g} to {limits[1]:.3g}" if limits else "has no limits"
             found = f"reaches {reach:.4g}, and joint {joint} {within}: probably {words}"
@@ -260,7 +262,7 @@ def check_entries(
         for joint, channel in measured.items():
             excess, unit = _excess(machine, joint, channel.there), machine.unit(joint)
             if excess:
-                low, high = machine.limits(joint) or (0.0, 0.0)
+                low, high = machine.joints[joint].limits or (0.0, 0.0)
                 found = f"{excess:.3g} {unit} outside joint {joint}'s limits of {low:.4g} to "
                 found += f"{high:.4g} {unit}"
                 yield _OUTSIDE.at(channel.name, found, excess, unit=unit, run=run.name)

@@ -16,10 +16,9 @@ from loose_env.doctor.channels import (
 )
 from loose_env.doctor.clocks import check_clocks
 from loose_env.doctor.corrections import corrected
-from loose_env.doctor.findings import Finding, Report
+from loose_env.doctor.findings import DoctorSettings, Finding, Report
 from loose_env.doctor.machine import BLOCK_S, Machine, Motion, motion_of
 from loose_env.doctor.positions import check_entries, check_positions, check_turns
-from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.signals import (
     check_commands,
     check_forces,

@@ -14,9 +14,10 @@ import mujoco
 import numpy as np
 
 from loose_env.doctor.corrections import Correction, corrected
-from loose_env.doctor.findings import Defect, Finding
+from loose_env.doctor.findings import Defect, DoctorSettings, Finding
 from loose_env.doctor.machine import (
     BLOCK_S,
+    Channel,
     Machine,
     Motion,
     carried,
@@ -27,7 +28,6 @@ from loose_env.doctor.machine import (
     positions_of,
     servos_of,
 )
-from loose_env.doctor.settings import DoctorSettings
 from loose_env.doctor.units import (
     ACCELERATION,
     ANGLE,
@@ -182,15 +182,14 @@ def check_kinematics(machine: Machine, motions: Sequence[Motion]) -> Iterator[Fi
     """Compare velocities, gyroscopes and accelerometers with the motion of the encoders."""
     pairs: dict[tuple[str, str, str], dict[str, Pair]] = {}
     for motion in motions:
-        for name, kind, of, implied in implied_readings(machine, motion):
-            column = next(c for c in channels_of(machine, motion.run) if c.name == name)
-            if column.there.size and not np.ptp(column.there):
-                told = f"every sample is {column.there[0]:.6g}, and the encoders imply motion there"
-                yield _DEAD.at(name, told, float(column.there[0]), run=motion.run.name)
+        for c, implied in implied_readings(machine, motion):
+            if c.there.size and not np.ptp(c.there):
+                told = f"every sample is {c.there[0]:.6g}, and the encoders imply motion there"
+                yield _DEAD.at(c.name, told, float(c.there[0]), run=motion.run.name)
                 continue
-            read = motion.mean(column.values)
+            read = motion.mean(c.values)
             pair = Pair(read - read.mean(), implied - implied.mean())
-            pairs.setdefault((name, kind, of), {})[motion.run.name] = pair
+            pairs.setdefault((c.name, c.kind, c.of), {})[motion.run.name] = pair
     for (name, kind, of), own in pairs.items():
         angle = kind == "turning" or (kind == "velocity" and machine.hinge(of))
         units = ACCELERATION if kind == "acceleration" else ANGLE if angle else LENGTH
@@ -208,8 +207,8 @@ def check_kinematics(machine: Machine, motions: Sequence[Motion]) -> Iterator[Fi
         )
 
 
-def implied_readings(machine: Machine, motion: Motion) -> Iterator[tuple[str, str, str, Array]]:
-    """Name, kind and joint or sensor of each channel that the encoders imply, and its values."""
+def implied_readings(machine: Machine, motion: Motion) -> Iterator[tuple[Channel, Array]]:
+    """Channels that the encoders imply, each with the values that they imply."""
     model, measured = machine.model, positions_of(machine, motion.run)
     for c in channels_of(machine, motion.run):
         if c.kind not in ("acceleration", "turning", "velocity"):
@@ -223,7 +222,7 @@ def implied_readings(machine: Machine, motion: Motion) -> Iterator[tuple[str, st
         implied = motion.readings[:, at : at + width]
         spread = implied.std(axis=0)
         if spread[axis] >= WEAK_AXIS * spread.max() and spread.max() > 0.0:
-            yield c.name, c.kind, c.of, implied[:, axis]
+            yield c, implied[:, axis]
 
 
 def check_forces(machine: Machine, blocks: Sequence[Motion]) -> Iterator[Finding]:

@@ -158,7 +158,7 @@ class TorqueFit:
         model, ids = machine.model, [machine.model.joint(j).id for j in machine.joints]
         self.places, self.dofs = model.jnt_qposadr[ids], model.jnt_dofadr[ids]
         self.encoders = {j: c.name for j, c in positions_of(machine, runs[0]).items()}
-        self.measured = [machine.joints.index(j) for j in torques]
+        self.measured = [[*machine.joints].index(j) for j in torques]
         self.rows = self._rows(runs)
         self.needed = self.needs(self.rows.q)
 

@@ -9,7 +9,13 @@ from loose_env.importing.mapping import ImportMapping, read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
 from loose_env.importing.proposal import Proposal, proposal_text, propose
 from loose_env.importing.resampling import median_step
-from loose_env.importing.targets import Drive, drives_of, followers, inverse_dynamics
+from loose_env.importing.targets import (
+    Drive,
+    drives_of,
+    followers,
+    inverse_dynamics,
+    joint_targets,
+)
 
 __all__ = [
     "Drive",
@@ -22,6 +28,7 @@ __all__ = [
     "followers",
     "import_recording",
     "inverse_dynamics",
+    "joint_targets",
     "median_step",
     "proposal_text",
     "propose",
