@@ -221,7 +221,7 @@ def test_the_doctor_lists_findings_and_exits_with_one_at_errors(
     refused(capsys, "doctor", str(tmp_path))
     with pytest.raises(SystemExit) as ended:
         main(["doctor", str(tmp_path), "--clock-s", "-1"])
-    assert ended.value.code == 2 and "clock_s must be positive seconds" in capsys.readouterr().err
+    assert ended.value.code == 2 and "--clock-s must be positive seconds" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["diagnose", "gap"])
