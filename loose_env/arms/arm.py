@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
@@ -377,26 +377,18 @@ class Gears:
     Drives of industrial arms have 1e4 to 1e6 N·m/rad, those of small wrists less.
     """
 
-    stiffness: tuple[float, ...] | None = None
+    stiffness: PerJoint | None = None
     """Stiffness of each joint's gear, at the joint [N·m/rad, or N/m where it slides]."""
-    mode_hz: float | tuple[float, ...] = GEAR_MODE_HZ
+    mode_hz: PerJoint = GEAR_MODE_HZ
     """Mode of each gear, motor braked, all other gears stiff, the arm where it is heaviest for the
     joint [Hz]. Not looked at where a stiffness is given."""
-    damping_ratio: float | tuple[float, ...] = GEAR_DAMPING
+    damping_ratio: PerJoint = GEAR_DAMPING
     """Damping ratio of that mode [1]."""
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "mode_hz", "damping_ratio"):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            values = np.atleast_1d(_numbers(value))
-            low = values < 0 if name == "damping_ratio" else values <= 0
-            if values.ndim != 1 or not np.isfinite(values).all() or low.any():
-                raise InvalidSetting(
-                    f"{name} of the gears must be finite and positive, one number or one for each "
-                    f"joint; got {value!r}"
-                )
+            if (value := getattr(self, name)) is not None:
+                each_joint(f"{name} of the gears", value, max(np.size(value), 1))
 
     def stiffness_and_damping(self, carried: Array) -> tuple[Array, Array]:
         """Stiffness and damping of each gear that carries an inertia [kg·m², or kg] (n,).
@@ -417,21 +409,16 @@ class Gears:
 
 def each_joint(name: str, value: PerJoint, n: int) -> Array:
     """Check values of the joints, one for all or one for each, and return (n,) of them."""
-    values = _numbers(value)
-    wrong = values < 0 if name == "damping_ratio" else values <= 0
+    try:
+        values = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        values = np.array(np.nan)
+    wrong = values < 0 if name.startswith("damping_ratio") else values <= 0
     if values.shape not in ((), (n,)) or not np.isfinite(values).all() or wrong.any():
         raise InvalidSetting(
             f"{name} is one positive number, or one for each of {n} joints; got {value!r}"
         )
     return np.broadcast_to(values, n).astype(float)
-
-
-def _numbers(value: object) -> Array:
-    """Convert to floats; NaN, which no check passes, where it is no number."""
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        return np.array(np.nan)
 
 
 UNFELT = 0.01
@@ -441,6 +428,13 @@ turn [1]: 8 mm for 0.8 m, from where play of 0.4 mm at full reach is 4 µm."""
 
 HoldKind = Literal["brake", "servo", "compliant"]
 """Holding of the joints: stiff brakes, position servos, or brakes behind elastic gears."""
+
+
+def checked_hold(hold: HoldKind) -> HoldKind:
+    """Return a hold that there is."""
+    if hold not in get_args(HoldKind):
+        raise UnknownName(f"unknown hold {hold!r}; known are {list(get_args(HoldKind))}")
+    return hold
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -531,9 +525,7 @@ class Arm:
                     f"arm {self.name!r}: {field} has {count} entries, one for each of {n} joints "
                     "is needed"
                 )
-        if self.hold not in ("brake", "servo", "compliant"):
-            raise UnknownName(f"unknown hold {self.hold!r}: 'brake', 'servo' or 'compliant'")
-        if len(self.gear_joints) != (n if self.hold == "compliant" else len(self.gear_joints)):
+        if checked_hold(self.hold) == "compliant" and len(self.gear_joints) != n:
             raise InvalidSetting(
                 f"arm {self.name!r} has no elastic gears to hold by: make it with "
                 "with_compliance(arm)"

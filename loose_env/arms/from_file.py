@@ -6,12 +6,12 @@ import warnings as python_warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm, Holding, HoldKind
+from loose_env.arms.arm import Arm, Holding, HoldKind, checked_hold
 from loose_env.arms.file_chain import TOOL_SITE, Chain, chain_spec, find_chain
 from loose_env.arms.holding import (
     CREST_FACTOR,
@@ -30,7 +30,7 @@ from loose_env.arms.holding import (
 )
 from loose_env.arms.linear import LinearArm
 from loose_env.arms.model_file import ModelFile, read_model_file
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.typing import Array
 
 AT_LEAST = 1.0
@@ -539,43 +539,8 @@ def arm_from_file(
     >>> arm.joints, arm.torque_limits
     (('turn',), (5.0,))
     """
+    checked_hold(hold)
     file = read_model_file(path)
-    arm = arm_of_model_file(file, tool=tool, tool_offset=tool_offset, joints=joints, hold=hold)
-    unfelt = unfelt_words(arm)
-    if unfelt:
-        python_warnings.warn(f"{file.path.name}: {unfelt}", UserWarning, stacklevel=2)
-    return arm
-
-
-def unfelt_words(arm: Arm) -> str:
-    """Say which joints the tool does not feel, and what to do; empty where it feels all.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> unfelt_words(planar(2))
-    ''
-    """
-    if not arm.unfelt_joints:
-        return ""
-    names = ", ".join(arm.joints[j - 1] for j in arm.unfelt_joints)
-    return (
-        f"the tool lies on the axis of {names}: it does not feel play there, which is therefore no "
-        "hypothesis; tool_offset=(0.05, 0, 0) moves the accelerometer 50 mm along the tool's x axis"
-    )
-
-
-def arm_of_model_file(
-    file: ModelFile,
-    *,
-    tool: str | None = None,
-    tool_offset: Sequence[float] = (0.0, 0.0, 0.0),
-    joints: Sequence[str] | None = None,
-    hold: HoldKind = "brake",
-) -> Arm:
-    """Build an arm from a model file that has been read; see `arm_from_file`."""
-    if hold not in get_args(HoldKind):
-        raise UnknownName(f"unknown hold {hold!r}; known are {list(get_args(HoldKind))}")
     chain = find_chain(file, tool, joints)
     found = report(file, chain)
     if chain.springs and hold == "compliant":
@@ -599,7 +564,7 @@ def arm_of_model_file(
         limits = [float(p) if g is None else g for g, p in zip(given, proposed, strict=True)]
     assumed = _assumed(found, limits, file.model, chain)
     if assumed:
-        python_warnings.warn(f"{found.file}: {'; '.join(assumed)}", UserWarning, stacklevel=3)
+        python_warnings.warn(f"{found.file}: {'; '.join(assumed)}", UserWarning, stacklevel=2)
     brake, servo, centring = holdings(spec, names, poses=poses)
     arm = Arm(
         name=file.name,
@@ -622,7 +587,28 @@ def arm_of_model_file(
     arm = with_file_springs(arm, springs)
     arm = replace(arm, centring=calm_centring(arm, poses))
     arm = held(replace(arm, gears=proposed_gears(arm)), hold)
-    return replace(arm, levels=propose_levels(arm, poses))
+    arm = replace(arm, levels=propose_levels(arm, poses))
+    if unfelt := unfelt_words(arm):
+        python_warnings.warn(f"{found.file}: {unfelt}", UserWarning, stacklevel=2)
+    return arm
+
+
+def unfelt_words(arm: Arm) -> str:
+    """Say which joints the tool does not feel, and what to do; empty where it feels all.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> unfelt_words(planar(2))
+    ''
+    """
+    if not arm.unfelt_joints:
+        return ""
+    names = ", ".join(arm.joints[j - 1] for j in arm.unfelt_joints)
+    return (
+        f"the tool lies on the axis of {names}: it does not feel play there, which is therefore no "
+        "hypothesis; tool_offset=(0.05, 0, 0) moves the accelerometer 50 mm along the tool's x axis"
+    )
 
 
 def _assumed(

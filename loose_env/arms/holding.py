@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms.arm import GEAR_MODE_HZ, Arm, Gears, Holding, HoldKind, PerJoint, each_joint
+from loose_env.arms.arm import (
+    GEAR_MODE_HZ,
+    Arm,
+    Gears,
+    Holding,
+    HoldKind,
+    PerJoint,
+    checked_hold,
+    each_joint,
+)
 from loose_env.arms.linear import LinearArm
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import InvalidSetting
 from loose_env.typing import Array
 
 HOLDING_MODE_HZ = 800.0
@@ -279,11 +287,9 @@ def held(arm: Arm, hold: HoldKind) -> Arm:
     >>> held(planar(3), "compliant").gear_joints
     ('gear1', 'gear2', 'gear3')
     """
-    if hold not in ("brake", "servo", "compliant"):
-        raise UnknownName(f"unknown hold {hold!r}: 'brake', 'servo' or 'compliant'")
-    if hold == "servo":
+    if checked_hold(hold) == "servo":
         return servoed(arm)
-    return compliant(arm) if hold == "compliant" else arm
+    return with_compliance(arm) if hold == "compliant" else arm
 
 
 def servoed(
@@ -335,58 +341,7 @@ def servoed(
     return replace(arm, name=f"{arm.name.removesuffix('-servo')}-servo", hold="servo", servo=gains)
 
 
-def with_compliance(
-    arm: Arm,
-    *,
-    stiffness: PerJoint | None = None,
-    mode_hz: PerJoint | None = None,
-    damping_ratio: PerJoint | None = None,
-) -> Arm:
-    """Return the arm with elastic gears of a given stiffness or natural frequency.
-
-    Parameters
-    ----------
-    arm : Arm
-        Any arm.
-    stiffness : float or sequence of n floats, optional
-        Stiffness of the gears at the joint [N·m/rad, or N/m where it slides].
-    mode_hz : float or sequence of n floats, optional
-        Natural frequency of each gear with what it carries [Hz]; give this or the stiffness. With
-        neither the gears are the arm's own, `Arm.gears`.
-    damping_ratio : float or sequence of n floats, optional
-        Damping ratio of that mode [1].
-
-    Raises
-    ------
-    InvalidSetting
-        If both are given, do not fit the joints, or are too stiff to simulate.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> with_compliance(planar(3), mode_hz=30.0).gear_joints
-    ('gear1', 'gear2', 'gear3')
-    """
-    if stiffness is not None and mode_hz is not None:
-        raise InvalidSetting(
-            f"gears have a stiffness or a mode, not both; got stiffness={stiffness!r} and "
-            f"mode_hz={mode_hz!r}"
-        )
-    given: dict[str, Any] = {
-        name: tuple(each_joint(name, value, arm.n).tolist())
-        for name, value in (
-            ("stiffness", stiffness),
-            ("mode_hz", mode_hz),
-            ("damping_ratio", damping_ratio),
-        )
-        if value is not None
-    }
-    if mode_hz is not None:
-        given["stiffness"] = None
-    return compliant(arm, replace(arm.gears or Gears(), **given))
-
-
-def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
+def with_compliance(arm: Arm, gears: Gears | None = None) -> Arm:
     """Put an elastic gear between motor and link of every joint; motors at rest are braked.
 
     Each joint of the arm becomes its motor side: rotor, drive, brake and encoder. A new joint
@@ -404,6 +359,24 @@ def compliant(arm: Arm, gears: Gears | None = None) -> Arm:
     was asked for: the pose is that of the links, as on a robot that corrects for its sag, and the
     wind-up is only missing as a constant in the encoder's reading. It is of the order of a
     milliradian, less than the encoders' zeros are off anyway.
+
+    Parameters
+    ----------
+    arm : Arm
+        Any arm; gears that it has are replaced.
+    gears : Gears, optional
+        Stiffness or mode of the gears; the arm's own, `Arm.gears`, by default.
+
+    Raises
+    ------
+    InvalidSetting
+        If they do not fit the joints, or are too stiff to simulate.
+
+    Examples
+    --------
+    >>> from loose_env.arms import planar
+    >>> with_compliance(planar(3), Gears(mode_hz=30.0)).gear_joints
+    ('gear1', 'gear2', 'gear3')
     """
     rigid = arm if arm.rigid is None else arm.rigid
     chosen = gears or arm.gears or Gears()

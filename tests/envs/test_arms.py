@@ -15,6 +15,7 @@ from loose_env.arms import (
     DESK_ARM,
     Arm,
     Drift,
+    Gears,
     LinearArm,
     Mismatch,
     arm_from_file,
@@ -36,7 +37,7 @@ from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 
 SETTINGS = DiagnosisSettings(engine="reduced", raw=True)
-TRUE = with_compliance(planar(2), mode_hz=60.0)
+TRUE = with_compliance(planar(2), Gears(mode_hz=60.0))
 
 FILE = """<mujoco><compiler angle="radian"/><worldbody><body name="one">
   <joint name="a" axis="0 0 1" armature="0.4" damping="1" actuatorfrcrange="-60 60"/>
@@ -76,7 +77,7 @@ def test_the_true_arm_is_measured_and_the_nominal_one_predicted() -> None:
     exact = Difficulty(kinds={"healthy": 1.0}, mismatch=Mismatch().scaled(0.0))
     settings = DiagnosisSettings(engine="reduced", raw=True, difficulty=exact)
     shown, foreseen = {}, {}
-    true = with_compliance(planar(2), mode_hz=20.0)  # below the band: no resonance in it
+    true = with_compliance(planar(2), Gears(mode_hz=20.0))  # below the band: no resonance in it
     for name, arm in (("nominal", planar(2)), ("true", true)):
         env = DiagnosisEnv(arm, settings, true_arm=true, threads=1)
         env.reset(seed=5, options={"pose": [0.2, 0.9]})
