@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.arms import Arm
+from loose_env.arms import Arm, limits_of
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.typing import Array
 
@@ -90,11 +90,7 @@ class Chain:
         >>> float(Chain.of(planar(2), [0.0, 0.0]).tool[0])
         0.6
         """
-        q = np.asarray(pose, dtype=float)
-        if q.shape != (arm.n,) or not np.isfinite(q).all():
-            raise InvalidSetting(
-                f"a pose of {arm.name!r} is {arm.n} finite numbers [rad], got {pose!r}"
-            )
+        q = arm.checked_pose(pose)
         data = mujoco.MjData(arm.model)
         data.qpos[arm.pose_addresses] = q
         mujoco.mj_kinematics(arm.model, data)
@@ -222,11 +218,7 @@ def reactions(arm: Arm, pose: ArrayLike) -> Reactions:
     >>> reactions(planar(2), [0.0, 0.5]).per_torque.shape
     (2, 6, 2)
     """
-    q = np.asarray(pose, dtype=float)
-    if q.shape != (arm.n,) or not np.isfinite(q).all():
-        raise InvalidSetting(
-            f"a pose of {arm.name!r} is {arm.n} finite numbers [rad], got {pose!r}"
-        )
+    q = arm.checked_pose(pose)
     model, n = arm.model, arm.n
     data = mujoco.MjData(model)
     data.qpos[arm.pose_addresses] = q
@@ -384,8 +376,8 @@ def chebyshev_poses(arm: Arm, count: int) -> Array:
             f"{count} points for each of {arm.n} joints are {count**arm.n} poses; take fewer "
             f"points, at most {int(MOST_POSES ** (1 / arm.n))}"
         )
-    ranges = [(-np.pi, np.pi) if r is None else r for r in arm.joint_ranges]
-    return np.array(list(product(*(chebyshev_nodes(*r, count) for r in ranges))))
+    ends = zip(*limits_of(arm.joint_ranges), strict=True)
+    return np.array(list(product(*(chebyshev_nodes(*each, count) for each in ends))))
 
 
 def choose_poses(

@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.io import Checked, NonNegative, Positive, all_of, is_finite
@@ -72,6 +72,13 @@ models up to a third of the time of a simulation. No motion depends on it."""
 
 Range = tuple[float, float] | None
 
+
+def limits_of(ranges: Sequence[Range], *, endless: float = np.pi) -> tuple[Array, Array]:
+    """Ends of the ranges of joints [rad or m] (n,) each; of those that turn without end a turn."""
+    low, high = np.array([(-endless, endless) if r is None else r for r in ranges], dtype=float).T
+    return low, high
+
+
 _STARTS = 12
 """Random poses from which the search starts, beside the model's own."""
 _SWEEPS = 60
@@ -100,8 +107,7 @@ def largest_reach(
     site = int(model.site(tool).id)
     own_distance = float(np.linalg.norm(data.site_xpos[site] - anchor))
 
-    low = np.array([-np.pi if r is None else r[0] for r in ranges])
-    high = np.array([np.pi if r is None else r[1] for r in ranges])
+    low, high = limits_of(ranges)
     best = own_distance if bool(np.all((own >= low) & (own <= high))) else 0.0
     rng = np.random.default_rng(0)  # the same arm always has the same reach
     starts = [np.clip(own, low, high), *(low + (high - low) * rng.random((_STARTS, len(ids))))]
@@ -171,8 +177,7 @@ def largest_levers(
     data = mujoco.MjData(model)
     ids = [int(model.joint(name).id) for name in joints]
     slides = np.array([model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE for i in ids])
-    low = np.array([-np.pi if r is None else r[0] for r in ranges])
-    high = np.array([np.pi if r is None else r[1] for r in ranges])
+    low, high = limits_of(ranges)
     rng = np.random.default_rng(0)  # the same arm always has the same levers
     found = np.zeros(len(ids))
     for _ in range(_POSES):
@@ -678,14 +683,29 @@ class Arm:
             )
         return int(link)
 
+    def checked_pose(self, pose: ArrayLike) -> Array:
+        """Check a pose [rad or m] and return it (n,).
+
+        Raises
+        ------
+        InvalidSetting
+            If it does not have one finite number for every joint.
+        """
+        try:
+            found = np.asarray(pose, dtype=float)
+        except (TypeError, ValueError):
+            found = np.empty(0)
+        if found.shape != (self.n,) or not np.isfinite(found).all():
+            raise InvalidSetting(
+                f"a pose of {self.name!r} is {self.n} finite numbers [rad or m], got {pose!r}"
+            )
+        return found
+
     def within_ranges(self, pose: Sequence[float] | NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return, for each joint of a pose, whether it lies in its range (n,)."""
-        return np.array(
-            [
-                r is None or r[0] - 1e-9 <= q <= r[1] + 1e-9
-                for q, r in zip(pose, self.joint_ranges, strict=True)
-            ]
-        )
+        low, high = limits_of(self.joint_ranges, endless=np.inf)
+        at = np.asarray(pose, dtype=float)
+        return np.asarray((low - 1e-9 <= at) & (at <= high + 1e-9))
 
     def wrap(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
         """Bring joints of poses (..., n) that turn without end into [-pi, pi)."""
@@ -701,8 +721,7 @@ class Arm:
 
     def random_poses(self, rngs: Sequence[np.random.Generator]) -> NDArray[np.float64]:
         """Draw a pose from each of B generators (B, n); as `random_pose`."""
-        low = np.array([-np.pi if r is None else r[0] for r in self.joint_ranges])
-        high = np.array([np.pi if r is None else r[1] for r in self.joint_ranges])
+        low, high = limits_of(self.joint_ranges)
         return np.asarray(low + (high - low) * np.array([rng.random(self.n) for rng in rngs]))
 
 
@@ -742,9 +761,14 @@ class LinkSite:
     @property
     def tangential_quat(self) -> list[float]:
         """`tangential_frame` as a quaternion (4,)."""
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, self.tangential_frame.ravel())
-        return [float(q) for q in quat]
+        return quat_of(self.tangential_frame)
+
+
+def quat_of(rotation: Array) -> list[float]:
+    """Quaternion (4,) of a rotation (3, 3)."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(rotation).ravel())
+    return [float(q) for q in quat]
 
 
 def link_site(arm: Arm, link: int, place: Place = "distal") -> LinkSite:

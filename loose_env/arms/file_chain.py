@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from loose_env.arms.holding import MOTOR_SIDE, new_spec
+from loose_env.arms.arm import quat_of
+from loose_env.arms.holding import MOTOR_SIDE, new_spec, principal
 from loose_env.arms.model_file import ModelFile
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.typing import Array
@@ -348,7 +349,7 @@ def chain_spec(
             moved_name = f"{name}_flange"
             while moved_name in taken:
                 moved_name += "_"
-        flange = parent.add_body(name=moved_name, pos=list(place), quat=_quat(turn))
+        flange = parent.add_body(name=moved_name, pos=list(place), quat=quat_of(turn))
         for j in own:
             joint = m.joint(j).name
             joint = f"file_{joint}" if joint.startswith(_RESERVED) else joint
@@ -371,7 +372,7 @@ def chain_spec(
         site = chain.tool_site
         place, turn = _relative(data, base, data.site_xpos[site], data.site_xmat[site])
     place = place + turn @ tool_offset
-    parent.add_site(name=TOOL_SITE, pos=list(place), quat=_quat(turn))
+    parent.add_site(name=TOOL_SITE, pos=list(place), quat=quat_of(turn))
     return spec, joints, links, tuple(springs)
 
 
@@ -386,7 +387,7 @@ def _riding(m: mujoco.MjModel, moving: list[int]) -> list[int]:
 def _give(part: mujoco.MjsBody, lumped: tuple[float, Array, Array, Array], share: float) -> None:
     """Give a body a share of a mass, with its centre, axes and moments."""
     mass, centre, axes, moments = lumped
-    part.mass, part.ipos, part.iquat = share * mass, list(centre), _quat(axes)
+    part.mass, part.ipos, part.iquat = share * mass, list(centre), quat_of(axes)
     part.inertia = [share * float(x) for x in moments]
     part.explicitinertial = True
 
@@ -441,15 +442,5 @@ def _lumped(
         lever = place - centre
         tensor += axes @ np.diag(m.body_inertia[b]) @ axes.T
         tensor += m.body_mass[b] * (lever @ lever * np.eye(3) - np.outer(lever, lever))
-    moments, axes = np.linalg.eigh(tensor)
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
-    # Of a flat body the largest moment is the sum of the others; rounding must not exceed it.
-    moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-15))
+    moments, axes = principal(tensor)
     return mass, centre, axes, moments
-
-
-def _quat(rotation: Array) -> list[float]:
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(rotation).ravel())
-    return [float(x) for x in quat]

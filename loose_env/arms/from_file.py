@@ -11,7 +11,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from loose_env.arms.arm import Arm, Holding, HoldKind, checked_hold
+from loose_env.arms.arm import Arm, Holding, HoldKind, checked_hold, limits_of
 from loose_env.arms.file_chain import TOOL_SITE, Chain, chain_spec, find_chain
 from loose_env.arms.holding import (
     CREST_FACTOR,
@@ -551,8 +551,7 @@ def arm_from_file(
         )
     spec, names, links, springs = chain_spec(file, chain, _offset(tool_offset))
     ranges = tuple(_range(file.model, j) for j in chain.joints)
-    low = np.array([-np.pi if r is None else r[0] for r in ranges])
-    high = np.array([np.pi if r is None else r[1] for r in ranges])
+    low, high = limits_of(ranges)
     rng = np.random.default_rng(0)  # the same file always gives the same arm
     poses = low + (high - low) * rng.random((_POSES, len(names)))
 

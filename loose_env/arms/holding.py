@@ -18,6 +18,7 @@ from loose_env.arms.arm import (
     PerJoint,
     checked_hold,
     each_joint,
+    quat_of,
 )
 from loose_env.arms.linear import LinearArm
 from loose_env.errors import InvalidSetting
@@ -222,15 +223,19 @@ def add_wheel(flange: mujoco.MjsBody, inertia: float, axis: Array, *, slides: bo
     tensor = axes @ np.diag(np.asarray(flange.inertia, dtype=float)) @ axes.T
     # A flat disc: half as much about its diameters.
     tensor += inertia * (np.eye(3) + np.outer(axis, axis)) / 2
+    moments, axes = principal(tensor)
+    flange.iquat, flange.inertia = quat_of(axes), list(moments)
+    flange.explicitinertial = True
+
+
+def principal(tensor: Array) -> tuple[Array, Array]:
+    """Moments (3,) and axes (3, 3), a rotation, of an inertia tensor."""
     moments, axes = np.linalg.eigh(tensor)
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     # Of a flat body the largest moment is the sum of the others; rounding must not exceed it.
     moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-12))
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(axes).ravel())
-    flange.iquat, flange.inertia = list(quat), list(moments)
-    flange.explicitinertial = True
+    return moments, axes
 
 
 def inertias(arm: Arm) -> tuple[Array, Array, Array]:

@@ -421,45 +421,20 @@ def vera_spec(
     spec = new_spec(gravity=(0, 0, -GRAVITY))
     length = LINK_LENGTH
     root = length / 3
-    line_density = BEAM_MASS / length
-    root_mass, tip_mass = line_density * root, line_density * (length - root)
+    arm_out = length - root
+    density = BEAM_MASS / length
 
     link1 = add_link(
         spec.worldbody, 1, at=(0, 0, 0.3), flange_mass=0.3, rotor_inertia=0.03, joint_damping=0.05
     )
-    # Root of the beam and gear wheel on the shaft as one body.
-    link1.mass = root_mass + GEAR_MASS
-    centre = root_mass * root / 2 / link1.mass
-    about_z = (
-        root_mass * root**2 / 12
-        + root_mass * (root / 2 - centre) ** 2
-        + GEAR_MASS * (GEAR_RADIUS**2 / 2 + centre**2)
-    )
-    link1.ipos = [centre, 0, 0]
-    link1.inertia = [GEAR_MASS * GEAR_RADIUS**2 / 4, about_z, about_z]
-    link1.explicitinertial = True
-
-    # Beam end and drive of joint 2 as one body, about their common centre of mass.
-    arm_out = length - root
-    mass = tip_mass + END_MASS
-    centre = (tip_mass * arm_out / 2 + END_MASS * arm_out) / mass
-    drive_radius = 0.05
-    about_z = (
-        tip_mass * arm_out**2 / 12
-        + tip_mass * (arm_out / 2 - centre) ** 2
-        + END_MASS * (arm_out - centre) ** 2
-        + END_MASS * drive_radius**2 / 2
-    )
+    # Root of the beam and gear wheel on the shaft; beam end and drive of joint 2.
+    wheel = GEAR_MASS * GEAR_RADIUS**2 / 2
+    _set_inertia(link1, density * root, root, GEAR_MASS, 0.0, wheel, wheel / 2)
     stiffness_at_end = (2 * np.pi * BENDING_MODE_HZ) ** 2 * (END_MASS + 0.23 * BEAM_MASS)
     hinge_stiffness = stiffness_at_end * arm_out**2
-    tip = link1.add_body(
-        name="link1_end",
-        pos=[root, 0, 0],
-        mass=mass,
-        ipos=[centre, 0, 0],
-        inertia=[END_MASS * drive_radius**2 / 2, about_z, about_z],
-        explicitinertial=True,
-    )
+    tip = link1.add_body(name="link1_end", pos=[root, 0, 0])
+    drive = END_MASS * 0.05**2 / 2  # a disc
+    _set_inertia(tip, density * arm_out, arm_out, END_MASS, arm_out, drive, drive)
     tip.add_joint(
         name="bending1",
         axis=[0, 0, 1],
@@ -475,20 +450,30 @@ def vera_spec(
     return spec
 
 
+def _set_inertia(
+    body: mujoco.MjsBody,
+    beam: float,
+    length: float,
+    mass: float,
+    at: float,
+    own: float,
+    slim: float,
+) -> float:
+    """Make a body of a beam from its origin along x and a mass on it; return inertia about z.
+
+    ``own`` is the inertia of the mass about its centre, ``slim`` that of the body about x.
+    """
+    body.mass = beam + mass
+    centre = (beam * length / 2 + mass * at) / body.mass
+    about_z = beam * (length**2 / 12 + (length / 2 - centre) ** 2) + mass * (at - centre) ** 2 + own
+    body.ipos, body.inertia = [centre, 0, 0], [slim, about_z, about_z]
+    body.explicitinertial = True
+    return float(about_z)
+
+
 def _stiff_link2(link2: mujoco.MjsBody) -> mujoco.MjsBody:
-    length = LINK_LENGTH
-    mass = LINK2_MASS + BLOCK_MASS
-    centre = (LINK2_MASS * length / 2 + BLOCK_MASS * length) / mass
-    about_z = (
-        LINK2_MASS * length**2 / 12
-        + LINK2_MASS * (length / 2 - centre) ** 2
-        + BLOCK_MASS * (length - centre) ** 2
-        + BLOCK_MASS * BLOCK_SIDE**2 / 6
-    )
-    link2.mass = mass
-    link2.ipos = [centre, 0, 0]
-    link2.inertia = [0.001, about_z, about_z]
-    link2.explicitinertial = True
+    block = BLOCK_MASS * BLOCK_SIDE**2 / 6
+    _set_inertia(link2, LINK2_MASS, LINK_LENGTH, BLOCK_MASS, LINK_LENGTH, block, 0.001)
     return link2
 
 
@@ -497,27 +482,13 @@ def _bending_link2(link2: mujoco.MjsBody, beam: BendingLink2) -> mujoco.MjsBody:
     root = LINK_LENGTH / 3
     out = LINK_LENGTH - root
     density = LINK2_MASS / LINK_LENGTH
-    link2.mass = density * root + beam.seat_mass
-    centre = density * root * root / 2 / link2.mass
-    about_z = density * root**3 / 12 + density * root * (root / 2 - centre) ** 2
-    about_z += beam.seat_mass * (centre**2 + SEAT_SIDE**2 / 6)
-    link2.ipos = [centre, 0, 0]
-    link2.inertia = [0.001, about_z, about_z]
-    link2.explicitinertial = True
-    mass = density * out + BLOCK_MASS
-    centre = (density * out * out / 2 + BLOCK_MASS * out) / mass
-    about_z = density * out**3 / 12 + density * out * (out / 2 - centre) ** 2
-    about_z += BLOCK_MASS * ((out - centre) ** 2 + BLOCK_SIDE**2 / 6)
-    end = link2.add_body(
-        name="link2_end",
-        pos=[root, 0, 0],
-        mass=mass,
-        ipos=[centre, 0, 0],
-        inertia=[0.001, about_z, about_z],
-        explicitinertial=True,
-    )
+    seat = beam.seat_mass * SEAT_SIDE**2 / 6
+    _set_inertia(link2, density * root, root, beam.seat_mass, 0.0, seat, 0.001)
+    end = link2.add_body(name="link2_end", pos=[root, 0, 0])
+    block = BLOCK_MASS * BLOCK_SIDE**2 / 6
+    about_z = _set_inertia(end, density * out, out, BLOCK_MASS, out, block, 0.001)
     omega = 2 * np.pi * beam.mode_hz
-    stiffness = (about_z + mass * centre**2) * omega**2
+    stiffness = (about_z + end.mass * float(end.ipos[0]) ** 2) * omega**2
     end.add_joint(
         name="bending2",
         axis=[0, 0, 1],

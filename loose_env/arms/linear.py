@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms.arm import Arm
-from loose_env.errors import InvalidSetting
 from loose_env.typing import Array, ComplexArray, IndexArray
 
 
@@ -218,11 +217,7 @@ class LinearArm:
         InvalidSetting
             If the pose does not have one finite number for every joint.
         """
-        q = np.asarray(pose, dtype=float)
-        if q.shape != (self.arm.n,) or not np.isfinite(q).all():
-            raise InvalidSetting(
-                f"a pose of {self.arm.name!r} is {self.arm.n} finite numbers [rad], got {pose!r}"
-            )
+        q = self.arm.checked_pose(pose)
         key = q.tobytes()
         found = self._cache.get(key)
         if found is None:
@@ -308,40 +303,43 @@ class LinearArm:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LinearPoses:
-    """The linear arm at B poses: arrays as of `LinearPose`, an axis more in front."""
+class _Placed:
+    """The linear arm where it is; of B poses, arrays have an axis more in front."""
 
     linear: LinearArm
     pose: Array
+    """Joint positions [rad] (n,)."""
     inertia: Array
+    """Inertia matrix of joints, bending modes and seats (nv, nv)."""
     jacobian: Array
+    """Tool motion per motion of each degree of freedom, tool frame (d, nv)."""
     load: Array
+    """Generalised force that holds each degree of freedom against gravity (nv,)."""
+
+    @property
+    def gravity_torque(self) -> Array:
+        """Torque that holds each joint against gravity [N·m] (n,)."""
+        return self.load[..., self.linear.joint_dofs]
+
+    def _parts(self, rows: Any) -> dict[str, Any]:
+        """Fields whose arrays are some rows of these."""
+        arrays = ("pose", "inertia", "jacobian", "load")
+        return {"linear": self.linear} | {name: getattr(self, name)[rows] for name in arrays}
+
+
+class LinearPoses(_Placed):
+    """The linear arm at B poses: arrays as of `LinearPose`, an axis more in front."""
 
     def __len__(self) -> int:
         return len(self.pose)
 
     def __getitem__(self, k: int) -> LinearPose:
         """One of the poses."""
-        return LinearPose(
-            linear=self.linear,
-            pose=self.pose[k],
-            inertia=self.inertia[k],
-            jacobian=self.jacobian[k],
-            load=self.load[k],
-        )
+        return LinearPose(**self._parts(k))
 
     def some(self, rows: IndexArray) -> LinearPoses:
         """Some of the poses."""
-        parts = (self.pose, self.inertia, self.jacobian, self.load)
-        pose, inertia, jacobian, load = (part[rows] for part in parts)
-        return LinearPoses(
-            linear=self.linear, pose=pose, inertia=inertia, jacobian=jacobian, load=load
-        )
-
-    @property
-    def gravity_torque(self) -> Array:
-        """Torque that holds each joint against gravity [N·m] (B, n)."""
-        return self.load[:, self.linear.joint_dofs]
+        return LinearPoses(**self._parts(rows))
 
     def responses(self, excited: NDArray[np.bool_]) -> tuple[ComplexArray, ComplexArray]:
         """Accelerations and tool accelerations per torque, as of `Response`.
@@ -426,29 +424,13 @@ _FIT = 1 << 15
 """Complex numbers of a chunk's largest array, for the processor's cache."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LinearPose:
+class LinearPose(_Placed):
     """The linear arm at one pose."""
-
-    linear: LinearArm
-    pose: Array
-    """Joint positions [rad] (n,)."""
-    inertia: Array
-    """Inertia matrix of joints, bending modes and seats (nv, nv)."""
-    jacobian: Array
-    """Tool motion per motion of each degree of freedom, tool frame (d, nv)."""
-    load: Array
-    """Generalised force that holds each degree of freedom against gravity (nv,)."""
 
     @property
     def kinematic(self) -> Array:
         """Tool motion per joint motion, every other joint still (d, n) [m]."""
         return self.jacobian[:, self.linear.joint_dofs]
-
-    @property
-    def gravity_torque(self) -> Array:
-        """Torque that holds each joint against gravity [N·m] (n,)."""
-        return self.load[self.linear.joint_dofs]
 
     @property
     def seat_load(self) -> Array:
@@ -463,11 +445,7 @@ class LinearPose:
     @property
     def alone(self) -> LinearPoses:
         """The pose as a batch of one."""
-        parts = (self.pose, self.inertia, self.jacobian, self.load)
-        pose, inertia, jacobian, load = (part[None] for part in parts)
-        return LinearPoses(
-            linear=self.linear, pose=pose, inertia=inertia, jacobian=jacobian, load=load
-        )
+        return LinearPoses(**self._parts(None))
 
     def response(self, excited: Sequence[bool] | NDArray[np.bool_]) -> Response:
         """Return the frequency response with the given joints excited and all others held."""

@@ -494,12 +494,7 @@ class EpisodeBatch:
     def _checked(self, given: Any) -> Array:
         """Check a pose, and turn its hinges into their ranges."""
         arm = self.true_arm
-        try:
-            pose = np.asarray(given, dtype=float)
-        except (TypeError, ValueError):
-            pose = np.empty(0)
-        if pose.shape != (arm.n,) or not np.isfinite(pose).all():
-            raise InvalidSetting(f"a pose is {arm.n} finite numbers [rad or m], got {given!r}")
+        pose = arm.checked_pose(given)
         if not arm.within_ranges(pose).all():
             ranges = [r and (float(r[0]), float(r[1])) for r in arm.joint_ranges]
             raise InvalidSetting(

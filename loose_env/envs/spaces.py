@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from loose_env.arms import Arm, held_inertia
+from loose_env.arms import Arm, held_inertia, limits_of
 from loose_env.diagnosis import (
     SEAT_AXES,
     LinkReadings,
@@ -57,10 +57,10 @@ class JointPose:
         self.arm = arm
         self.slides = np.flatnonzero(arm.sliding)
         """Joints that slide."""
-        limits = np.array([(0.0, 0.0) if r is None else r for r in arm.joint_ranges])
-        self.middle = limits.mean(axis=1)
+        low, high = limits_of(arm.joint_ranges, endless=0.0)
+        self.middle = (low + high) / 2
         """Middle of each joint's range; 0 for one that turns without end [rad or m] (n,)."""
-        self.width = limits[:, 1] - limits[:, 0]
+        self.width = high - low
         """Width of each joint's range; 0 for one that turns without end [rad or m] (n,)."""
         for j in self.slides:
             if not self.width[j] > 0:
@@ -155,9 +155,8 @@ class ActionLayout:
         share = np.where(arm.sliding, shown.width / np.pi, 1.0)
         self.steps = share[:, None] * self.moves
         """Change of each joint by each move [rad, m where it slides] (n, moves)."""
-        endless = (-np.inf, np.inf)
-        limits = np.array([endless if r is None else r for r in arm.joint_ranges], dtype=float)
-        self._low, self._high = limits[:, :1] - 1e-9, limits[:, 1:] + 1e-9
+        low, high = limits_of(arm.joint_ranges, endless=np.inf)
+        self._low, self._high = low[:, None] - 1e-9, high[:, None] + 1e-9
         self._others = np.delete(np.arange(len(settings.moves)), self.stay)
         self._few_moved = settings.max_moved is not None and settings.max_moved < n
         self._few_excited = settings.max_excited is not None and settings.max_excited < n
