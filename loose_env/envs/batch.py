@@ -375,10 +375,6 @@ class EpisodeBatch:
         """Records taken so far in each slot's episode (num,)."""
         return self._records.copy()
 
-    def has_ended(self, slot: int) -> bool:
-        """Return whether the episode of a slot has ended."""
-        return bool(self._ended[slot])
-
     def episode(self, slot: int) -> Episode:
         """Return a copy of the latest episode of a slot, running or ended.
 
@@ -502,29 +498,11 @@ class EpisodeBatch:
             )
         return arm.wrap(pose)
 
-    def episode_copy(self, slot: int) -> Episode | None:
-        """Copy of a slot's latest episode, None where none was started."""
-        return self.episode(slot) if self._begun[slot] else None
-
     @cached_property
     def fingerprint(self) -> str:
         """Arm, settings, and what observations and actions mean, as 16 hexadecimal digits."""
         parts = (self.arm.name, repr(self.settings), self.observations.table())
         return hashlib.sha256("\n".join(parts).encode("utf-8")).hexdigest()[:16]
-
-    def check_fits(self, fingerprint: str) -> None:
-        """Refuse a state of another arm or other settings.
-
-        Raises
-        ------
-        InvalidSetting
-            If its fingerprint is another one.
-        """
-        if fingerprint != self.fingerprint:
-            raise InvalidSetting(
-                "the state was taken from an environment of another arm or other settings; make "
-                "this environment with the same arguments"
-            )
 
     def restore(self, slot: int, episode: Episode | None) -> None:
         """Put a copy of an episode into a slot, and its arm on the rig."""
@@ -580,11 +558,11 @@ class EpisodeBatch:
 
     def step(self, slots: Sequence[int] | IndexArray, actions: Any) -> Steps:
         """Take one step in each of the given slots; arms that measure do so together."""
-        at, action = np.asarray(slots, dtype=np.intp), self.actions.decode_all(actions)
-        if self._ended[at].any() or not self._begun[at].all():
-            raise ResetNeeded(
-                "the episode has ended, or none has begun: call reset() before step()"
-            )
+        at = np.asarray(slots, dtype=np.intp)
+        self._require_begun(at)
+        if self._ended[at].any():
+            raise ResetNeeded("the episode has ended: call reset() before step()")
+        action = self.actions.decode_all(actions)
         verdicts: Any = action.verdict
         over, measured = self._records[at] >= self.settings.max_records, self._measured(at)
         unsure = self.actions.allows_unsure(self._records[at], measured)

@@ -10,7 +10,6 @@ from weakref import WeakValueDictionary
 
 import gymnasium
 import numpy as np
-from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm, MismatchDraw
@@ -85,7 +84,10 @@ class BatchShell:
         return EnvState(
             seeds=tuple(self._seeds),
             numbers=tuple(self._numbers),
-            episodes=tuple(self.batch.episode_copy(i) for i in range(self.batch.num)),
+            episodes=tuple(
+                self.batch.episode(i) if self.batch.has_episode(i) else None
+                for i in range(self.batch.num)
+            ),
             ended=tuple(self._ended.tolist()),
             fingerprint=self.batch.fingerprint,
         )
@@ -104,7 +106,11 @@ class BatchShell:
                 f"a state of {num} environment{'s' * (num > 1)} is what get_state() of as many "
                 f"gives; got {state!r:.60}"
             )
-        self.batch.check_fits(state.fingerprint)
+        if state.fingerprint != self.batch.fingerprint:
+            raise InvalidSetting(
+                "the state was taken from an environment of another arm or other settings; make "
+                "this environment with the same arguments"
+            )
         for i, episode in enumerate(state.episodes):
             self.batch.restore(i, episode)
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
@@ -283,8 +289,6 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
 
     def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, excite and measure; or give a verdict."""
-        if not self.batch.has_episode(0) or self.batch.has_ended(0):
-            raise ResetNeeded("no episode is running: call reset() before step()")
         outcome = self.batch.step([0], [action])[0]
         if self.render_mode == "human":
             self.render()
@@ -316,8 +320,6 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next action, in the form MaskablePPO takes."""
-        if not self.batch.has_episode(0):
-            raise ResetNeeded("no episode is running: call reset() before action_masks()")
         return self.batch.mask(0)
 
     def simulate(

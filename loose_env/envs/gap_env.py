@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
+from annotated_types import Predicate
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
@@ -101,26 +102,24 @@ class HiddenMachine:
         return arm.measured(arm.simulate(self.hypothesis, commands, self.factors), rng)
 
 
+Shares = Annotated[
+    tuple[NonNegative, NonNegative, NonNegative],
+    Rule("shares that sum to 1", (Predicate(lambda shares: abs(sum(shares) - 1) < 1e-9),)),
+]
+
+
 @dataclass(frozen=True, kw_only=True)
-class MachineDraw:
+class MachineDraw(Checked):
     """Distribution of hidden machines.
 
     Sizes are uniform in the logarithm from that seen at `least_visible` up to a share of that of
     the largest visibility, or of the parameter's bound. Locations and kinds are uniform.
     """
 
-    probabilities: tuple[float, float, float] = (0.2, 0.5, 0.3)
+    probabilities: Shares = (0.2, 0.5, 0.3)
     """Probabilities of none, one and two effects."""
-    least_visible: float = 15.0
+    least_visible: Positive = 15.0
     """Least visibility on the fixed battery [noise standard deviations]."""
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        p = self.probabilities
-        if len(p) != 3 or min(p) < 0 or abs(sum(p) - 1) > 1e-9:
-            raise InvalidSetting(f"probabilities of none, one and two effects sum to 1, got {p!r}")
-        if not self.least_visible > 0:
-            raise InvalidSetting(f"least_visible is above 0, got {self.least_visible!r}")
 
     def draw(
         self, bank: MotionBank, rng: np.random.Generator, *, count: int | None = None,

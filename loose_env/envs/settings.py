@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import MinLen, Predicate
@@ -17,11 +17,14 @@ from loose_env.faults import KINDS, UNSURE, FaultKind, checked_kinds
 from loose_env.io import Checked, Count, NonNegative, Positive, Rule
 from loose_env.sensors import SensorSuite
 
-Range = tuple[float, float]
+Range = Annotated[
+    tuple[Positive, Positive],
+    Rule("two finite numbers, 0 < low <= high", (Predicate(lambda ends: ends[0] <= ends[1]),)),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Difficulty:
+class Difficulty(Checked):
     """Ranges of the hidden fault and of the model's mismatch.
 
     Examples
@@ -56,17 +59,7 @@ class Difficulty:
     None: equal for all kinds that are hypotheses, `DiagnosisSettings.kinds`."""
 
     def __post_init__(self) -> None:
-        for name in ("friction", "gap", "contact_mode", "contact_damping"):
-            low, high = getattr(self, name)
-            if not 0 < low <= high < np.inf:
-                raise InvalidSetting(
-                    f"difficulty {name} must be 0 < low <= high, got {(low, high)}"
-                )
-        if self.friction_over not in get_args(SeatReference):
-            raise UnknownName(
-                f"difficulty friction_over is one of {list(get_args(SeatReference))}, got "
-                f"{self.friction_over!r}"
-            )
+        super().__post_init__()
         if self.kinds is None:
             return
         unknown = set(self.kinds) - set(KINDS)
@@ -254,8 +247,6 @@ class DiagnosisSettings(Checked):
     def __post_init__(self) -> None:
         difficulty_named(self.difficulty).probabilities(self.kinds)
         object.__setattr__(self, "kinds", checked_kinds(self.kinds))
-        if self.engine not in get_args(Engine):
-            raise UnknownName(f"engine is one of {list(get_args(Engine))}, got {self.engine!r}")
         super().__post_init__()
 
     @property

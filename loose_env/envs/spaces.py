@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -450,20 +450,26 @@ class Element:
     """Upper bound after scaling."""
 
 
+def _linear(name: str, unit: str = "1", scale: float = 1.0, low: float = 0.0) -> Element:
+    return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=1.0)
+
+
+def _asinh(name: str, unit: str = "1", scale: float = 1.0) -> Element:
+    return Element(name=name, unit=unit, scaling="asinh", scale=scale, low=-6.0, high=6.0)
+
+
+def _log(name: str, unit: str, scale: float) -> Element:
+    return Element(name=name, unit=unit, scaling="log10", scale=scale, low=-4.0, high=4.0)
+
+
 def global_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
     """Elements of the pose and of what has been spent."""
-
-    def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
-        return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=high)
-
     for name, unit in JointPose(arm).elements:
-        yield linear(f"now.{name}", unit, 1.0, -1.0, 1.0)
-    yield linear("spent.records", "1", 1.0, 0.0, 1.0)
-    longest = settings.max_records * max(settings.durations)
-    yield linear("spent.seconds", "s", longest, 0.0, 1.0)
-    most = settings.max_records * arm.n * len(arm.levels)
-    yield linear("spent.levels", "1", float(most), 0.0, 1.0)
-    yield linear("left.records", "1", 1.0, 0.0, 1.0)
+        yield _linear(f"now.{name}", unit, low=-1.0)
+    yield _linear("spent.records")
+    yield _linear("spent.seconds", "s", settings.max_records * max(settings.durations))
+    yield _linear("spent.levels", scale=float(settings.max_records * arm.n * len(arm.levels)))
+    yield _linear("left.records")
 
 
 def slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
@@ -472,89 +478,66 @@ def slot_elements(arm: Arm, settings: DiagnosisSettings) -> Iterator[Element]:
     pairs = [(a, b) for i, a in enumerate(axes) for b in axes[i + 1 :]]
     products = [(a, b) for i, a in enumerate(axes) for b in axes[i:]]
     joints = list(zip(arm.joints, arm.sliding, strict=True))
-    top = arm.levels[-1]
+    top, inertias = arm.levels[-1], held_inertia(arm.spec, arm.joints)
 
-    def linear(name: str, unit: str, scale: float, low: float, high: float) -> Element:
-        return Element(name=name, unit=unit, scaling="linear", scale=scale, low=low, high=high)
+    def transmission(group: str, names: Iterable[tuple[str, bool]]) -> Iterator[Element]:
+        for name, slides in names:
+            yield _asinh(f"{group}.{name}", *(("1", 0.25) if slides else ("m", 0.25 * arm.reach)))
 
-    def asinh(name: str, unit: str, scale: float) -> Element:
-        return Element(name=name, unit=unit, scaling="asinh", scale=scale, low=-6.0, high=6.0)
-
-    def log(name: str, unit: str, scale: float) -> Element:
-        return Element(name=name, unit=unit, scaling="log10", scale=scale, low=-4.0, high=4.0)
-
-    inertias = held_inertia(arm.spec, arm.joints)
-
-    def second_order(prefix: str) -> Iterator[Element]:
+    def statistics(prefix: str) -> Iterator[Element]:
         for kind in ("transmission", "transmission_by_instrument"):
-            for joint, slides in joints:
-                unit, scale = ("1", 0.25) if slides else ("m", 0.25 * arm.reach)
-                for axis in axes:
-                    yield asinh(f"{prefix}{kind}.{joint}_{axis}", unit, scale)
+            names = ((f"{joint}_{axis}", slides) for joint, slides in joints for axis in axes)
+            yield from transmission(f"{prefix}{kind}", names)
         for joint, slides in joints:
             unit, scale = ("m/s²", top) if slides else ("rad/s²", top / arm.reach)
-            yield log(f"{prefix}joint_rms.{joint}", unit, scale)
-
-    def inertia(prefix: str) -> Iterator[Element]:
+            yield _log(f"{prefix}joint_rms.{joint}", unit, scale)
         for (joint, slides), carried in zip(joints, inertias, strict=True):
             # A bending mode can make the apparent inertia negative (joint 1 of VERA).
             # Bounds of 200 scales hold twice what the joint carries, on heavy arms too.
             unit, least = ("kg", 1.0) if slides else ("kg·m²", 0.1)
-            yield asinh(f"{prefix}inertia.{joint}", unit, max(least, round(carried / 100, 3)))
-
-    def tool(prefix: str) -> Iterator[Element]:
+            yield _asinh(f"{prefix}inertia.{joint}", unit, max(least, round(carried / 100, 3)))
         for axis in axes:
-            yield log(f"{prefix}tool_rms.{axis}", "m/s²", top)
+            yield _log(f"{prefix}tool_rms.{axis}", "m/s²", top)
         for a, b in pairs:
-            yield linear(f"{prefix}tool_correlation.{a}{b}", "1", 1.0, -1.0, 1.0)
+            yield _linear(f"{prefix}tool_correlation.{a}{b}", low=-1.0)
         for a, b in products:
-            yield linear(f"{prefix}lowest_direction.{a}{b}", "1", 1.0, -1.0, 1.0)
-        yield linear(f"{prefix}coherence.lowest", "1", 1.0, 0.0, 1.0)
-        yield linear(f"{prefix}correlation.maximum", "1", 1.0, 0.0, 1.0)
+            yield _linear(f"{prefix}lowest_direction.{a}{b}", low=-1.0)
+        yield _linear(f"{prefix}coherence.lowest")
+        yield _linear(f"{prefix}correlation.maximum")
 
-    yield linear("valid", "1", 1.0, 0.0, 1.0)
+    yield _linear("valid")
     for name, unit in JointPose(arm).elements:
-        yield linear(name, unit, 1.0, -1.0, 1.0)
+        yield _linear(name, unit, low=-1.0)
     for joint in arm.joints:
-        yield linear(f"level.{joint}", "1", float(len(arm.levels)), 0.0, 1.0)
+        yield _linear(f"level.{joint}", scale=float(len(arm.levels)))
     for joint in arm.joints:
-        yield linear(f"torque.{joint}", "of limit", 1.0, 0.0, 1.0)
+        yield _linear(f"torque.{joint}", "of limit")
     for joint in arm.joints:
-        yield linear(f"level_share.{joint}", "1", 1.0, 0.0, 1.0)
-    yield linear("duration", "s", max(settings.durations), 0.0, 1.0)
-    yield from second_order("")
-    yield from inertia("")
-    yield from tool("")
-    for axis in axes:
-        yield asinh(f"skewness.{axis}", "1", 1.0)
-    for axis in axes:
-        yield asinh(f"kurtosis.{axis}", "1", 1.0)
-    yield asinh("lowest_skewness", "1", 1.0)
-    yield asinh("lowest_kurtosis", "1", 1.0)
-    yield from second_order("nominal_")
-    yield from inertia("nominal_")
-    yield from tool("nominal_")
+        yield _linear(f"level_share.{joint}")
+    yield _linear("duration", "s", max(settings.durations))
+    yield from statistics("")
+    for kind in ("skewness", "kurtosis"):
+        for axis in axes:
+            yield _asinh(f"{kind}.{axis}")
+    yield _asinh("lowest_skewness")
+    yield _asinh("lowest_kurtosis")
+    yield from statistics("nominal_")
     if settings.rhythm:
-        yield Element(
-            name="loudness.top", unit="1", scaling="log10", scale=1e-2, low=-4.0, high=4.0
-        )
+        yield _log("loudness.top", "1", 1e-2)
         for i in range(1, arm.n + 1):
             for k in range(SEAT_AXES[len(axes)]):
-                yield asinh(f"rhythm.link{i}_{k}", "1", 1.0)
+                yield _asinh(f"rhythm.link{i}_{k}")
         for joint in arm.joints:
-            yield asinh(f"rhythm.{joint}", "1", 1.0)
+            yield _asinh(f"rhythm.{joint}")
     choice = settings.sensors.on_links
     if choice is None:
         return
-    measured = [(link, axis) for link in choice.on(arm) for axis in link_axes(arm, choice)]
+    measured = [f"link{i}_{axis}" for i in choice.on(arm) for axis in link_axes(arm, choice)]
     for prefix in ("", "nominal_"):
-        for link, axis in measured:
-            for joint, slides in joints:
-                unit, scale = ("1", 0.25) if slides else ("m", 0.25 * arm.reach)
-                group = f"{prefix}link_transmission_by_instrument"
-                yield asinh(f"{group}.link{link}_{axis}_{joint}", unit, scale)
-    for link, axis in measured:
-        yield log(f"link_rms.link{link}_{axis}", "m/s²", top)
+        names = ((f"{seen}_{joint}", slides) for seen in measured for joint, slides in joints)
+        yield from transmission(f"{prefix}link_transmission_by_instrument", names)
+    for seen in measured:
+        yield _log(f"link_rms.{seen}", "m/s²", top)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -631,14 +614,7 @@ class ObservationLayout(RecordLayout):
     def elements(self) -> tuple[Element, ...]:
         """All elements in the order of the observation."""
         slots = (
-            Element(
-                name=f"record{k}.{e.name}",
-                unit=e.unit,
-                scaling=e.scaling,
-                scale=e.scale,
-                low=e.low,
-                high=e.high,
-            )
+            replace(e, name=f"record{k}.{e.name}")
             for k in range(1, self.slots + 1)
             for e in self.slot_elements
         )
@@ -746,9 +722,7 @@ class ObservationLayout(RecordLayout):
 
     def slots_of(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """View the slots of observations (..., size) as (..., slots, slot size)."""
-        start = len(self.global_elements)
-        tail = observation[..., start:]
-        return tail.reshape(*observation.shape[:-1], self.slots, len(self.slot_elements))
+        return self.split(observation)[1]
 
     def records_of(self, observation: NDArray[np.float32]) -> Any:
         """Number of records taken in observations (..., size)."""

@@ -236,8 +236,6 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
                 f"actions of {self.num_envs} environments have shape "
                 f"({self.num_envs}, {len(self.actions.nvec)}), got {rows.shape}"
             )
-        if not all(self.batch.has_episode(i) for i in range(self.num_envs)):
-            raise ResetNeeded("no episodes are running: call reset() before step()")
         over, same_step = self._ended.copy(), self.autoreset_mode is AutoresetMode.SAME_STEP
         if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
             raise ResetNeeded(

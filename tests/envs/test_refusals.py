@@ -152,7 +152,7 @@ def test_a_bad_setting_is_refused(make: Any, name: str, value: Any, words: str) 
         (lambda: DiagnosisSettings(difficulty=3), UnknownName, ("3", "'easy', 'default'")),  # type: ignore[arg-type]
         (lambda: hypotheses(planar(2), ("healthy", "rust")), UnknownName, ("rust", "backlash")),
         (lambda: Difficulty(kinds={"rust": 1.0}), UnknownName, ("'rust'", "'backlash'")),
-        (lambda: Difficulty(friction_over="mean"), UnknownName, ("friction_over", "'mean'")),  # type: ignore[arg-type]
+        (lambda: Difficulty(friction_over="mean"), InvalidSetting, ("friction_over", "'mean'")),  # type: ignore[arg-type]
         (lambda: Mismatch(mass=-0.1), InvalidSetting, ("mass", "zero or more", "-0.1")),
         (lambda: Drift(gain=-0.1), InvalidSetting, ("gain", "-0.1")),
         (
