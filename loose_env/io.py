@@ -317,9 +317,7 @@ def whole_of(text: str, *, format: str, noun: str) -> dict[str, Any]:
     try:
         whole = json.loads(text, parse_constant=_refused, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
-        raise InvalidData(
-            f"the {noun} is no JSON, or was cut off: {error}; write it again"
-        ) from None
+        raise InvalidData(f"the {noun} is no JSON: {error}") from None
     if not isinstance(whole, dict) or whole.get("format") != format:
         given = whole.get("format") if isinstance(whole, dict) else whole
         raise InvalidData(f"a {noun} of the format {format!r} is needed, not {given!r:.60}")

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from annotated_types import Predicate
 
 from loose_env.arms import Arm, Place
 from loose_env.errors import InvalidSetting
-from loose_env.io import Checked, NonNegative, positive
+from loose_env.io import Checked, Count, NonNegative, Rule, positive
 
 __all__ = ["Accelerometer", "Encoder", "LinkAccelerometers", "SensorSuite", "link_choice"]
 
@@ -47,8 +48,14 @@ class Encoder(Checked):
     """Rms noise of one reading of that scale before it is rounded [m]."""
 
 
+_LINKS = Rule(
+    "numbers from 1 at the base, increasing, or None for every link",
+    (Predicate(lambda links: links is None or list(links) == sorted(set(links))),),
+)
+
+
 @dataclass(frozen=True, kw_only=True)
-class LinkAccelerometers:
+class LinkAccelerometers(Checked):
     """Accelerometers on links: links, location and measured axes (8.3.3, 8.3.4).
 
     Examples
@@ -57,7 +64,7 @@ class LinkAccelerometers:
     'distal'
     """
 
-    links: tuple[int, ...] | None = None
+    links: Annotated[tuple[Count, ...] | None, _LINKS] = None
     """Numbers of the links that carry one, increasing; None for every link."""
     tangential: bool = False
     """True for a single axis along the tangent of the link's own joint motion.
@@ -67,22 +74,11 @@ class LinkAccelerometers:
     """End of the link; see `loose_env.arms.arm.link_site`."""
 
     def __post_init__(self) -> None:
-        if self.place not in ("proximal", "distal"):
-            raise InvalidSetting(
-                f"a link's accelerometer sits at the 'proximal' or 'distal' end, got {self.place!r}"
-            )
+        super().__post_init__()
         if self.tangential and self.place == "proximal":
             raise InvalidSetting(
                 "the proximal end lies on the axis of the link's own joint and has no tangent; "
                 "put tangential accelerometers at the distal end"
-            )
-        if self.links is not None and (
-            any(isinstance(k, bool) or not isinstance(k, int) or k < 1 for k in self.links)
-            or list(self.links) != sorted(set(self.links))
-        ):
-            raise InvalidSetting(
-                "links with an accelerometer are numbers from 1 at the base, increasing, or "
-                f"None for every link; got {self.links!r}"
             )
 
     def on(self, arm: Arm) -> tuple[int, ...]:

@@ -9,12 +9,7 @@ from loose_env.recording.corrupt_samples import (
     without_corrupt,
 )
 from loose_env.recording.measured import check_measured, planned_recording, write_measured
-from loose_env.recording.model_columns import (
-    JointSensors,
-    ModelColumns,
-    check_comparison,
-    joint_sensors,
-)
+from loose_env.recording.model_columns import JointSensors, ModelColumns, joint_sensors
 from loose_env.recording.recording import (
     DESCRIPTION,
     FORMAT,
@@ -56,7 +51,6 @@ __all__ = [
     "Recording",
     "Run",
     "RunEntry",
-    "check_comparison",
     "check_measured",
     "check_target",
     "corrupt_mask",

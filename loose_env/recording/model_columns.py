@@ -11,7 +11,6 @@ import numpy as np
 
 from loose_env.errors import InvalidData
 from loose_env.io import nearest
-from loose_env.recording.run import Run
 from loose_env.typing import Array
 
 Group = Literal["controls", "sensors", "torques"]
@@ -19,17 +18,6 @@ Group = Literal["controls", "sensors", "torques"]
 _PREFIX: dict[str, Group] = {"ctrl": "controls", "sensor": "sensors", "torque": "torques"}
 _AXES = ("x", "y", "z")
 _ONE_DOF = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_WHY = {
-    "inverse": (
-        "has 'torque.' columns and no 'ctrl.' ones, so the torque that the model needs for the "
-        "measured motion is compared, which takes the position of every joint that moves with "
-        "them"
-    ),
-    "free": (
-        "has neither 'ctrl.' nor 'torque.' columns, so it is a free response from the measured "
-        "initial state, which takes the position of every joint"
-    ),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,45 +218,6 @@ def joint_sensors(model: mujoco.MjModel) -> dict[str, JointSensors]:
         for j in range(model.njnt)
         if model.jnt_type[j] in _ONE_DOF and model.joint(j).name
     }
-
-
-def joints_needed(model: mujoco.MjModel, run: Run) -> tuple[int, ...]:
-    """Joints whose position the comparison of a run rests on, by their number in the model."""
-    if run.comparison == "forward":
-        return ()
-    trees = model.body_treeid[model.jnt_bodyid]
-    if run.comparison == "free":
-        return tuple(range(model.njnt))
-    carried = {int(trees[model.joint(name).id]) for name in run.torques}
-    return tuple(int(j) for j in np.flatnonzero(np.isin(trees, list(carried))))
-
-
-def check_comparison(model: mujoco.MjModel, run: Run) -> None:
-    """Refuse a run that lacks the joint positions its comparison rests on.
-
-    Statistics of a run with random excitation need none of this; a simulation of it does.
-
-    Raises
-    ------
-    InvalidData
-        If a position is not in the run; the message names the joint, and the column to add or
-        the sensor that the model lacks.
-    """
-    lacking = []
-    for j in joints_needed(model, run):
-        name = model.joint(j).name
-        if model.jnt_type[j] not in _ONE_DOF:
-            lacking.append(f"{name or f'joint {j}'!r} (free or a ball: no sensor column holds it)")
-            continue
-        sensors = _reading(model, mujoco.mjtSensor.mjSENS_JOINTPOS, j)
-        if not sensors:
-            lacking.append(f"{name or f'joint {j}'!r} (the model has no jointpos sensor of it)")
-        elif not any(sensor in run.sensors for sensor in sensors):
-            lacking.append(f"{name or f'joint {j}'!r} (column 'sensor.{sensors[0]}')")
-    if lacking:
-        raise InvalidData(
-            f"{run.name}: the run {_WHY[run.comparison]}; missing are those of {', '.join(lacking)}"
-        )
 
 
 def add_joint_columns(spec: mujoco.MjSpec) -> None:

@@ -18,13 +18,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict
 from loose_env.arms import compile_spec, load_spec, require_numbers
 from loose_env.errors import InvalidData
 from loose_env.io import restored, whole_of
-from loose_env.recording.model_columns import (
-    JointSensors,
-    ModelColumns,
-    add_joint_columns,
-    check_comparison,
-    joint_sensors,
-)
+from loose_env.recording.model_columns import ModelColumns, add_joint_columns
 from loose_env.recording.run import CommandTiming, Condition, Run
 from loose_env.recording.tables import (
     check_numbers,
@@ -156,22 +150,6 @@ class Recording:
             If the file was changed since and does not compile.
         """
         return load_model(self.model_path)[1]
-
-    def joint_sensors(self) -> dict[str, JointSensors]:
-        """Sensors that measure position and velocity of each joint of the model."""
-        return joint_sensors(self.model())
-
-    def check_comparison(self) -> None:
-        """Refuse runs that lack the joint positions which their comparison rests on.
-
-        Raises
-        ------
-        InvalidData
-            As `loose_env.recording.check_comparison`, of the first such run.
-        """
-        model = self.model()
-        for run in self.runs:
-            check_comparison(model, run)
 
 
 def read_recording(folder: str | Path, *, model: str | Path | None = None) -> Recording:

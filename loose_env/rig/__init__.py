@@ -1,7 +1,7 @@
 """Rigs: sources of measurements, simulated or recorded."""
 
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.records import Job, Measurement, Records, Rig, Trials
+from loose_env.rig.records import Job, Measurement, Records, Trials
 from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import (
     SimulatedRig,
@@ -19,7 +19,6 @@ __all__ = [
     "PlantShop",
     "Records",
     "ReducedRig",
-    "Rig",
     "SimulatedRig",
     "SlotRig",
     "Trials",

@@ -173,25 +173,18 @@ class PlantShop:
         self._retired: dict[PlantIndices, list[mujoco.MjModel]] = {}
         self._scratch: dict[int, mujoco.MjData] = {}  # by the number of parts of the seat
 
-    def template(
-        self, link: int | Sequence[int], kinds: SeatKind | Sequence[SeatKind]
-    ) -> mujoco.MjModel:
-        """Compiled model with the given seat; one layout per number of parts.
-
-        The parts may stand on several links: ``link`` is then that of each.
-        """
-        parts = (kinds,) if isinstance(kinds, str) else tuple(kinds)
-        links = tuple(link) if isinstance(link, Sequence) else (link,) * len(parts)
-        found = self._templates.get((links, parts))
+    def template(self, links: tuple[int, ...], kinds: tuple[SeatKind, ...]) -> mujoco.MjModel:
+        """Compiled model with a seat whose parts stand on links; one layout per number of parts."""
+        found = self._templates.get((links, kinds))
         if found is None:
-            found = self._templates[links, parts] = self._compile(links, parts)
+            found = self._templates[links, kinds] = self._compile(links, kinds)
         return found
 
     def spare(self, parts: int) -> mujoco.MjModel:
         """Compiled model of any seat with a given number of parts."""
-        links = [self.arm.n - k // _MOST for k in range(parts)]  # where one is full, the next
+        links = tuple(self.arm.n - k // _MOST for k in range(parts))  # where one is full, the next
         kinds: list[SeatKind] = ["slide" if k % _MOST < 3 else "hinge" for k in range(parts)]
-        return self.template(links, kinds)
+        return self.template(links, tuple(kinds))
 
     def build(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
         """Build the true arm with the seat of its fault; as `build_all`."""
@@ -219,7 +212,8 @@ class PlantShop:
         for link in links:
             self.arm.link_number(link)
         # A shut seat shows nowhere; the last link's is as good as any.
-        template = self.template(links or self.arm.n, kinds)
+        links = links or (self.arm.n,)
+        template = self.template(links, kinds)
         indices = self._indices.get((links, kinds))
         if indices is None:
             indices = self._indices[links, kinds] = PlantIndices.of(template, self.arm)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,14 +125,6 @@ class Records:
 
 
 _STACKED = ("pose", "torque_rms", "command", "encoder", "tool")
-
-
-class Rig(Protocol):
-    """Protocol of a rig: a simulated arm, a recording or a real arm."""
-
-    def measure(self, pose: Array, excitation: Excitation) -> Measurement:
-        """Move the arm to a pose, apply the excitation, and return the readings."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

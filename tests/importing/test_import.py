@@ -94,7 +94,6 @@ def test_the_command_line_writes_what_the_gap_reads(
     assert "written:" in said.out
     assert "400 rows, 1.995 s at 200 Hz" in said.err
     recording = read_recording(home / "out")
-    recording.check_comparison()
     assert recording.runs[0].comparison == "forward"
     assert main(told) == 1
     assert "is not empty" in capsys.readouterr().err

@@ -12,8 +12,6 @@ import pytest
 from loose_env.errors import InvalidData
 from loose_env.recording import (
     JointSensors,
-    Run,
-    check_comparison,
     joint_sensors,
     read_recording,
 )
@@ -150,32 +148,3 @@ def test_sensors_of_joints_are_found() -> None:
         "reach": JointSensors(position=("stroke",)),
         "aside": JointSensors(position=("aside_angle",)),
     }
-
-
-def test_an_inverse_comparison_needs_the_joints_of_its_own_tree(folder: Folder) -> None:
-    whole = csv_text(torque__reach=COS, sensor__angle=COS, sensor__stroke=COS)
-    read_recording(folder({"run.csv": whole})).check_comparison()  # `aside` moves by itself
-    half = csv_text(torque__reach=COS, sensor__stroke=COS)
-    recording = read_recording(folder({"run.csv": half}))
-    with pytest.raises(InvalidData) as refused:
-        recording.check_comparison()
-    assert "run.csv" in str(refused.value)
-    assert "'shoulder' (column 'sensor.angle')" in str(refused.value)
-    assert "'aside'" not in str(refused.value)
-
-
-def test_a_free_response_needs_every_joint_and_a_sensor_of_each(folder: Folder) -> None:
-    bare = ARM.replace('<jointpos name="stroke" joint="reach"/>', "").replace(
-        '<joint name="aside"/>', '<freejoint name="aside"/>'
-    )
-    bare = bare.replace('<jointpos name="aside_angle" joint="aside"/>', "")
-    with pytest.raises(InvalidData) as refused:
-        read_recording(folder({"model.xml": bare})).check_comparison()
-    assert "'reach' (the model has no jointpos sensor of it)" in str(refused.value)
-    assert "'aside' (free or a ball" in str(refused.value)
-    assert "'shoulder'" not in str(refused.value)
-
-
-def test_a_forward_comparison_needs_no_joint_sensor() -> None:
-    run = Run(name="a.csv", time=TIME, controls={"lift": TIME}, torques={"reach": TIME})
-    check_comparison(mujoco.MjModel.from_xml_string(ARM), run)

@@ -104,7 +104,7 @@ def test_a_longer_link_carries_its_sensor_farther_out() -> None:
     ("change", "message"),
     [
         ({"place": "proximal", "tangential": True}, "has no tangent"),
-        ({"place": "middle"}, "'proximal' or 'distal' end, got 'middle'"),
+        ({"place": "middle"}, "'proximal', 'distal'; got 'middle'"),
         ({"links": (2, 1)}, "increasing"),
         ({"links": (0,)}, "numbers from 1"),
         ({"links": (True,)}, "numbers from 1"),

@@ -17,7 +17,7 @@ from loose_env.arms import (
 )
 from loose_env.diagnosis import statistics_of
 from loose_env.envs import DiagnosisSettings, Difficulty, EpisodeBatch, FaultSampler
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import CompoundLooseness, Healthy, Preload, StructuralLooseness, hypotheses
 from loose_env.rig import ReducedRig, SimulatedRig
@@ -134,7 +134,7 @@ def test_what_it_does_not_know_is_refused_with_words():
     rig.measure(np.zeros(2), shake(rig, np.zeros(2), np.array([3, 0])))  # the slot is as it was
     with pytest.raises(InvalidSetting, match="at least one slot"):
         ReducedRig(arm, slots=0)
-    with pytest.raises(UnknownName, match="engine"):
+    with pytest.raises(InvalidSetting, match="engine"):
         DiagnosisSettings(engine="fast")
 
 
