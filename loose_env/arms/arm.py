@@ -683,13 +683,14 @@ class Arm:
             )
         return int(link)
 
-    def checked_pose(self, pose: ArrayLike) -> Array:
+    def checked_pose(self, pose: ArrayLike, *, reachable: bool = False) -> Array:
         """Check a pose [rad or m] and return it (n,).
 
         Raises
         ------
         InvalidSetting
-            If it does not have one finite number for every joint.
+            If it does not have one finite number for every joint, or, to be ``reachable``, one
+            outside the joint's range.
         """
         try:
             found = np.asarray(pose, dtype=float)
@@ -698,6 +699,11 @@ class Arm:
         if found.shape != (self.n,) or not np.isfinite(found).all():
             raise InvalidSetting(
                 f"a pose of {self.name!r} is {self.n} finite numbers [rad or m], got {pose!r}"
+            )
+        if reachable and not self.within_ranges(found).all():
+            ranges = [r and (float(r[0]), float(r[1])) for r in self.joint_ranges]
+            raise InvalidSetting(
+                f"pose {found.tolist()} leaves the joint ranges {ranges} [rad or m]"
             )
         return found
 

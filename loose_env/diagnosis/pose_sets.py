@@ -352,12 +352,7 @@ class PoseSets:
         InvalidSetting
             If the pose does not fit the arm, or the number is no whole number from 1.
         """
-        q = np.asarray(start, dtype=float)
-        if q.shape != (self.arm.n,) or not self.arm.within_ranges(q).all():
-            raise InvalidSetting(
-                f"a pose of {self.arm.name!r} has {self.arm.n} finite joint positions in their "
-                f"ranges [rad or m], got {start!r}"
-            )
+        q = self.arm.checked_pose(start, reachable=True)
         if isinstance(count, bool) or int(count) != count or count < 1:
             raise InvalidSetting(f"a set has a whole number of poses, 1 or more; got {count!r}")
         if strategy == "random":

@@ -489,14 +489,7 @@ class EpisodeBatch:
 
     def _checked(self, given: Any) -> Array:
         """Check a pose, and turn its hinges into their ranges."""
-        arm = self.true_arm
-        pose = arm.checked_pose(given)
-        if not arm.within_ranges(pose).all():
-            ranges = [r and (float(r[0]), float(r[1])) for r in arm.joint_ranges]
-            raise InvalidSetting(
-                f"pose {pose.tolist()} leaves the joint ranges {ranges} [rad or m]"
-            )
-        return arm.wrap(pose)
+        return self.true_arm.wrap(self.true_arm.checked_pose(given, reachable=True))
 
     @cached_property
     def fingerprint(self) -> str:

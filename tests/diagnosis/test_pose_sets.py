@@ -80,7 +80,7 @@ def test_unknown_strategies_and_bad_settings_are_refused_with_words() -> None:
     sets, rng = PoseSets(planar(2), moves=MOVES), np.random.default_rng(0)
     with pytest.raises(UnknownName, match="one joint"):
         sets.make("best", np.zeros(2), 3, rng)
-    with pytest.raises(InvalidSetting, match="2 finite joint positions"):
+    with pytest.raises(InvalidSetting, match="2 finite numbers"):
         sets.make("random", np.zeros(3), 3, rng)
     with pytest.raises(InvalidSetting, match="1 or more"):
         sets.make("random", np.zeros(2), 0, rng)
