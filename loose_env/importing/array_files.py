@@ -19,7 +19,7 @@ from annotated_types import Gt, Le
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
-from loose_env.importing.samples import ChannelKey, Log, Table, damaged, natural
+from loose_env.importing.samples import ChannelKey, Log, Table, damaged, entry_names, natural
 from loose_env.importing.units import unit_in
 from loose_env.io import restored
 from loose_env.recording import MOST_VALUES, read_text
@@ -111,8 +111,8 @@ def _table(tree: Tree, place: str, whole: Tree) -> Table:
             continue
         width = array.shape[1]
         labels = _labels(around, key, width, _NAMES) if width > 1 else ()
-        own = vector_columns(key, array, labels if len(set(labels)) == width else ())
-        told = _labels(around, key, width, ("units", "unit"))
+        own = vector_columns(key, array, labels)
+        told = _labels(around, key, width, ("units", "unit"), unique=False)
         columns |= own
         units |= {n: u for n, u in zip(own, told, strict=False) if unit_in(f"[{u}]")}
     if length * len(columns) > MOST_VALUES:
@@ -149,19 +149,14 @@ def _matrix(value: Any) -> NDArray[Any] | None:
 
 
 def _labels(
-    leaves: Sequence[tuple[str, Any]], key: str, width: int, names: Sequence[str]
-) -> tuple[str, ...]:
+    leaves: Sequence[tuple[str, Any]], key: str, width: int, names: Sequence[str],
+    *, unique: bool = True,
+) -> tuple[str, ...]:  # fmt: skip
     """Names, or units, of the entries of a vector where the file gives one for each."""
-    for way, value in leaves:
-        last = way.rsplit("/", 1)[-1].lower()
-        if last in names or last in {f"{key}_{n}" for n in names}:
-            texts = [*value] if isinstance(value, (list, np.ndarray)) and np.ndim(value) else []
-            plain = [str(v).strip() for v in texts if isinstance(v, str)]
-            if len(plain) == len(texts) == width and all(
-                v and not set(v) & set("[]") for v in plain
-            ):
-                return tuple(plain)
-    return ()
+    lasts = ((way.rsplit("/", 1)[-1].lower(), value) for way, value in leaves)
+    lists = (v for last, v in lasts if last in names or last in {f"{key}_{n}" for n in names})
+    told = (entry_names(v, width, unique=unique) for v in lists if np.ndim(v) == 1)
+    return next(filter(None, told), ())
 
 
 def _rate(way: str, value: Any) -> float | None:
@@ -393,9 +388,4 @@ def _names_in(names: Any, width: int) -> tuple[str, ...]:
     if isinstance(names, dict):
         inside = [own for each in names.values() if (own := _names_in(each, width))]
         return inside[0] if inside else _names_in([*names], width)  # names as keys
-    if not isinstance(names, list) or not len(names) == width == len(set(map(str, names))):
-        return ()
-    plain = all(
-        isinstance(n, str) and n.isprintable() and n and not set(n) & {*"[]"} for n in names
-    )
-    return tuple(names) if plain else ()
+    return entry_names(names, width)

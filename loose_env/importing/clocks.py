@@ -88,18 +88,7 @@ def samples_of(table: Table, channel: str, time: TimeSource) -> Samples:
 
 
 def chosen_time(tables: Sequence[Table]) -> tuple[TimeSource, str]:
-    """Time of the tables of all files: that of their format, else one that orders all rows.
-
-    Returns
-    -------
-    tuple of TimeSource and str
-        The time, and words on why; candidates that were passed over are named.
-
-    Raises
-    ------
-    InvalidData
-        If no column can be one; the message has the best candidate's row and values.
-    """
+    """Time of the tables of all files, by their format or as it orders all rows; and why."""
     first = tables[0]
     candidates = ([TimeSource()] if first.time else []) + _named(first)
     if first.rate_hz is not None and not candidates:

@@ -30,9 +30,7 @@ _SIGN_BITS = (10, 11, 15, 31)
 SIZES = (1.0, 180 / math.pi, math.pi / 180, 30 / math.pi, 1 / 6, 60.0)
 """Ratios of a velocity to the derivative of a position, in all their units."""
 _TOLD = 0.2
-"""Most that a size in no unit speaks against a velocity, and least correlation of one [1]."""
-_LEADS, _CLEARER = 1.5, 0.02
-"""Steps, and correlation beside that at no delay, from which a channel leads a derivative."""
+"""Most that a size in no unit speaks against a velocity [1]."""
 
 
 @dataclass(eq=False, kw_only=True)
@@ -219,8 +217,6 @@ class Speed(NamedTuple):
     """Correlation, less what the size is off those of all units where none is stated [1]."""
     correlation: float
     """Negative if reversed [1]."""
-    lead: float
-    """Time by which it leads the derivative, 0 where it does not [s]."""
 
 
 def speed_in(position: Signal, s: Signal) -> Speed:
@@ -228,12 +224,7 @@ def speed_in(position: Signal, s: Signal) -> Speed:
     value = correlation(position.rates, s.smooth)
     ratio = max(abs(slope(position.rates, s.smooth)), 1e-12)
     off = 0.0 if s.unit else min(abs(math.log(ratio / each)) for each in SIZES)
-    lead = 0.0
-    if abs(value) > _TOLD:
-        like, here = likeness(s.smooth, position.rates, s.step), abs(value)
-        ahead = like.lag > _LEADS * s.step and abs(like.correlation) > here + _CLEARER
-        lead = like.lag if ahead else 0.0
-    return Speed(math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value), value, lead)
+    return Speed(math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value), value)
 
 
 def decoded(values: Array, period: float | None, sign_bit: int | None) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
-from loose_env.importing.samples import ChannelKey, Log, Table, damaged, natural
+from loose_env.importing.samples import ChannelKey, Log, Table, damaged, entry_names, natural
 from loose_env.recording import MOST_VALUES
 
 STORAGES = (".mcap", ".db3", ".bag", ".mcap.zstd", ".db3.zstd")
@@ -146,7 +146,9 @@ def _numbers(here: Any, words: str, label: tuple[str, ...]) -> Iterator[tuple[st
     if fields in (("sec", "nanosec"), ("secs", "nsecs")):
         yield words, _STAMP, getattr(here, fields[0]) * 10**9 + getattr(here, fields[1])
         return
-    label = next(filter(None, (_label(getattr(here, name, None)) for name in _LABELS)), label)
+    lists = (getattr(here, name, None) for name in _LABELS)
+    told = (entry_names(each, len(each)) for each in lists if isinstance(each, list))
+    label = next(filter(None, told), label)
     for name in fields:
         value = getattr(here, name)
         if name.endswith("covariance"):
@@ -166,14 +168,6 @@ def _numbers(here: Any, words: str, label: tuple[str, ...]) -> Iterator[tuple[st
 @cache
 def _fields_of(kind: type) -> tuple[str, ...]:
     return tuple(n for n in getattr(kind, "__dataclass_fields__", ()) if not n.startswith("__"))
-
-
-def _label(found: Any) -> tuple[str, ...]:
-    """Names that a field gives to the entries of the arrays beside it; none where it is no such."""
-    if not isinstance(found, list) or not all(isinstance(word, str) for word in found):
-        return ()
-    plain = all(word and not set(word) & set("[]") for word in found)
-    return tuple(found) if plain and len(set(found)) == len(found) else ()
 
 
 # ------------------------------------------------------------------------- containers

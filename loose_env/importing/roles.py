@@ -198,10 +198,6 @@ class Roles:
             if order is not None:
                 place = {j: s for j, s in zip(order, own, strict=True) if j}
                 found.append(Vector(place, "by its place in the vector", True))
-            elif len(own) > len(names) and own[0].meaning.role:
-                for k in range(len(own) - len(names) + 1):
-                    words = f"{k} to {k + len(names) - 1} of the {len(own)} entries of its vector"
-                    found.append(Vector(dict(zip(names, own[k:], strict=False)), words, False))
             else:
                 rest += own
         return [*found, *self._blocks(sorted(rest, key=lambda s: s.sort))]
@@ -385,7 +381,6 @@ class Roles:
         table = [[self._match(j, role, s) for s in candidates] for j, role in places]
         scores = np.array([[self._score(m, s) for m, s in zip(row, candidates, strict=True)]
                            for row in table]).reshape(len(places), len(candidates))  # fmt: skip
-        self._share(scores, [role for _, role in places], candidates)
         open_to = np.array([[not m.why for m in row] for row in table]).reshape(scores.shape)
         order = _ORDER * np.outer(np.arange(len(places)), np.arange(len(candidates)))
         chosen: dict[int, Match] = {}
@@ -409,24 +404,9 @@ class Roles:
             if k not in chosen:
                 self._leave(s, [(scores[i, k], row[k]) for i, row in enumerate(table)])
 
-    def _share(self, scores: Array, roles: Sequence[Role], candidates: Sequence[Signal]) -> None:
-        """Draw scores to the mean of their vector's in a role, whose channels have one role."""
-        of = [self._vector_of(s) for s in candidates]
-        for role, own in itertools.product(dict.fromkeys(roles), dict.fromkeys(of)):
-            rows = [i for i, each in enumerate(roles) if each == role]
-            columns = [k for k, each in enumerate(of) if each == own]
-            best = scores[np.ix_(rows, columns)].max(axis=0)
-            scores[np.ix_(rows, columns)] += _NAME * (best.mean() - best)
-
     def _leave(self, s: Signal, scored: Sequence[tuple[float, Match]]) -> None:
         """Tell why a channel has no role, and what it is most like."""
         best = sorted(scored, key=lambda each: -each[0])[:2]
-        named = [m for _, m in best if m.role == s.meaning.role and m.joint]
-        against = next((m for m in named if m.why and m.sign < 0), None)
-        if against is not None:
-            column = self.joints[against.joint].command
-            self._open(column, s, Scaling(s.unit), f"{against.words}: {against.why}", -1)
-            return
         role = s.meaning.role
         own = next((m for score, m in best if m.why and score >= ALIKE), None)
         first = f"{own.words}: {own.why}" if own else (
@@ -447,8 +427,7 @@ class Roles:
         label = self._label(s)
         role = "torque" if s.meaning.role == "current" else s.meaning.role
         own = (label == match.joint) - (label not in ("", match.joint))
-        other = role == "velocity" and match.role == "command"
-        return match.evidence + _NAME * ((role == match.role) + 0.5 * own - 0.5 * other)
+        return match.evidence + _NAME * ((role == match.role) + 0.5 * own)
 
     def _match(self, joint: str, role: Role, s: Signal) -> Match:
         """Evidence of a channel in a role at a joint; none where name or unit contradict."""
@@ -471,10 +450,8 @@ class Roles:
             return Match(joint, "velocity")
         told = speed_in(self.positions[joint][0], s)
         words = f"{told.correlation:.2f} with the derivative of the position of {joint!r}"
-        why = "" if not told.lead else (
-            f"it leads by {told.lead:.3g} s: one that was wanted, not measured")  # fmt: skip
         sign = 1 if told.evidence >= 0 else -1
-        return Match(joint, "velocity", abs(told.evidence), words, why, sign)
+        return Match(joint, "velocity", abs(told.evidence), words, "", sign)
 
     def _speed(self, s: Signal) -> float:
         """Most that a channel is like the derivative of a position."""

@@ -137,6 +137,16 @@ def found_in(tables: Iterable[Table], key: ChannelKey, name: str) -> Table:
     )
 
 
+def entry_names(found: Any, width: int, *, unique: bool = True) -> tuple[str, ...]:
+    """Texts that a list gives to each of so many entries of an array; else none."""
+    texts = found if isinstance(found, (list, np.ndarray)) and len(found) == width else ()
+    if not all(isinstance(text, str) for text in texts):
+        return ()
+    plain = [text.strip() for text in texts]
+    good = all(text.isprintable() and text and not set(text) & {*"[]"} for text in plain)
+    return tuple(plain) if good and (len(set(plain)) == width or not unique) else ()
+
+
 def natural(name: str) -> list[tuple[int, str]]:
     """Key that sorts names with numbers by the numbers.
 

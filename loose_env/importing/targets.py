@@ -424,17 +424,7 @@ def is_rate(unit: str, of: str) -> bool:
 def position_scalings(
     pairs: Mapping[str, tuple[JointTarget, Signal]], speeds: Mapping[str, float], defined: bool
 ) -> dict[str, Scaling | None]:
-    """Scaling of each position of a vector; None where no unit fits.
-
-    Parameters
-    ----------
-    pairs : mapping
-        Joints and the channels of their positions.
-    speeds : mapping
-        Joint -> rate of its channel's values that makes 1 rad/s or m/s, by a velocity beside.
-    defined : bool
-        Whether the format defines radians and metres.
-    """
+    """Scaling of the position of each joint, by its speed beside it, too; None where none fits."""
     ways = {joint: _ways(*pair) for joint, pair in pairs.items()}
     unstated = {j: t for j, (t, s) in pairs.items() if not s.unit}
     against: dict[str, float] = {}
