@@ -13,7 +13,6 @@ from loose_env.envs.faults import log_uniform, uniform
 from loose_env.envs.spaces import checked_indices
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault, Healthy
-from loose_env.io import is_whole
 from loose_env.typing import Array
 
 NAMES = (
@@ -124,9 +123,7 @@ def simulator(
     >>> simulate(theta, design, rng).shape
     (8, 58)
     """
-    if not is_whole(num_envs) or num_envs < 1:
-        raise InvalidSetting(f"num_envs must be 1 or more, got {num_envs!r}")
-    if not str(gymnasium.spec(env_id).vector_entry_point).startswith("loose_env."):
+    if not str(gymnasium.spec(str(env_id)).vector_entry_point).startswith("loose_env."):
         raise InvalidSetting(
             f"{env_id!r} hides no fault of an arm: give an arm's id, such as 'loose_env/Planar-v0'"
         )

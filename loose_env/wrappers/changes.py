@@ -140,6 +140,10 @@ class PosteriorObservation(Change):
                 "PosteriorObservation reads the full observation: put it inside the wrappers that "
                 "change the records"
             )
+        if posterior is not None and not hasattr(posterior, "update_all"):
+            raise InvalidSetting(
+                f"a posterior has hypotheses, start() and update_all(); got {posterior!r:.80}"
+            )
         self._given = posterior
         self.posterior = self._made()
         self._order = checked_order(self.posterior, inner.hypotheses)
@@ -221,9 +225,12 @@ class MacroActions(Change):
     def __init__(self, env: Any, macros: Sequence[NDArray[np.int64]] | None = None) -> None:
         super().__init__(env, macros=macros)
         layout = self.diagnosis.actions
-        given = default_macros(layout) if macros is None else [np.asarray(m) for m in macros]
-        if not given:
-            raise InvalidSetting("MacroActions needs one record or more to choose from")
+        given = default_macros(layout) if macros is None else macros
+        if not isinstance(given, (Sequence, np.ndarray)) or not len(given):
+            raise InvalidSetting(
+                f"MacroActions needs one record or more to choose from, a list; got {macros!r:.80}"
+            )
+        given = [np.asarray(each) for each in given]
         for each in given:
             record = layout.decode(each)
             if record.verdict or not np.any(each[layout.excitation]):

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.wrappers import changes
-from loose_env.wrappers.posteriors import Posterior
 from loose_env.wrappers.shells import DiagnosisWrapper
 
 
@@ -87,9 +83,6 @@ class PosteriorObservation(changes.PosteriorObservation, DiagnosisWrapper):
     >>> observation.shape, info["probabilities"].round(2).tolist()
     ((21,), [0.33, 0.17, 0.17, 0.17, 0.17])
     """
-
-    def __init__(self, env: gymnasium.Env[Any, Any], posterior: Posterior | None = None) -> None:
-        super().__init__(env, posterior)
 
     @property
     def probabilities(self) -> NDArray[np.float64]:

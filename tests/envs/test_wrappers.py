@@ -127,6 +127,8 @@ def test_the_posterior_is_that_of_the_estimator() -> None:
     assert env.reset(seed=6)[1]["probabilities"].max() < 0.4
     with pytest.raises(InvalidSetting, match="full observation"):
         PosteriorObservation(LatestRecord(make()))
+    with pytest.raises(InvalidSetting, match=r"update_all\(\)"):
+        PosteriorObservation(make(), 3)  # type: ignore[arg-type]
 
 
 def test_a_macro_is_the_record_it_stands_for() -> None:
@@ -143,9 +145,10 @@ def test_a_macro_is_the_record_it_stands_for() -> None:
     count = len(env.macros)
     assert env.action_masks()[count:].tolist() == [True] * 5 + [False]
     assert env.step(count + 1)[-1]["verdict"] == env.unwrapped.verdicts[1]
-    for wrong in ([], [env.unwrapped.actions.encode(verdict=1)], [env.unwrapped.actions.encode()]):
+    encode = env.unwrapped.actions.encode
+    for wrong in (3, [], [encode(verdict=1)], [encode()]):
         with pytest.raises(InvalidSetting, match="record"):
-            MacroActions(make(), wrong)
+            MacroActions(make(), wrong)  # type: ignore[arg-type]
     with pytest.raises(InvalidAction, match="0 to"):
         env.step(count + 6)
 
