@@ -25,7 +25,6 @@ __all__ = [
     "TIERS",
     "make_arm",
     "make_arm_vector",
-    "make_gap",
     "make_planar",
     "make_planar_vector",
     "make_scara",
@@ -111,14 +110,7 @@ def register() -> None:
                 kwargs=arguments,
             )
     if GAP_ID not in gymnasium.registry:
-        gymnasium.register(id=GAP_ID, entry_point=f"{here}:make_gap")
-
-
-def make_gap(**arguments: Any) -> gymnasium.Env[Any, Any]:
-    """Make the environment of missing effects; see `loose_env.envs.ModelGapEnv`."""
-    from loose_env.envs import make_model_gap
-
-    return make_model_gap(**arguments)
+        gymnasium.register(id=GAP_ID, entry_point="loose_env.envs:make_model_gap")
 
 
 def _makers(arm: str, *own: str) -> tuple[Callable[..., Any], Callable[..., Any]]:

@@ -117,31 +117,16 @@ class Plant:
         """Degrees of freedom of the seat."""
         return len(self.gaps)
 
-    @property
-    def position(self) -> NDArray[np.intp]:
-        """Positions of the driven joints (n,)."""
-        return self.indices.position
-
-    @property
-    def seat_positions(self) -> NDArray[np.intp]:
-        """Positions of the parts of the seat."""
-        return self.indices.seat_positions
-
-    @property
-    def brakes(self) -> NDArray[np.intp]:
-        """Equality constraints that hold the joints (n,)."""
-        return self.indices.brakes
-
     def hold_at(self, pose: np.ndarray) -> np.ndarray:
         """Set brakes, springs and shaker to a commanded pose; return the actual one."""
-        true = pose + self.mismatch.joint_zero
-        self.model.eq_data[self.brakes, 0] = true
-        self.model.qpos_spring[self.position] = true
-        if len(self.indices.gears):
-            wind_up(self.model, true, self.position, self.indices.gears)
+        true, at = pose + self.mismatch.joint_zero, self.indices
+        self.model.eq_data[at.brakes, 0] = true
+        self.model.qpos_spring[at.position] = true
+        if len(at.gears):
+            wind_up(self.model, true, at.position, at.gears)
         if self.shaker is not None:
             data = mujoco.MjData(self.model)
-            data.qpos[self.position] = true
+            data.qpos[at.position] = true
             place_shaker(self.model, data, self.shaker)
         return np.asarray(true)
 
@@ -261,8 +246,8 @@ class PlantShop:
         soft = np.concatenate([impedance[..., None], impedance[..., None], limits], axis=-1)
         spring = -np.stack([stiffness * scale, np.maximum(damping * scale, 1e-12)], axis=-1)
         for k, (plant, model) in enumerate(zip(plants, models, strict=True)):
-            model.eq_solimp[plant.brakes] = soft[k]
-            model.eq_solref[plant.brakes] = spring[k]
+            model.eq_solimp[plant.indices.brakes] = soft[k]
+            model.eq_solref[plant.indices.brakes] = spring[k]
             for at in self.link_sites:  # the end of a longer link lies farther out
                 if at.scaled_by >= 0:
                     site = model.site(f"accelerometer{at.link}").id

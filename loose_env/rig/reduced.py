@@ -234,10 +234,10 @@ class _Fixed:
     @classmethod
     def of(cls, plants: Sequence[Plant], layouts: Sequence[MotionLayout], mixing: Array) -> _Fixed:
         """Take down what the models of some arms say."""
-        n, models = len(plants[0].brakes), [plant.model for plant in plants]
+        n, models = len(plants[0].indices.brakes), [plant.model for plant in plants]
         both = list(zip(models, layouts, strict=True))
         weight = np.array([m.dof_invweight0[at.order] for m, at in both])
-        brakes = [(plant.model, plant.brakes) for plant in plants]
+        brakes = [(plant.model, plant.indices.brakes) for plant in plants]
         impedance = np.array([m.eq_solimp[held, 0] for m, held in brakes])
         reference = np.array([m.eq_solref[held].T for m, held in brakes])
         inertance = impedance / ((1 - impedance) * weight[:, :n])

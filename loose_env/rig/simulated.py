@@ -586,14 +586,14 @@ class SimulatedRig(SlotRig):
         for k, slot in enumerate(trials.slots):
             plant = self.plants[slot]
             batch.state[slot] = 0.0  # at rest, all positions zero
-            position[slot, plant.position] = plant.hold_at(trials.poses[k])
+            position[slot, plant.indices.position] = plant.hold_at(trials.poses[k])
             places = plant.gaps * (trials.rngs[k].random(plant.parts) - 0.5)
-            position[slot, plant.seat_positions] = places
+            position[slot, plant.indices.seat_positions] = places
             active[slot] = plant.model.eq_active0
             released = trials.excited[k]
             if self.arm.shaker is not None and trials.shaker_rms[k] > 0:
                 released[self.arm.shaker.joint - 1] = True
-            active[slot, plant.brakes] = ~released
+            active[slot, plant.indices.brakes] = ~released
             delivered[k, :, : self.arm.n] *= plant.mismatch.drive_gain
         return _Batch(
             trials=trials,

@@ -115,9 +115,9 @@ def bare(env_id: str, duration: int) -> float:
     steps, total = round(length / rig.timestep), 0.0
     for slot, plant in enumerate(rig.plants):
         data = mujoco.MjData(plant.model)
-        data.qpos[plant.position] = plant.hold_at(envs.batch.episode(slot).pose)
+        data.qpos[plant.indices.position] = plant.hold_at(envs.batch.episode(slot).pose)
         joint = slot % envs.arm.n
-        data.eq_active[plant.brakes[joint]] = 0
+        data.eq_active[plant.indices.brakes[joint]] = 0
         data.ctrl[joint] = 0.2 * envs.arm.torque_limits[joint]
         mujoco.mj_step(plant.model, data, nstep=20)
         begin = time.process_time()

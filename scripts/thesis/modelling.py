@@ -211,9 +211,9 @@ def _shake(arm: Arm, pose: Array, fault: Healthy | StructuralLooseness, torque: 
     plant = shop.build(fault, MismatchDraw.none(arm))
     model = plant.model
     data = mujoco.MjData(model)
-    data.qpos[plant.position] = plant.hold_at(pose)
+    data.qpos[plant.indices.position] = plant.hold_at(pose)
     data.eq_active[:] = model.eq_active0
-    data.eq_active[plant.brakes] = False
+    data.eq_active[plant.indices.brakes] = False
     mujoco.mj_forward(model, data)
     tool = model.site(arm.tool).id
     start, turn = data.site_xpos[tool].copy(), data.site_xmat[tool].reshape(3, 3).copy()
@@ -224,7 +224,7 @@ def _shake(arm: Arm, pose: Array, fault: Healthy | StructuralLooseness, torque: 
     rows = np.empty((steps, 3 * n + 4))
     for k in range(steps):
         data.ctrl[:n] = torque[:, k]
-        angle = data.qpos[plant.position] - pose
+        angle = data.qpos[plant.indices.position] - pose
         passive = stiffness * angle + model.dof_damping[dofs] * data.qvel[dofs]
         mujoco.mj_step(model, data)
         # After the step, site and accelerometer still are those of the state before it.

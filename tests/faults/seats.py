@@ -75,7 +75,7 @@ def plant_of(arm: Arm, fault: Fault) -> Plant:
 
 def at_pose(plant: Plant, pose: Array) -> mujoco.MjData:
     data = mujoco.MjData(plant.model)
-    data.qpos[plant.position] = plant.hold_at(pose)
+    data.qpos[plant.indices.position] = plant.hold_at(pose)
     return data
 
 

@@ -180,7 +180,7 @@ def test_a_preload_is_a_constant_force_on_the_seat(arm: Arm, load: float) -> Non
         plant = plant_of(arm, fault)
         data, dof = at_pose(plant, pose_of(arm)), int(plant.model.joint("seat").dofadr[0])
         for place in (-0.5, 0.0, 0.5):
-            data.qpos[plant.seat_positions] = place * fault.gap
+            data.qpos[plant.indices.seat_positions] = place * fault.gap
             mujoco.mj_forward(plant.model, data)
             assert data.qfrc_passive[dof] == pytest.approx(load, rel=1e-6)
 
@@ -191,7 +191,7 @@ def settled(plant: Plant, pose: Array, push: float) -> float:
     data.qfrc_applied[dof] = push
     mujoco.mj_step(plant.model, data, round(1.0 / plant.model.opt.timestep))
     assert abs(data.qvel[dof]) < 1e-5
-    return float(data.qpos[plant.seat_positions[0]])
+    return float(data.qpos[plant.indices.seat_positions[0]])
 
 
 @pytest.mark.parametrize("make", [slide, play])
