@@ -37,7 +37,6 @@ from loose_env.faults.seats import (
     seat_names,
     seat_weight,
     seated_spec,
-    seats_of,
     set_seat,
     twist_of,
 )
@@ -74,7 +73,6 @@ __all__ = [
     "seat_names",
     "seat_weight",
     "seated_spec",
-    "seats_of",
     "set_seat",
     "twist_of",
 ]

@@ -111,29 +111,6 @@ def _link_of(part: Preload | LooseSeat) -> int:
     return part.link if isinstance(part, Preload) else part.place
 
 
-def seats_of(fault: Fault) -> tuple[int | None, tuple[SeatKind, ...]]:
-    """Link of one fault's seat (None: any) and the kind of each of its parts.
-
-    Raises
-    ------
-    InvalidSetting
-        If there are several faults.
-    UnknownName
-        If it is no fault.
-
-    Examples
-    --------
-    >>> seats_of(Backlash(joint=2, gap=1e-3, stiffness=(1e3, 1e3)))
-    (2, ('play',))
-    """
-    if isinstance(fault, SeveralFaults):
-        raise InvalidSetting(
-            "several faults have seats on several links: take them one by one, or use part_seats"
-        )
-    links, kinds = part_seats(fault)
-    return links[0] if links else None, kinds
-
-
 def twist_of(arm: Arm, part: SinglePart) -> Array:
     """Twist of a link per unit travel of its seat, about the origin of its frame.
 
@@ -484,7 +461,7 @@ def _place(model: mujoco.MjModel, at: SeatIndices, part: SinglePart) -> None:
     if model.jnt_type[seat] != (_HINGE if hinge else _SLIDE):
         raise InvalidSetting(
             f"{part.hypothesis} needs a {'hinge' if hinge else 'slide'}, which {at.name!r} of the "
-            "model is not; take the seat that seats_of names"
+            "model is not; take the seat that part_seats names"
         )
     if isinstance(part, RotationalLooseness):
         model.jnt_axis[seat] = unit(part.axis)

@@ -19,10 +19,9 @@ from loose_env.errors import InvalidData
 from loose_env.faults import (
     SEAT,
     Fault,
-    Healthy,
     StructuralLooseness,
+    part_seats,
     seated_spec,
-    seats_of,
     set_seat,
 )
 from loose_env.kinematics import Chain, Frame, JointKind
@@ -133,10 +132,10 @@ def _unit(axis: ArrayLike) -> Array:
 
 def seated_inertia(arm: Arm, pose: ArrayLike, fault: Fault) -> Array:
     """Inertia matrix M of the driven joints and, for a fault, its seat last (3.43)."""
-    link, (kind,) = seats_of(fault)
-    if isinstance(fault, Healthy) or link is None:
+    links, kinds = part_seats(fault)
+    if not links:
         return mass_matrix(arm.model, placed(arm, pose), arm.joints)
-    spec = seated_spec(arm, link, kind)
+    spec = seated_spec(arm, links, kinds)
     if isinstance(fault, StructuralLooseness):
         spec.joint(SEAT).axis = list(fault.direction)
     model = spec.compile()
@@ -369,8 +368,8 @@ def _dock(arm: Arm, q: Array, fault: Fault, jig: Jig) -> tuple[mujoco.MjModel, m
     place = placed(arm, q).site(arm.tool)
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, place.xmat)
-    link, (kind,) = seats_of(fault)
-    spec = seated_spec(arm, arm.n if link is None else link, kind)
+    links, kinds = part_seats(fault)
+    spec = seated_spec(arm, links or arm.n, kinds)
     spec.worldbody.add_site(name="jig", pos=place.xpos.tolist(), quat=quaternion.tolist())
     spec.add_equality(
         name="dock",

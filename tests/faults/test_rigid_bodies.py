@@ -19,10 +19,10 @@ from loose_env.faults import (
     Healthy,
     RotationalLooseness,
     StructuralLooseness,
+    part_seats,
     parts_of,
     seat_names,
     seated_spec,
-    seats_of,
     set_seat,
     twist_of,
 )
@@ -71,7 +71,8 @@ def bare(arm: Arm, pose: Array) -> mujoco.MjData:
 
 def seated(arm: Arm, fault: Fault, pose: Array) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """The arm with a fault's seat and nothing else of a rig, at a pose."""
-    spec = seated_spec(arm, seats_of(fault)[0] or arm.n, seats_of(fault)[1])
+    links, kinds = part_seats(fault)
+    spec = seated_spec(arm, links or arm.n, kinds)
     spec.option.timestep = arm.timestep
     model = spec.compile()
     set_seat(model, fault)
@@ -108,7 +109,7 @@ def screw(arm: Arm, data: mujoco.MjData, part: Fault) -> tuple[Array, Array, Arr
 def extended(arm: Arm, pose: Array, fault: Fault) -> tuple[Array, Array]:
     """Inertia matrix and gravity force of the bare arm with seats added, from kinetic energy."""
     model, data, parts = arm.model, bare(arm, pose), parts_of(fault)
-    loose, nv = distal(arm, seats_of(fault)[0] or 1), arm.model.nv
+    loose, nv = distal(arm, (*part_seats(fault)[0], 1)[0]), arm.model.nv
     screws = [screw(arm, data, part) for part in parts]
     inertia = np.zeros((nv + len(parts), nv + len(parts)))
     force = np.zeros(nv + len(parts))

@@ -33,7 +33,6 @@ from loose_env.faults import (
     seat_names,
     seat_weight,
     seated_spec,
-    seats_of,
     set_seat,
     twist_of,
 )
@@ -112,7 +111,7 @@ def test_hypotheses_name_every_place_and_each_fault_its_own(flat: Arm) -> None:
         fault = MAKE[kind](link)
         assert (fault.hypothesis in names) == (kind != "hinge")  # a link that rocks is none
         assert place_of(fault.hypothesis) == link
-        assert seats_of(fault) == (link, (kind,))
+        assert part_seats(fault) == ((link,), (kind,))
 
 
 @pytest.mark.parametrize("side", [0, 1])
@@ -332,12 +331,7 @@ def seat(*kinds: Any) -> mujoco.MjModel:
             "2 loose degrees of freedom, the model's seat has 1",
         ),
         (lambda: set_seat(seat("slide", "hinge"), SLIDING), InvalidSetting, "has 1 loose"),
-        (lambda: seats_of("backlash"), UnknownName, r"Healthy, Preload.*got str: 'backlash'"),  # type: ignore[arg-type]
-        (
-            lambda: seats_of(SeveralFaults(faults=(replace(SLIDING, link=1), PLAYING))),
-            InvalidSetting,
-            "part_seats",
-        ),
+        (lambda: part_seats("backlash"), UnknownName, r"Healthy, Preload.*got str: 'backlash'"),  # type: ignore[arg-type]
         (lambda: twist_of(planar(2), Healthy()), InvalidSetting, "one loose degree of freedom"),
         (lambda: preloaded(planar(2), SLIDING, NAN), InvalidSetting, "finite"),
         (
