@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from loose_env.arms import files_of
 from loose_env.cli.command import kept, one_of, option_words, refuse, settled
 from loose_env.cli.console import KEPT, Console, OnRecording, Outcome, Output, OutputFolder
-from loose_env.cli.recordings import check_first
+from loose_env.cli.doctor import check_first
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap import (
     TARGETS,

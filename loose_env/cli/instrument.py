@@ -159,7 +159,7 @@ class Diagnose(OnRecording):
 
     def run(self, console: Console) -> Outcome:
         """Diagnose and write it down."""
-        from loose_env.cli.recordings import check_first
+        from loose_env.cli.doctor import check_first
         from loose_env.report import diagnosis_text, write_diagnosis
 
         folder = OutputFolder(self.out, "diagnose", reads=self.model)

@@ -36,7 +36,7 @@ _MODULES = {
     "plan": "instrument",
     "diagnose": "instrument",
     "trend": "instrument",
-    "doctor": "recordings",
+    "doctor": "doctor",
     "import": "recordings",
     "gap": "gap",
     "export": "gap",

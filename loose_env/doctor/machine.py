@@ -148,6 +148,8 @@ def motion_of(machine: Machine, run: Run, window_s: float = 0.0) -> Motion | Non
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
+    last = int(np.searchsorted(time, edges[-1])) + 1
+    time, values = time[:last], values[:last]
     total = cumulative_trapezoid(filled(time, values), time, initial=0.0)
     return np.asarray(np.diff(np.interp(edges, time, total)) / np.diff(edges))
 

@@ -67,11 +67,8 @@ def command_delays(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, Comm
     if not runs:
         return {}
     step = median_step(runs[0].time)
-    grids = []
-    for run in runs:
-        grid = np.arange(run.time[0], run.time[-1], step)
-        first = max(len(grid) - _ROWS, 0) // 2
-        grids.append(grid[first : first + _ROWS])
+    pieces = [_middle(run, step) for run in runs]
+    runs, grids = [piece for piece, _ in pieces], [grid for _, grid in pieces]
     positions = {
         each.name: [
             _read(run, run.sensors[each.position[7:]], grid)
@@ -93,6 +90,21 @@ def command_delays(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, Comm
             if parts:
                 found[drive] = _delay(own, step, parts)
     return {drive: delay for drive, delay in found.items() if np.isfinite([*delay]).all()}
+
+
+def _middle(run: Run, step: float) -> tuple[Run, Array]:
+    """Piece of a run about its middle, and the times of it that are looked at."""
+    first = max(len(run.time) - _ROWS, 0) // 2
+    grid = np.arange(run.time[first], run.time[first:][:_ROWS][-1], step)[:_ROWS]
+    spare = min(first, _ROWS // 8)  # for commands that act late or early
+    own = slice(first - spare, first + _ROWS + spare)
+    piece = replace(
+        run, time=run.time[own],
+        controls={name: values[own] for name, values in run.controls.items()},
+        sensors={name: values[own] for name, values in run.sensors.items()},
+        torques={name: values[own] for name, values in run.torques.items()},
+    )  # fmt: skip
+    return piece, grid
 
 
 def _read(run: Run, values: Array, grid: Array) -> Array:

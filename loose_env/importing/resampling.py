@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from loose_env.typing import Array
 
@@ -106,6 +105,8 @@ def resampled(time: Array, values: Array, rows: Array, longest: float) -> tuple[
 
 
 def _segment(time: Array, values: Array, rows: Array) -> tuple[Array, bool]:
+    from scipy.interpolate import make_interp_spline  # half a second, and most logs need none
+
     count = len(time)
     line = np.linspace(time[0], time[-1], count)
     even = bool(np.max(np.abs(time - line)) <= EVEN * (line[1] - line[0]))
