@@ -124,7 +124,7 @@ def test_arguments_that_are_no_json_object_are_refused(text: str) -> None:
         ({"colour": 1}, "unknown arguments"),
         ({"durations": 0.2}, r"durations must be positive seconds, one or more; got 0\.2$"),
         ({"id": 1}, "does not take"),
-        ({"engine": "fast"}, "engine is one of"),
+        ({"engine": "fast"}, "engine must be one of"),
         ({"link_accelerometers": "yes"}, "must be true or false"),
     ],
 )
