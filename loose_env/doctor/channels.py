@@ -147,18 +147,19 @@ def without_absurd(machine: Machine, run: Run) -> tuple[Run, list[Finding]]:
         more = f": {each.missing:.0%} would be missing without them" if each.too_many else ""
         defect = _ABSURD if each.too_many else _CORRUPT
         found.append(defect.at(each.column, each.found + more, each.largest, run=run.name))
-    lost = {each.column for each in corrupt if each.too_many}
+    return _without(clean, {each.column for each in corrupt if each.too_many}), found
+
+
+def _without(run: Run, lost: set[str]) -> Run:
+    """Run without columns; a sensor goes with all its axes."""
 
     def kept(prefix: str, columns: Mapping[str, Array]) -> dict[str, Array]:
         axes = ("", ".x", ".y", ".z")
         named = {name: {f"{prefix}.{name}{axis}" for axis in axes} for name in columns}
         return {name: v for name, v in columns.items() if not named[name] & lost}
 
-    if lost:
-        controls, sensors = kept("ctrl", clean.controls), kept("sensor", clean.sensors)
-        torques = kept("torque", clean.torques)
-        clean = replace(clean, controls=controls, sensors=sensors, torques=torques)
-    return clean, found
+    controls, sensors = kept("ctrl", run.controls), kept("sensor", run.sensors)
+    return replace(run, controls=controls, sensors=sensors, torques=kept("torque", run.torques))
 
 
 def without_dead(machine: Machine, runs: Sequence[Run]) -> list[Run]:
@@ -174,12 +175,7 @@ def without_dead(machine: Machine, runs: Sequence[Run]) -> list[Run]:
         still.append(set(rest))
         dead.append({name for name, joint in rest.items() if joint in told_to_move(machine, run)})
     always = set.intersection(*still) & set[str]().union(*dead)
-    kept = []
-    for run, own in zip(runs, dead, strict=True):
-        lost = own | always
-        sensors = {name: v for name, v in run.sensors.items() if f"sensor.{name}" not in lost}
-        kept.append(replace(run, sensors=sensors) if lost else run)
-    return kept
+    return [_without(run, own | always) for run, own in zip(runs, dead, strict=True)]
 
 
 def check_channels(machine: Machine, run: Run) -> Iterator[Finding]:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from loose_env.importing.names import Meaning
+from loose_env.importing.resampling import median_step
 from loose_env.importing.samples import ChannelKey, Samples
 from loose_env.typing import Array
 
@@ -292,7 +293,7 @@ def on_one_base(samples: Mapping[K, Samples]) -> tuple[float, dict[K, Array]]:
     if not kept:
         return 1.0, {}
     start, stop = max(t[0] for t in kept.values()), min(t[-1] for t in kept.values())
-    step = min(samples[key].step for key in kept)
+    step = min(median_step(samples[key].time) for key in kept)
     rows = int((stop - start) / step + 1e-6) + 1 if stop > start else 0
     if rows < 10:
         return step, {}

@@ -183,26 +183,22 @@ class _MappingFile:
 
     format: Literal["loose-mapping/1"]
     model: str = ""
+    """MJCF file, from the mapping's folder; may be empty."""
     sources: Annotated[Mapping[_Text, SourceEntry], MinLen(1)]
     columns: Annotated[Mapping[_Text, ColumnKeys], MinLen(1)]
     runs: Annotated[tuple[RunPlan, ...], MinLen(1), MaxLen(10_000)]
     unused: tuple[str, ...] = ()
+    """Files that may be given, and are not read."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImportMapping:
-    """Contents of a mapping file."""
+class ImportMapping(_MappingFile):
+    """Contents of a mapping file, its columns and runs complete."""
 
     name: str
     """Name of the file, as errors give it."""
-    model: str
-    """MJCF file, from the mapping's folder; may be empty."""
-    sources: Mapping[str, SourceEntry]
-    columns: tuple[ColumnEntry, ...]
+    columns: Mapping[str, ColumnEntry]
     """Columns of all runs."""
-    runs: tuple[RunPlan, ...]
-    unused: tuple[str, ...] = ()
-    """Files that may be given, and are not read."""
 
 
 def read_mapping(file: str | Path) -> ImportMapping:
@@ -244,21 +240,22 @@ def read_mapping(file: str | Path) -> ImportMapping:
         raise InvalidData(f"{name}: not TOML: {str(error)[:200]}") from None
     found = restored(_MappingFile, whole, f"{name}:")
     sources = [*found.sources]
-    columns = []
+    columns = {}
     for column, keys in found.columns.items():
         place = f"{name}: columns.{column!r}"
         source = keys.source or (sources[0] if len(sources) == 1 else "")
         if not source:
             raise InvalidData(f"{place}: 'source' is missing")
         _known(f"{place}.source", source, sources)
-        columns.append(ColumnEntry(**{**vars(keys), "source": source}, place=place, column=column))
+        own = {**vars(keys), "source": source}
+        columns[column] = ColumnEntry(**own, place=place, column=column)
     runs = []
     for i, run in enumerate(found.runs):
         for source in run.sources:
             _known(f"{name}: runs[{i}].sources", source, sources)
         runs.append(replace(run, file=run.file or f"run-{i + 1:02d}"))
-    return ImportMapping(name=name, model=found.model, sources=found.sources, columns=(*columns,),
-                         runs=(*runs,), unused=found.unused)  # fmt: skip
+    whole = {**vars(found), "columns": columns, "runs": (*runs,)}
+    return ImportMapping(**whole, name=name)
 
 
 def _known(place: str, source: str, sources: Sequence[str]) -> None:

@@ -116,7 +116,7 @@ def import_recording(
     planned: list[tuple[RunPlan, str, dict[str, Log]]] = []
     for run, paths in zip(plan.runs, files, strict=True):
         own = {name: logs[path] for name, path in paths.items()}
-        for column in plan.columns:
+        for column in plan.columns.values():
             if own[column.source].ambiguous and not column.unit:
                 raise InvalidData(
                     f"{column.place}: unit is missing: {own[column.source].ambiguous}"
@@ -131,7 +131,7 @@ def import_recording(
     runs = [_joined(plan, *each, tables, compiled, say) for each in planned]
     if session is not None:
         return write_measured(out, runs, overwrite=settings.overwrite)
-    free = {c.column[5:] for c in plan.columns if c.is_command and c.method is None}
+    free = {c.column[5:] for c in plan.columns.values() if c.is_command and c.method is None}
     return write_recording(
         out,
         model_xml=model_file,
@@ -161,7 +161,7 @@ def _model_file(plan: ImportMapping, mapping: Path, model: str | Path | None) ->
 def _check_names(plan: ImportMapping, model: mujoco.MjModel) -> None:
     """Refuse names that the model lacks, before files of gigabytes are read."""
     allowed = ModelColumns.of(model)
-    allowed.check_header(plan.name, ["time", *(each.column for each in plan.columns)])
+    allowed.check_header(plan.name, ["time", *plan.columns])
     for run in plan.runs:
         for joint in run.excited:
             allowed.check_joint(f"{run.place}.excited", joint)
@@ -220,7 +220,7 @@ def _joined(
         note += f", unwrapped at {entry.period:g}" if entry.period else ""
         say(f"  {entry.column}: {how}{note}")
     groups = ModelColumns.of(model).grouped(table)
-    linear = [c.column[5:] for c in plan.columns if c.is_command and c.method == "band"]
+    linear = [c.column[5:] for c in plan.columns.values() if c.is_command and c.method == "band"]
     return Run(
         name=run.file,
         time=rows - rows[0],
@@ -241,7 +241,7 @@ def _columns(
     """Columns in SI units, each source on its clock as the mapping corrects it."""
     found: dict[str, Samples] = {}
     for name, log in logs.items():
-        source, entries = plan.sources[name], [c for c in plan.columns if c.source == name]
+        source, entries = plan.sources[name], [c for c in plan.columns.values() if c.source == name]
         place = name, log, episode if log.episodes else ""
         if place not in read:
             read[place] = log.tables(place[2], [c.key for c in entries])
@@ -261,7 +261,7 @@ def _columns(
             found[c.column] = replace(samples, origin_ns=origin)
     origin = min(samples.origin_ns for samples in found.values())
     columns = []
-    for entry in plan.columns:
+    for entry in plan.columns.values():
         samples = found[entry.column]
         values = decoded(samples.values, entry.period, entry.sign_bit)
         values = values * _factor(entry, samples, model) + entry.offset

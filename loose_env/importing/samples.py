@@ -50,11 +50,6 @@ class Samples:
     done: tuple[str, ...] = ()
     """What was done to the times, with counts."""
 
-    @property
-    def step(self) -> float:
-        """Median time between samples [s]."""
-        return float(np.median(np.diff(self.time)))
-
     def since(self, origin_ns: int) -> Array:
         """Times [s] after another origin, shape (T,)."""
         return self.time + (self.origin_ns - origin_ns) * 1e-9
@@ -156,11 +151,6 @@ def natural(name: str) -> list[tuple[int, str]]:
     ['run9', 'run10']
     """
     return [(int(p), "") if p.isdigit() else (0, p) for p in re.split(r"(\d+)", name)]
-
-
-def unreadable(name: str, error: OSError) -> InvalidData:
-    """Error for a file that the system does not read."""
-    return InvalidData(f"{name}: it cannot be read: {error.strerror or error}")
 
 
 def damaged(place: str, kind: str, error: Exception, more: str = "") -> InvalidData:

@@ -84,7 +84,7 @@ def files_of_runs(mapping: ImportMapping, given: Given) -> list[dict[str, Path]]
     found = []
     for run in mapping.runs:
         files = {}
-        for name in dict.fromkeys(column.source for column in mapping.columns):
+        for name in dict.fromkeys(column.source for column in mapping.columns.values()):
             entry = mapping.sources[name]
             told = run.sources.get(name, "")
             call = _called(told, name, entry.file, given)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
-from loose_env.importing.samples import ChannelKey, Log, Table, unreadable
+from loose_env.importing.samples import ChannelKey, Log, Table
 from loose_env.importing.units import NUMBER, dates_ns, unit_in
 from loose_env.recording import MOST_VALUES
 from loose_env.typing import Array
@@ -55,7 +55,7 @@ def open_text_table(path: Path, name: str) -> Log:
     try:
         raw = path.read_bytes()
     except OSError as error:
-        raise unreadable(name, error) from None
+        raise InvalidData(f"{name}: it cannot be read: {error.strerror or error}") from None
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raw = raw.decode("utf-16", "replace").encode()
     raw = raw.removeprefix(b"\xef\xbb\xbf")

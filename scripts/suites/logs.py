@@ -164,7 +164,7 @@ def tried(log: Log, folder: Path) -> tuple[str, str]:
 def differences(log: Log, mapping: Path) -> list[str]:
     """Columns that a mapping has wrong."""
     found: list[str] = []
-    entries = {each.column: each for each in read_mapping(mapping).columns}
+    entries = read_mapping(mapping).columns
     for column, (channel, factor) in log.columns.items():
         if column not in entries:
             found.append(f"no {column}")
