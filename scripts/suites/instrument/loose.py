@@ -48,7 +48,8 @@ class Loose:
         for run in made.runs:
             _, played = commands_of(made, arm, run)
             pose = [run.pose[joint] for joint in arm.joints]
-            runs.append({"name": Path(run.file).stem, "pose": pose, "command": played})
+            name = Path(run.file).stem
+            runs.append({"name": name, "pose": pose, "command": played, "level": run.level})
         return {"rate_hz": made.settings.limits.rate_hz, "runs": runs}
 
     def diagnose(self, folder: Path, variant: str = "") -> dict[str, Any]:
@@ -85,6 +86,22 @@ class ThreePoses(Loose):
     """The instrument with half of its poses."""
 
     changed: ClassVar = {"poses": 3}
+
+
+class NinePoses(Loose):
+    """The instrument with half as many poses again."""
+
+    changed: ClassVar = {"poses": 9}
+
+
+class ThreeLevels(Loose):
+    """The instrument at rising levels, until something knocks."""
+
+    changed: ClassVar = {"levels": (0.3, 0.6, 1.0)}
+
+    def enough(self, folder: Path) -> bool:
+        """True if the levels played so far show a knock."""
+        return bool(self.diagnose(folder)["verdict"] == "loose")
 
 
 @functools.cache

@@ -9,15 +9,16 @@ same command goes on where it was stopped, and judging again costs the tool's ti
     python -m scripts.suites.instrument.run --numbers 10000-10239 --phrase "words chosen today"
     python -m scripts.suites.instrument.run --series damaged --numbers 0-35
     python -m scripts.suites.instrument.run --series months --numbers 0-11
-    python -m scripts.suites.instrument.run --tool module:object        # plan, diagnose
+    python -m scripts.suites.instrument.run --tool module:object        # plan, diagnose, enough
     python -m scripts.suites.instrument.run --ablate                    # the tool's variants
     python -m scripts.suites.instrument.run --show
 
 A tool has ``plan(folder)``, which reads ``model.xml`` and ``session.json`` and returns
-``{"rate_hz": r, "runs": [{"name", "pose", "command"}, ...]}`` with commands (samples, joints) in
-absolute values; ``diagnose(folder)``, which reads ``recording/`` and, if it is there,
+``{"rate_hz": r, "runs": [{"name", "pose", "command", "level"}, ...]}`` with commands (samples,
+joints) in absolute values; ``diagnose(folder)``, which reads ``recording/`` and, if it is there,
 ``reference/``, and returns ``{"verdict", "settled", "places", "several", "tested", "remarks",
-"remedy"}``; and perhaps ``variants``, names that ``diagnose(folder, variant=name)`` takes.
+"remedy"}``; and perhaps ``enough(folder)``, asked between runs of unlike ``level``, and
+``variants``, names that ``diagnose(folder, variant=name)`` takes.
 
 Others enter with files: recordings are made from a phrase that is kept back, each answer is
 ``CASE.json`` with ``alone`` and ``reference``, and truths are checked against the commitments.
@@ -56,7 +57,9 @@ OUT = ROOT / "out" / "instrument_suite"
 LONGEST = 900.0
 """Time after which a tool counts as failed [s]."""
 _HERE = "scripts.suites.instrument"
-NAMED = {"loose": f"{_HERE}.loose:Loose", "three-poses": f"{_HERE}.loose:ThreePoses"}
+NAMED = {"loose": f"{_HERE}.loose:Loose", "three-poses": f"{_HERE}.loose:ThreePoses",
+         "nine-poses": f"{_HERE}.loose:NinePoses",
+         "three-levels": f"{_HERE}.loose:ThreeLevels"}  # fmt: skip
 """Tools by their short names."""
 GENERATOR = ("machines", "physics", "standins", "sensing", "cases", "session")
 
@@ -89,6 +92,8 @@ def answer_asked(tool: str, question: str, folder: Path, out: Path, variant: str
     asked, begun = tool_of(tool), time.process_time()
     if question == "plan":
         session.pack(asked.plan(folder), out / "plan.npz")
+    elif question == "enough":
+        write_text(out / "enough.json", json.dumps(bool(asked.enough(folder))))
     elif variant:
         each = {name: asked.diagnose(folder, variant=name) for name in json.loads(variant)}
         write_text(out / "answer.json", json.dumps(plain(each)))
@@ -108,8 +113,9 @@ def ask(tool: str, question: str, folder: Path, variant: str = "") -> tuple[Any,
             return None, ended
         if (out / "plan.npz").is_file():
             return session.unpack(out / "plan.npz"), ""
-        if (out / "answer.json").is_file():
-            return json.loads((out / "answer.json").read_text("utf-8")), ""
+        for name in ("enough.json", "answer.json"):
+            if (out / name).is_file():
+                return json.loads((out / name).read_text("utf-8")), ""
         return None, ended
 
 
@@ -154,14 +160,20 @@ class Place:
         plan = self.plan_of(case)
         here = Path(__file__).parent
         code = code_hash(here.parent / "blind.py", *(here / f"{name}.py" for name in GENERATOR))
-        words = f"{code}{session.plan_hash(plan)}"
+        asks = hasattr(tool_of(self.planner), "enough") and len(session.levels_of(plan["runs"])) > 1
+        words = f"{code}{session.plan_hash(plan)}{code_of(self.planner) if asks else ''}"
         name = f"{case.name}-{hashlib.sha256(words.encode()).hexdigest()[:6]}"
         folder, sealed = self.blind / "recordings" / name, self.blind / "truth" / f"{name}.json"
         if not sealed.is_file():
-            play = session.play_months if case.series == "months" else session.play_case
-            truth = play(case, plan, folder)
+            if case.series == "months":
+                truth = session.play_months(case, plan, folder)
+            else:
+                truth = session.play_case(case, plan, folder, self._enough if asks else None)
             write_text(sealed, json.dumps(plain(truth), indent=1) + "\n")
         return folder, sealed
+
+    def _enough(self, folder: Path) -> bool:
+        return bool(ask(self.planner, "enough", folder)[0])
 
 
 def make(numbers: Sequence[int], place: Place) -> None:
@@ -269,13 +281,14 @@ class RunSettings(BlindSettings):
     series: Annotated[str, one_of(SERIES)] = "cases"
     """Sessions, sessions of which files are damaged, or twelve monthly sessions of a machine."""
     tool: str = "loose"
-    """Tool that is graded: loose, its plan three-poses, or module:object."""
+    """Tool that is graded: loose, its plans three-poses, nine-poses or three-levels, or
+    module:object."""
     plan_of: str = ""
     """Tool whose plan is played; the tool that is graded by default."""
     ablate: tuple[str, ...] | None = None
     """Judge the same recordings with the tool's variants too; with words, only those."""
     ask: str = ""
-    """Ask the tool one thing, plan or diagnose, of --folder, and write it into --out."""
+    """Ask the tool one thing, plan, enough or diagnose, of --folder, and write it into --out."""
     folder: Path | None = None
     """Folder of --ask."""
     variant: str = ""

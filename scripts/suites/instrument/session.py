@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from scripts.suites.instrument.physics import Chances, World
 MOST_SECONDS = 240.0
 """Longest session [s]."""
 Plan = Mapping[str, Any]
+Enough = Callable[[Path], bool]
 
 
 def pack(plan: Plan, path: Path) -> None:
@@ -57,7 +58,7 @@ def plan_hash(plan: Plan) -> str:
     """Hash of what a plan makes a machine do."""
     digest = hashlib.sha256(f"{float(plan['rate_hz']):g}".encode())
     for run in plan["runs"]:
-        digest.update(run["name"].encode())
+        digest.update(repr((run["name"], run.get("level"))).encode())
         digest.update(np.round(np.asarray(run["pose"], float), 9).tobytes())
         digest.update(np.round(np.asarray(run["command"], float), 9).tobytes())
     return digest.hexdigest()[:8]
@@ -99,12 +100,25 @@ def lay_out(case: Case, folder: Path) -> None:
     write_text(folder / "session.json", json.dumps(case.sheet.session(), indent=1) + "\n")
 
 
+def levels_of(runs: Sequence[Mapping[str, Any]]) -> list[list[int]]:
+    """Runs, in order, in groups between which a tool is asked whether it has enough."""
+    groups: list[list[int]] = []
+    for i, run in enumerate(runs):
+        if i and run.get("level") == runs[i - 1].get("level"):
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    return groups
+
+
 def played(
-    machine: Machine, world: World, chances: Chances, plan: Plan, folder: Path, raw: Path | None
-) -> dict[str, list[float]]:
-    """Play a plan into a folder; travel of each fault in each run, over its clearance."""
+    machine: Machine, world: World, chances: Chances, plan: Plan, which: Sequence[int],
+    folder: Path, raw: Path | None,
+) -> dict[str, list[float]]:  # fmt: skip
+    """Play runs of a plan into a folder; travel of each fault in each run, over its clearance."""
     travel: dict[str, list[float]] = {}
-    for i, run in enumerate(plan["runs"]):
+    for i in which:
+        run = plan["runs"][i]
         command: Array = np.asarray(run["command"], float)
         found = machine.play(np.asarray(run["pose"], float), command, float(plan["rate_hz"]), i)
         log = sensing.logged(found, machine.sheet, world, chances, i)
@@ -116,7 +130,7 @@ def played(
     return travel
 
 
-def play_case(case: Case, plan: Plan, folder: Path) -> dict[str, Any]:
+def play_case(case: Case, plan: Plan, folder: Path, enough: Enough | None) -> dict[str, Any]:
     """Play a case's session and its reference into a folder; returns the truth."""
     check_plan(plan, case.sheet)
     shutil.rmtree(folder, ignore_errors=True)
@@ -125,17 +139,26 @@ def play_case(case: Case, plan: Plan, folder: Path) -> dict[str, Any]:
     if case.world.run >= len(runs):
         once = dataclasses.replace(case.world, run=case.world.run % len(runs))
         case = dataclasses.replace(case, world=once)
-    day = Chances(seed=case.seed, day=0)
-    recording, reference = folder / "recording", folder / "reference"
-    travel = played(case.suspect(), case.world, day, plan, recording, folder / "raw")
-    sensing.write_index(recording, model, runs, joints, "suspect")
-    played(case.reference(), World(), Chances(seed=case.seed, day=1), plan, reference, None)
-    sensing.write_index(reference, model, runs, joints, "healthy")
+    suspect, done, travel = case.suspect(), list[int](), dict[str, list[float]]()
+    groups = levels_of(runs)
+    for group in groups:
+        for name, shares in played(
+            suspect, case.world, Chances(seed=case.seed, day=0), plan, group,
+            folder / "recording", folder / "raw",
+        ).items():  # fmt: skip
+            travel.setdefault(name, []).extend(shares)
+        done += group
+        sensing.write_index(folder / "recording", model, [runs[i] for i in done], joints, "suspect")
+        if group is not groups[-1] and enough is not None and enough(folder):
+            break
+    played(case.reference(), World(), Chances(seed=case.seed, day=1), plan, done,
+           folder / "reference", None)  # fmt: skip
+    sensing.write_index(folder / "reference", model, [runs[i] for i in done], joints, "healthy")
     if case.damage:
-        names = [run["name"] for run in runs]
+        names = [runs[i]["name"] for i in done]
         shutil.rmtree(folder / "raw")
-        sensing.damage(recording, case.damage, names, case.sheet, case.seed)
-    seconds = sum(len(run["command"]) for run in runs) / float(plan["rate_hz"])
+        sensing.damage(folder / "recording", case.damage, names, case.sheet, case.seed)
+    seconds = sum(len(runs[i]["command"]) for i in done) / float(plan["rate_hz"])
     opened = {name: max(shares) >= OPENED for name, shares in travel.items()}
     return {**case.truth(), "travel": travel, "opened": opened, "shaken": round(seconds, 1)}
 
@@ -151,7 +174,7 @@ def play_months(case: Case, plan: Plan, folder: Path) -> dict[str, Any]:
         lay_out(case, there)
         found = played(
             case.in_month(month), World(), Chances(seed=case.seed, day=1 + month), plan,
-            there / "recording", None,
+            range(len(runs)), there / "recording", None,
         )  # fmt: skip
         travel.append({name: max(shares) for name, shares in found.items()})
         condition = "suspect" if month else "healthy"

@@ -29,13 +29,19 @@ class Crashing(Null):
 
 
 class Short(Null):
-    """Two runs of 0.6 s."""
+    """One run of three levels of 0.6 s; enough after the second level."""
 
     def plan(self, folder: Path) -> dict:
         plan = super().plan(folder)
         whole = plan["runs"][0]
         part = whole["command"][: round(0.6 * plan["rate_hz"])]
-        return {**plan, "runs": [{**whole, "name": n, "command": part} for n in ("one", "two")]}
+        names = ("low", "middle", "high")
+        runs = [{**whole, "name": n, "level": n, "command": part} for n in names]
+        return {**plan, "runs": runs}
+
+    def enough(self, folder: Path) -> bool:
+        index = json.loads((folder / "recording" / "recording.json").read_text())
+        return len(index["runs"]) == 2
 
 
 def truth_of(case: cases.Case, opened: bool = True) -> dict:
@@ -179,18 +185,18 @@ def test_logs_have_clocks_of_their_own():
 # ---------------------------------------------------------------------------------- sessions
 
 
-def test_a_session_is_played_by_its_plan(tmp_path):
+def test_a_session_is_played_until_the_tool_has_enough(tmp_path):
     case, tool = cases.drawn(GANTRY), Short()
     session.lay_out(case, tmp_path)
     plan = tool.plan(tmp_path)
     session.pack(plan, tmp_path / "plan.npz")
     again = session.unpack(tmp_path / "plan.npz")
     assert session.plan_hash(again) == session.plan_hash(plan)
-    truth = session.play_case(case, again, tmp_path / "case")
+    truth = session.play_case(case, again, tmp_path / "case", tool.enough)
     for part in ("recording", "reference"):
         index = json.loads((tmp_path / "case" / part / "recording.json").read_text())
-        assert [each["file"] for each in index["runs"]] == ["one.parquet", "two.parquet"]
-    columns = sensing.read_run(tmp_path / "case" / "recording", "one")
+        assert [each["file"] for each in index["runs"]] == ["low.parquet", "middle.parquet"]
+    columns = sensing.read_run(tmp_path / "case" / "recording", "low")
     assert {"time", "sensor.x_pos", "torque.x", "sensor.tool_acc.z"} <= set(columns)
     assert truth["shaken"] == pytest.approx(1.2)
     alone = session.without_reference(tmp_path / "case", tmp_path / "alone")
