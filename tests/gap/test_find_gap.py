@@ -21,6 +21,7 @@ from loose_env.gap import (
 from loose_env.gap.core.find import evidence_of, readable, relinearised, silent
 from loose_env.gap.core.residual import overlays
 from loose_env.recording import Recording, Run, read_recording, write_recording
+from loose_env.typing import Array
 from tests.gap.cases.gap_case import (
     FEW,
     FRICTION,
@@ -246,3 +247,54 @@ def test_rivals_are_made_again_beside_what_the_best_set_found(tmp_path: Path) ->
         again, (first, second) = relinearised(selection, ONE)
     assert again is not selection and [t.name for t in first.terms] == [t.name for t in best.terms]
     assert [t.name for t in second.terms] == [rival.name] and second.terms[0] is not rival
+
+
+LIFT = """<mujoco><worldbody><body><joint name="lift" type="slide" axis="0 0 1" damping="58"
+armature="3.9"/><geom size=".1" mass="3.9"/></body></worldbody>
+<sensor><jointpos name="scale" joint="lift"/></sensor></mujoco>"""
+
+
+def test_a_wrong_torque_constant_is_no_wrong_scale_of_the_encoder(tmp_path: Path) -> None:
+    """Both fit as well, but for the noise that they make and the weight that one scales."""
+    rng, time = np.random.default_rng(4), np.arange(1200) / 100
+    runs = []
+    for number in range(4):
+        turn, at = 2 * np.pi * rng.uniform(0.2, 3.0, 6), rng.uniform(0, 2 * np.pi, 6)
+        wave = np.exp(1j * (turn * time[:, None] + at)) * 0.02 / turn * 6
+        q, v, a = (np.real(wave * (1j * turn) ** k).sum(1) for k in range(3))
+        needed = 1.19 * (8.46 * a + 59 * v + 3.78 * 9.81)  # a rotor of 1.2 times what it says
+        runs.append(Run(
+            name=f"run-{number}.csv", time=time,
+            sensors={"scale": q + rng.normal(0, 1.5e-5, q.shape)},
+            torques={"lift": needed + rng.normal(0, 0.7, q.shape)},
+        ))  # fmt: skip
+    recording = write_recording(tmp_path / "lift", model_xml=LIFT, runs=runs)
+    (found,) = solve_gap(recording, ONE).result.effects
+    assert (found.kind, found.where) == ("torque_constant", "lift")
+    low, high = found.interval_95["factor"]
+    assert low < 1.19 < high
+
+
+@pytest.mark.parametrize("kind", ["servo", "torque"])
+def test_a_step_of_a_fit_goes_down_what_it_minimises(
+    kind: str, recording: Recording, tmp_path: Path
+) -> None:
+    given = recording if kind == "servo" else torque_log(tmp_path / "log")
+    selection = evidence_of(given, FEW, lambda _: None)
+    terms = selection.evidence.terms[:2]
+    parts = selection._parts(terms)
+    values = 0.3 * np.random.default_rng(0).normal(size=len(selection.columns(terms)))
+
+    def cost(values: Array) -> float:
+        states = [part.state(values[part.at]) for part in parts]
+        beyond = sum(float(np.sum(own)) for own in selection._levels(states)[1])
+        return beyond + sum(float(np.minimum(state.excess, 0).sum()) for state in states)
+
+    slope = np.zeros_like(values)
+    for k, part in enumerate(parts):
+        state = part.state(values[part.at])
+        weight = selection.weights(k, state.excess + part.count)
+        slope[part.at] += 2 * part.steps(state, weight)[1]
+    for own, unit in zip(slope, 1e-5 * np.eye(len(values)), strict=True):
+        moved = (cost(values + unit) - cost(values - unit)) / 2e-5
+        assert own == pytest.approx(moved, rel=1e-3, abs=1e-3 * np.abs(slope).max())

@@ -93,7 +93,7 @@ def recorded(
         mujoco.mj_forward(model, data)
         row[:], data.ctrl[:] = data.qpos, command
         mujoco.mj_step(model, data)
-    shown += rng.normal(0, 2e-5, shown.shape)
+    shown += rng.normal(0, 4e-5, shown.shape)
     return Run(
         name=name, time=np.arange(len(commands)) / RATE,
         controls={model.actuator(k).name: own for k, own in enumerate(commands.T)},

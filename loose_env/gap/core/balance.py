@@ -355,6 +355,8 @@ class Balance:
                 for joint, name in enumerate(self.machine.joints):
                     sensed = effect.sensed_torque(name, needed[:, joint], values)
                     needed[:, joint] = np.where(inverse, sensed, needed[:, joint])
+                    gain = np.ptp(effect.sensed_torque(name, np.arange(2.0), values))
+                    operator[:, joint] += (gain - 1) * inverse.all() * self.operator[:, joint]
         return Forces(
             smooth=needed - (self.needed - self.given),
             dry=dry,

@@ -153,7 +153,7 @@ class Selection:
 
     def without(self, held: Sequence[NDArray[np.bool_]], fit: SetFit) -> SetFit:
         """A set, fitted to all cells but those that are held out."""
-        return self.on([~cells for cells in held]).fit(fit.terms, fit.powers, 3)
+        return self.on([~cells for cells in held]).fit(fit.terms, fit.powers)
 
     def sized(self, fit: SetFit) -> tuple[Selection, SetFit]:
         """A set with hardly any prior of sizes: how large an effect is, once it is there.
@@ -219,7 +219,10 @@ class Selection:
                 moved = found + part_of_it * step
                 states = [part.state(moved[part.at]) for part in parts]
                 now = self._levels(states)
-                costs = sum(c[used].sum() for c, used in zip(now[1], self.used, strict=True))
+                costs = sum(
+                    (c + np.minimum(state.excess, 0.0))[used].sum()
+                    for c, state, used in zip(now[1], states, self.used, strict=True)
+                )
                 value = float(costs + precision @ (moved - centre) ** 2)
                 if min(float(state.scale.min()) for state in states) < _NOTHING:
                     value = np.inf  # no machine is left
@@ -230,7 +233,10 @@ class Selection:
                 best, values, levels, curvature, stale = value, found, now, normal, 0
             if stale > 1:
                 break
-        cost = best + log_determinant(curvature) - float(np.log(precision).sum())
+        # values follow the noise down; as evidence, what lies below it is no better
+        data = sum(c[used].sum() for c, used in zip(levels[1], self.used, strict=True))
+        cost = float(data + precision @ (values - centre) ** 2)
+        cost += log_determinant(curvature) - float(np.log(precision).sum())
         effects = slice(evidence.tolerances, None)
         low, high = evidence.low[numbers][effects], evidence.high[numbers][effects]
         slack = 1e-3 * np.maximum(np.abs(low), 1e-9)
@@ -820,8 +826,9 @@ class _Part:
         growth = np.einsum("bj,bjk->bk", self.still + change, self.moved)[self.band]
         growth += beside[:, None] * self.beside
         held = max(1.0 + float(self.held @ values), 1e-6)
-        scale = np.minimum(np.minimum(ratio, held**2), 1.0)
-        excess = np.maximum((power - self.count * ratio) / scale, -self.count)
+        beyond = power - self.count * ratio
+        scale = np.where(beyond > 0, np.minimum(np.minimum(ratio, held**2), 1.0), ratio)
+        excess = np.maximum(beyond / scale, -self.count)
         return _State(left, growth, power, ratio, held, scale, excess)
 
     def steps(self, at: _State, weight: Array) -> tuple[Array, Array]:
@@ -831,12 +838,9 @@ class _Part:
         coefficients (errors in variables).
         """
         weight, size = weight / at.scale, len(self.at)
-        quieter = (at.scale < 1) & (at.scale == at.ratio)
+        quieter = at.scale == at.ratio
         softer = (at.scale < 1) & ~quieter
-        # of a residual below its noise, no more than there is
-        noisy = np.where(
-            quieter, self.count + at.excess, np.minimum(self.count, at.power / at.ratio)
-        )
+        noisy = np.where(quieter, self.count + at.excess, self.count)
         noisy *= weight
         normal = (weight @ self.gram).reshape(size, size)
         if quieter.any():

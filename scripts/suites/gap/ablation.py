@@ -27,15 +27,15 @@ PACKAGE = "loose_env.gap"
 Changes = Mapping[str, Any]
 """New values by name: ``core.decision.NAMED``, ``tolerances.mass`` or ``settings.simulate``."""
 _NUMBERS = """
-    selection.KIND selection.FORM catalogue.LAW_WIDTH catalogue.USUAL_SHARE
+    find._FALLS find._MOVES selection.KIND selection.FORM catalogue.LAW_WIDTH catalogue.USUAL_SHARE
     evidence._NOISE selection.LEAST_VALUES selection.SHARE_VALUES evidence.BANDS evidence.STRETCHES
     evidence._SHORTEST_S evidence.KNOCK evidence._REST motion.HIGHEST_HZ catalogue._MOVING
     balance._MOST_LOAD exact.WINDOW_S exact.LEAD_S exact.LARGE selection.EXPLAINED
     decision.NAMED decision._Z decision.HELD_OUT decision.CONTRADICTED decision._NOISE
 """
 NUMBERS = tuple(f"core.{name}" for name in _NUMBERS.split())
-"""The numbers that decide, modules and constants in the order of the method: priors; noise and
-discrepancy; data that are left out; exact fits; decision. Reasons stand where they are defined."""
+"""The numbers that decide, modules and constants in the order of the method: models that fall and
+readings of nothing; priors; noise and discrepancy; data that are left out; exact fits; decision. Reasons stand where they are defined."""
 TRIED = {
     "core.evidence._NOISE": (1.05, 1.2), "core.balance._MOST_LOAD": (0.45, 0.95),
     "core.selection.EXPLAINED": (0.8, 0.95), "core.decision.NAMED": (0.25, 0.75),

@@ -382,7 +382,7 @@ def test_stand_ins_are_played(name, tmp_path):
     session.lay_out(case, tmp_path / "plan")
     plan = Null().plan(tmp_path / "plan")
     plan = {**plan, "runs": plan["runs"][:1]}
-    truth = session.play_case(case, plan, tmp_path / "case")
+    truth = session.play_case(case, plan, tmp_path / "case", None)
     assert set(truth["opened"]) == {f.name for f in case.faults}
     columns = sensing.read_run(tmp_path / "case" / "recording", "run-01")
     assert all(np.isfinite(values).all() for values in columns.values())
