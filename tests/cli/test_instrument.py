@@ -134,6 +134,7 @@ def test_a_session_is_diagnosed_and_planned_on(home: Path, tmp_path: Path, capsy
     assert "give a new or empty folder" in last_line(capsys)
 
 
+@pytest.mark.slow
 def test_a_healthy_recording_is_a_reference(home: Path, tmp_path: Path) -> None:
     june, may = (str(home / month / "recording") for month in ("june", "may"))
     out = tmp_path / "found"
@@ -142,6 +143,7 @@ def test_a_healthy_recording_is_a_reference(home: Path, tmp_path: Path) -> None:
     assert found.reference and found.evidence["top_db"] > 3
 
 
+@pytest.mark.slow
 def test_months_are_compared(home: Path, tmp_path: Path) -> None:
     may, june = (str(home / month / "recording") for month in ("may", "june"))
     out = tmp_path / "trend"

@@ -66,6 +66,7 @@ def test_a_loose_seat_is_placed_with_its_direction(found: Diagnosis) -> None:
     assert found.settled == (top.verdict == "loose") and top.words in found.headline.lower()
 
 
+@pytest.mark.slow
 def test_all_accelerometers_that_a_run_has_are_used(tmp_path: Path) -> None:
     (tmp_path / "two.xml").write_text(TWO)
     made, arm = plan(tmp_path / "two.xml", PlanSettings(poses=3))

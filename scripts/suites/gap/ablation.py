@@ -35,7 +35,8 @@ _NUMBERS = """
 """
 NUMBERS = tuple(f"core.{name}" for name in _NUMBERS.split())
 """The numbers that decide, modules and constants in the order of the method: models that fall and
-readings of nothing; priors; noise and discrepancy; data that are left out; exact fits; decision. Reasons stand where they are defined."""
+readings of nothing; priors; noise and discrepancy; data that are left out; exact fits; decision.
+Reasons stand where they are defined."""
 TRIED = {
     "core.evidence._NOISE": (1.05, 1.2), "core.balance._MOST_LOAD": (0.45, 0.95),
     "core.selection.EXPLAINED": (0.8, 0.95), "core.decision.NAMED": (0.25, 0.75),
