@@ -152,6 +152,8 @@ def without_absurd(machine: Machine, run: Run) -> tuple[Run, list[Finding]]:
 
 def _without(run: Run, lost: set[str]) -> Run:
     """Run without columns; a sensor goes with all its axes."""
+    if not lost:
+        return run
 
     def kept(prefix: str, columns: Mapping[str, Array]) -> dict[str, Array]:
         axes = ("", ".x", ".y", ".z")
@@ -171,9 +173,10 @@ def without_dead(machine: Machine, runs: Sequence[Run]) -> list[Run]:
     dead: list[set[str]] = []
     for run in runs:
         readings = [c for c in channels_of(machine, run) if c.kind == "position"]
-        rest = {c.name: c.of for c in readings if c.there.size and np.ptp(c.there) == 0}
-        still.append(set(rest))
-        dead.append({name for name, joint in rest.items() if joint in told_to_move(machine, run)})
+        rest = [c for c in readings if c.there.size and np.ptp(c.there) == 0]
+        still.append({c.name for c in rest})
+        told = told_to_move(machine, run) if rest else set[str]()
+        dead.append({c.name for c in rest if c.of in told})
     always = set.intersection(*still) & set[str]().union(*dead)
     return [_without(run, own | always) for run, own in zip(runs, dead, strict=True)]
 

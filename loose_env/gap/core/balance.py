@@ -355,8 +355,9 @@ class Balance:
                 for joint, name in enumerate(self.machine.joints):
                     sensed = effect.sensed_torque(name, needed[:, joint], values)
                     needed[:, joint] = np.where(inverse, sensed, needed[:, joint])
-                    gain = np.ptp(effect.sensed_torque(name, np.arange(2.0), values))
-                    operator[:, joint] += (gain - 1) * inverse.all() * self.operator[:, joint]
+                    if inverse.all():
+                        (gain,) = np.diff(effect.sensed_torque(name, np.arange(2.0), values))
+                        operator[:, joint] += (gain - 1) * self.operator[:, joint]
         return Forces(
             smooth=needed - (self.needed - self.given),
             dry=dry,

@@ -137,7 +137,11 @@ class Selection:
 
     def score(self, fit: SetFit) -> float:
         """Minus twice the log likelihood of the cells that are used, up to a constant."""
-        return float(sum(c[used].sum() for c, used in zip(fit.costs, self.used, strict=True)))
+        return self._summed(fit.costs)
+
+    def _summed(self, cells: Iterable[Array]) -> float:
+        """Sum over the cells that are used."""
+        return float(sum(own[used].sum() for own, used in zip(cells, self.used, strict=True)))
 
     def weights(self, channel: int, power: Array) -> Array:
         """Weights of a channel's cells at some power."""
@@ -219,11 +223,8 @@ class Selection:
                 moved = found + part_of_it * step
                 states = [part.state(moved[part.at]) for part in parts]
                 now = self._levels(states)
-                costs = sum(
-                    (c + np.minimum(state.excess, 0.0))[used].sum()
-                    for c, state, used in zip(now[1], states, self.used, strict=True)
-                )
-                value = float(costs + precision @ (moved - centre) ** 2)
+                value = self._summed(now[1]) + float(precision @ (moved - centre) ** 2)
+                value += self._summed(np.minimum(state.excess, 0.0) for state in states)
                 if min(float(state.scale.min()) for state in states) < _NOTHING:
                     value = np.inf  # no machine is left
                 if value < last + LEAST_GAIN:
@@ -234,8 +235,7 @@ class Selection:
             if stale > 1:
                 break
         # values follow the noise down; as evidence, what lies below it is no better
-        data = sum(c[used].sum() for c, used in zip(levels[1], self.used, strict=True))
-        cost = float(data + precision @ (values - centre) ** 2)
+        cost = self._summed(levels[1]) + float(precision @ (values - centre) ** 2)
         cost += log_determinant(curvature) - float(np.log(precision).sum())
         effects = slice(evidence.tolerances, None)
         low, high = evidence.low[numbers][effects], evidence.high[numbers][effects]
