@@ -44,6 +44,9 @@ FROZEN_SAMPLES = 20
 FROZEN_RATIO = 10.0
 """Length of such a piece over the channel's usual repetition (90 % of them): coarse channels repeat
 by themselves."""
+REPEATING_SHARE = 0.2
+"""Share of pieces of two or more equal values, above which no piece of a channel is called frozen:
+it is coarse or slow, and repeats by itself."""
 FEWEST_PIECES = 10
 """Changes of a channel, from which its own rate, or a limit that it keeps reaching, is told: fewer
 are a channel that rests."""
@@ -52,6 +55,9 @@ CLIPPED_SHARE = 0.002
 thousand, a normal signal beyond three standard deviations."""
 CLIPPED_LEAST = 8
 """Fewest samples there: short runs have that share by chance."""
+FEWEST_LEVELS = 16
+"""Values that a channel takes, below which it is too coarse to tell clipping: each level is hit
+often."""
 CLIPPED_PILE = 4.0
 """Samples at the extreme over those in each of the next levels: an honest tail thins out."""
 LIMITED_SHARE = 0.01
@@ -231,7 +237,7 @@ def _pieces(run: Run, channel: Channel) -> Iterator[Finding]:
     step = median_step(run.time)
     least = max(FROZEN_SAMPLES, FROZEN_S / step, FROZEN_RATIO * np.percentile(lengths, 90))
     long = np.flatnonzero(lengths >= least)
-    if long.size:
+    if long.size and np.mean(lengths > 1) <= REPEATING_SHARE:
         worst = int(long[np.argmax(lengths[long])])
         seconds = float(lengths[worst] * step)
         found = f"stands still {long.size} time{'s' * (long.size > 1)}, longest {seconds:.3g} s "
@@ -262,8 +268,8 @@ def _clipped(machine: Machine, run: Run, channel: Channel) -> Iterator[Finding]:
             found = f"{share:.1%} of the commands are at a limit of the actuator ({low:g} to "
             yield _CLIPPED.at(channel.name, f"{found}{high:g})", share, unit="1", run=run.name)
     levels, counts = np.unique(values, return_counts=True)
-    if channel.kind not in _NOISY:
-        return
+    if channel.kind not in _NOISY or len(levels) < FEWEST_LEVELS:
+        return  # too coarse to tell
     for extreme, beside in ((0, slice(1, 6)), (-1, slice(-6, -1))):
         count, level = int(counts[extreme]), levels[extreme]
         most = max(CLIPPED_LEAST, CLIPPED_SHARE * len(values), CLIPPED_PILE * counts[beside].max())

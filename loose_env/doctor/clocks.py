@@ -2,7 +2,7 @@
 
 A clock changes the phase of every line by 2 pi f d and the amplitude of none; a resonance between
 two sensors changes both. An offset is therefore told by rigid lines alone, those with the amplitude
-that the encoders imply. Each has the weight
+that the encoders imply, up to the frequency where they become few. Each has the weight
 coherence / (1 - coherence), the inverse variance of its phase up to a factor; see
 `loose_env.statistics.phase_delay`.
 """
@@ -40,6 +40,9 @@ SEGMENTS = 8
 FLAT = 0.25
 """Logarithm of a line's amplitude over the implied one, above which it is not rigid: the least
 coherent scatter by 0.16, and up to half a resonance's frequency gains rise by 0.3."""
+MOSTLY = 0.75
+"""Share of rigid lines, down to which the lines below a frequency are used: beyond a resonance a
+few have the right amplitude by chance."""
 LARGEST_DELAY_S = 0.05
 """Largest clock offset searched [s]: three periods at the lower end of a usual band."""
 LARGEST_LAG_S = 0.4
@@ -53,6 +56,14 @@ decide between them."""
 DELAY_Z = 4.0
 """Delay over its standard deviation, from which it is told: errors of the model are alike over
 lines and runs, and the standard deviation counts them as independent."""
+LEAST_PHASE_RAD = 0.1
+"""Phase at the middle of the lines that a delay has to make to be told [rad]: sensors' filters and
+mounting make as much."""
+DELAY_SCATTER = 0.5
+"""Scatter of the delay over runs and axes in units of the delay, above which it is no clock's: a
+clock is late by the same time in all."""
+NOTED_DELAY_S = 5e-4
+"""Delay from which it is told [s]: five standard deviations that a diagnosis allows for."""
 LATE_COMMAND_S = 0.02
 """Delay of motion behind a position command beside that of the model's servo, from which it is told
 [s]: buses and drives of industrial arms take less."""
@@ -128,7 +139,10 @@ def delay_between(
     lines = np.flatnonzero(used)
     if rigid:
         gain = np.log(np.maximum(np.abs(cross), 1e-300) / np.maximum(own, 1e-300))[lines]
-        lines = lines[np.abs(gain) <= FLAT]
+        as_implied = np.abs(gain) <= FLAT
+        enough = np.cumsum(as_implied) >= MOSTLY * np.arange(1, len(lines) + 1)
+        last = int(np.flatnonzero(enough)[-1]) + 1 if enough.any() else 0
+        lines = lines[:last][as_implied[:last]]
     if len(lines) < FEWEST_LINES:
         return None
     at, share = frequency[lines], np.minimum(coherence[lines], 0.99)
@@ -199,7 +213,8 @@ def _offset(kind: str, group: Sequence[_Seen], settings: DoctorSettings) -> Iter
         if late < LATE_COMMAND_S:
             return  # stiffer than the model's, or of the usual buses and drives
     size = abs(late)
-    if size < max(DELAY_Z * sd, step):
+    scattered = size < DELAY_Z * sd or scatter > DELAY_SCATTER * size
+    if scattered or size < max(NOTED_DELAY_S, step) or 2 * np.pi * middle * size < LEAST_PHASE_RAD:
         return
     runs = len({each.motion.run.name for each in group})
     word = "late" if late > 0 else "early"

@@ -136,13 +136,16 @@ def _told(
     for run in runs:
         measured = positions_of(machine, run)
         said = {j: _alone(machine, run, j, c.there, settings) for j, c in measured.items()}
+        noted = [j for j in measured if abs((run.pose or {}).get(j, 0.0)) >= LEAST_POSE]
+        # An entry that fits no joint but for its sign is that of another run.
+        believed = all(said[joint] is not None for joint in noted)
         for hinge in (True, False):
             own = {j: word for j, word in said.items() if machine.hinge(j) == hinge}
             words = set(own.values()) - {None}
             others = _UNIT if words and words <= {_UNIT, _LIMITS} else None
             for joint, word in own.items():
                 word = others if word is None and others else word
-                if word is not None:
+                if word is not None and (believed or word != _SIGN):
                     told[run.name, joint] = word
     wrong = {joint for (_, joint), word in told.items() if word in (_UNIT, _LIMITS)}
     for run in runs:  # beside a run in another unit, the ones that fit are in the right one

@@ -66,6 +66,9 @@ tolerance reaches half a right angle."""
 EXPLAINED_DEG = 8.0
 """Angle left by another order or sign of the axes, or of one joint, up to which that is named
 [deg]: mounting and pose are known to a few degrees."""
+ALIKE_DEG = 1.0
+"""Angle by which a further explanation may be worse than the best to be named too [deg]: less is
+within the scatter of gravity over the poses."""
 
 _EITHER = {"degrees beside radians": 180 / np.pi, "radians beside degrees": np.pi / 180}
 _LENGTHS = {"millimetres beside metres": 1e3, "metres beside millimetres": 1e-3}
@@ -371,7 +374,7 @@ def _judged(
     if turned > settings.turned_deg:
         reasons = [*_by_axes(parts), *_by_joints(machine, sensor, blocks)]
         reasons = sorted(each for each in reasons if each[0] <= EXPLAINED_DEG)
-        alike = [words for _, words in reasons[:3]]
+        alike = [words for angle, words in reasons if angle <= reasons[0][0] + ALIKE_DEG][:3]
         found = f"gravity is {turned:.0f} degrees from where the model has it in the measured poses"
         found += f"; explained by {' or by '.join(alike)}" if alike else ""
         severity = "error" if turned > WRONG_AXES_DEG else "warning"

@@ -39,6 +39,9 @@ LEAST_CHANGE = 0.3
 FEWEST_POSES = 3
 """Runs in held poses, from which half of it is enough: friction does not follow gravity from pose
 to pose."""
+OPPOSITE = (0.7, 1.4)
+"""Size of a ratio, between which a negative one is a wrong sign: beyond, friction or a wrong gain
+has changed it."""
 
 ANGLE: Mapping[str, float] = {"degrees instead of radians": 180 / np.pi}
 """Wrong units of an angle or of its rate, and what they multiply it by."""
@@ -141,7 +144,7 @@ def _reading(comparison: Comparison, parts: list[Pair]) -> _Reading | None:
             return None
     words = named_unit(ratio, comparison.units) or ""
     factor = 1 / comparison.units.get(words, 1.0)
-    if ratio < 0:
+    if ratio < 0 and (words or OPPOSITE[0] <= -ratio <= OPPOSITE[1]):
         words, factor = f"{words}, and the opposite sign" if words else "the opposite sign", -factor
     return _Reading(ratio, correlation, words, factor)
 
