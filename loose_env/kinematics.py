@@ -1,161 +1,26 @@
-"""Kinematics of serial chains: Jacobian, loads on seats, Chebyshev poses, choice of poses."""
+"""Loads on the seats of serial arms, Chebyshev poses, and choice of poses by them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms import Arm, limits_of
-from loose_env.errors import InvalidData, InvalidSetting, UnknownName
+from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.typing import Array
 
 __all__ = [
-    "Chain",
-    "Frame",
-    "JointKind",
     "carried_bodies",
     "chebyshev_poses",
     "choose_poses",
-    "geometric_jacobian",
     "reactions",
-    "require_kind",
     "worst_push",
     "wrench_rank",
 ]
-
-JointKind = Literal["revolute", "prismatic"]
-Frame = Literal["tool", "world", "base"]
-"""Point and axes of a Jacobian: tool point in tool axes, tool point in world axes, or the point
-of the tool's body that lies on the world's origin, in world axes."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Chain:
-    """Joints of a serial arm in one pose, in world coordinates, base first."""
-
-    kinds: tuple[JointKind, ...]
-    """Kind of each joint (n,)."""
-    axes: Array
-    """Unit vector of each joint's axis (n, 3)."""
-    anchors: Array
-    """A point of each joint's axis [m] (n, 3)."""
-    tool: Array
-    """Tool point [m] (3,)."""
-    tool_axes: Array
-    """Rotation from the tool frame to the world (3, 3)."""
-
-    def __post_init__(self) -> None:
-        n = len(self.kinds)
-        shapes = {"axes": (n, 3), "anchors": (n, 3), "tool": (3,), "tool_axes": (3, 3)}
-        for name, shape in shapes.items():
-            value = np.asarray(getattr(self, name), dtype=float)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise InvalidData(
-                    f"{name} of a chain of {n} joints must be finite and of shape {shape}, "
-                    f"got shape {value.shape}"
-                )
-            object.__setattr__(self, name, value)
-        for kind in self.kinds:
-            require_kind(kind)
-        if n and np.abs(np.linalg.norm(self.axes, axis=1) - 1).max() > 1e-6:
-            raise InvalidData("axes of a chain must be unit vectors; divide each by its length")
-        if np.abs(self.tool_axes.T @ self.tool_axes - np.eye(3)).max() > 1e-6:
-            raise InvalidData("tool_axes must be a rotation matrix, its columns the tool's axes")
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.kinds)
-
-    @classmethod
-    def of(cls, arm: Arm, pose: ArrayLike) -> Chain:
-        """Extract the joints of an arm at a pose [rad] (n,) from its MuJoCo model.
-
-        The tool's position is a function of pose and parameters (3.1). Bending modes of the arm
-        stay at rest and are no joints of the chain.
-
-        Raises
-        ------
-        InvalidSetting
-            If the pose does not have one finite number for every joint.
-
-        Examples
-        --------
-        >>> from loose_env.arms import planar
-        >>> float(Chain.of(planar(2), [0.0, 0.0]).tool[0])
-        0.6
-        """
-        q = arm.checked_pose(pose)
-        data = mujoco.MjData(arm.model)
-        data.qpos[arm.pose_addresses] = q
-        mujoco.mj_kinematics(arm.model, data)
-        joints = [arm.model.joint(name) for name in arm.joints]
-        slide = mujoco.mjtJoint.mjJNT_SLIDE
-        site = data.site(arm.tool)
-        return cls(
-            kinds=tuple("prismatic" if j.type[0] == slide else "revolute" for j in joints),
-            axes=np.array([data.xaxis[j.id] for j in joints]),
-            anchors=np.array([data.xanchor[j.id] for j in joints]),
-            tool=site.xpos.copy(),
-            tool_axes=site.xmat.reshape(3, 3).copy(),
-        )
-
-
-def require_kind(kind: str) -> None:
-    """Reject an unknown kind of joint.
-
-    Raises
-    ------
-    UnknownName
-        If the kind is neither "revolute" nor "prismatic".
-    """
-    if kind not in ("revolute", "prismatic"):
-        raise UnknownName(f"a joint is 'revolute' or 'prismatic', got {kind!r}")
-
-
-def geometric_jacobian(chain: Chain, frame: Frame = "world") -> Array:
-    """Columns of the Jacobian, linear part above angular part (3.2, 3.28, 3.29, 3.32).
-
-    A revolute joint gives z × (p - o) and z (3.54), a prismatic one z and nothing (3.55). The
-    thesis prints the whole column only in the revolute form.
-
-    Parameters
-    ----------
-    chain : Chain
-        Joints and tool.
-    frame : {"world", "tool", "base"}
-        Tool point in world axes; tool point in tool axes; or the twist at the world's origin.
-
-    Returns
-    -------
-    ndarray (6, n)
-        Rows 0 to 2 [m/s per rad/s, or 1 for a prismatic joint], rows 3 to 5 [1].
-
-    Raises
-    ------
-    UnknownName
-        If there is no such frame.
-
-    Examples
-    --------
-    >>> from loose_env.arms import planar
-    >>> geometric_jacobian(Chain.of(planar(2), [0.0, 0.0]))[1]
-    array([0.6, 0.3])
-    """
-    if frame not in ("world", "tool", "base"):
-        raise UnknownName(f"unknown frame {frame!r}: 'world', 'tool' or 'base'")
-    point = np.zeros(3) if frame == "base" else chain.tool
-    turning = np.array([k == "revolute" for k in chain.kinds])[:, None]
-    linear = np.where(turning, np.cross(chain.axes, point - chain.anchors), chain.axes)
-    angular = np.where(turning, chain.axes, 0.0)
-    if frame == "tool":
-        linear, angular = linear @ chain.tool_axes, angular @ chain.tool_axes
-    return np.vstack([linear.T, angular.T])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -300,19 +165,15 @@ def carried_bodies(model: mujoco.MjModel, body: int) -> NDArray[np.bool_]:
 MOST_POSES = 50_000
 
 
-def worst_push(
-    arm: Arm, pose: ArrayLike, link: int | None = None, *, normalised: bool = True
-) -> float:
-    """Minimum over directions of the load that the joints exert on a link's seat (4.2.3).
+def worst_push(arm: Arm, pose: ArrayLike) -> float:
+    """Smallest load over directions and links that the joints exert on a seat (4.2.3) [√kg].
+
+    Per root of the energy of the links beyond the seat.
 
     Parameters
     ----------
     arm, pose
         As `reactions`.
-    link : int, optional
-        Link of interest, from 1; by default the link that fares worst.
-    normalised : bool
-        Per root of the energy of the links beyond the seat [√kg]; else per torque [1/m].
 
     Examples
     --------
@@ -320,10 +181,8 @@ def worst_push(
     >>> round(worst_push(planar(2), [0.3, 0.0]), 9)  # straight: no push along the arm
     0.0
     """
-    found = reactions(arm, pose)
-    push = found.per_energy if normalised else found.per_torque
-    links = range(arm.n) if link is None else (arm.link_number(link) - 1,)
-    return min(float(wrench_rank(push[k, list(arm.axes)])[1][-1]) for k in links)
+    push = reactions(arm, pose).per_energy[:, list(arm.axes)]
+    return min(float(wrench_rank(each)[1][-1]) for each in push)
 
 
 def chebyshev_nodes(low: float, high: float, count: int) -> Array:
@@ -386,7 +245,6 @@ def choose_poses(
     count: int,
     *,
     keep: float = 0.25,
-    difference: Literal["angle", "sine"] = "angle",
 ) -> NDArray[np.intp]:
     """Select, among the best poses, a set with maximum joint-space spread (4.2.3).
 
@@ -404,9 +262,6 @@ def choose_poses(
         Size of the set.
     keep : float
         Share of the candidates from which to choose [1].
-    difference : {"angle", "sine"}
-        How a joint's move counts: by its angle modulo a turn, up to π, or by |sin| of it. The
-        axis of rotation is found by dividing by the sine (4.31): a half turn tells nothing.
 
     Returns
     -------
@@ -428,8 +283,6 @@ def choose_poses(
     q, s = np.asarray(poses, dtype=float), np.asarray(scores, dtype=float)
     if q.ndim != 2 or s.shape != (len(q),) or not (np.isfinite(q).all() and np.isfinite(s).all()):
         raise InvalidData(f"poses (P, n) and scores (P,) must be finite, got {q.shape}, {s.shape}")
-    if difference not in ("angle", "sine"):
-        raise UnknownName(f"moves count by 'angle' or 'sine', got {difference!r}")
     if not 0 < keep <= 1:
         raise InvalidSetting(f"keep is a share above 0 and up to 1, got {keep!r}")
     best = np.argsort(-s, kind="stable")[: max(1, int(np.ceil(keep * len(q))))]
@@ -438,8 +291,7 @@ def choose_poses(
     near, mean = np.full(len(best), np.inf), np.zeros(len(best))
     chosen = [0]
     while len(chosen) < count:
-        move = q[best] - q[best[chosen[-1]]]
-        size = np.abs(np.sin(move)) if difference == "sine" else np.abs(_wrapped(move))
+        size = np.abs((q[best] - q[best[chosen[-1]]] + np.pi) % (2 * np.pi) - np.pi)
         near = np.minimum(near, size.min(axis=1))
         mean += size.mean(axis=1)
         near[chosen] = -1.0
@@ -447,7 +299,3 @@ def choose_poses(
         order = np.lexsort((np.arange(len(best)), -mean.round(9), -near.round(9)))
         chosen.append(int(order[0]))
     return np.asarray(best[chosen])
-
-
-def _wrapped(angle: Array) -> Array:
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -1,6 +1,6 @@
 """Reproduce the thesis's experiments and compare them with the printed results, on one page.
 
-Usage: python scripts/reproduce_thesis.py --only index_tables link_finding
+Usage: python scripts/reproduce_thesis.py --only index_tables vera_link_finding
 """
 
 from __future__ import annotations

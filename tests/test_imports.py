@@ -87,7 +87,7 @@ ENTRY_POINTS = {
     "gap": ("try_effect", "GapSettings", "Parameter", "solve_gap", "read_result", "register"),
     "importing": ("propose", "read_mapping"),
     "instrument": ("diagnose", "plan", "read_arm"),
-    "kinematics": ("geometric_jacobian",),
+    "kinematics": ("reactions",),
     "recording": ("Run", "read_recording"),
     "rig": ("ReducedRig", "SimulatedRig"),
     "statistics": ("bandpass", "covariances", "phase_delay"),

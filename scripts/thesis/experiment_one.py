@@ -21,7 +21,6 @@ from loose_env.envs import INK, MEASURED, MUTED, SHAKEN, TRUTH
 from loose_env.errors import InvalidData
 from loose_env.typing import Array
 from scripts.charts import Panel, chart, curve
-from scripts.thesis.loose_joint import mass_matrix
 from scripts.thesis.page import Section, printed, section
 from scripts.thesis.plots import rms
 from scripts.thesis.rigs import GUIDE, LIFT, REACH, cylindrical
@@ -172,7 +171,9 @@ def _inertia(model: mujoco.MjModel, pose: StrokePose, joint: str) -> float:
     for name, value in zip(AXES, middle, strict=True):
         data.joint(name).qpos[0] = value
     mujoco.mj_forward(model, data)
-    return float(mass_matrix(model, data, [joint])[0, 0])
+    full, dof = np.zeros((model.nv, model.nv)), model.joint(joint).dofadr[0]
+    mujoco.mj_fullM(model, data, full)
+    return float(full[dof, dof])
 
 
 def _seat(model: mujoco.MjModel, settings: Guideway) -> None:

@@ -1,28 +1,19 @@
-"""Link finding by the thesis's steps: simulated arms, and VERA by its printed directions."""
+"""Link finding on VERA, from the printed directions and from simulated ones."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import binomtest
 
-from loose_env.arms import Arm, LinearArm, planar
 from loose_env.diagnosis import (
     LinkFindingSettings,
-    Order,
     Sighting,
     ToolFrames,
     judge_turn,
-    next_joint,
-    statistics_of,
 )
-from loose_env.envs import Difficulty, FaultSampler
-from loose_env.excitation import at_levels
-from loose_env.faults import Healthy
-from loose_env.rig import Job, Measurement, SimulatedRig
 from loose_env.statistics import axial_difference, axial_mean
 from loose_env.typing import Array
 from scripts.thesis.page import Section, printed, section
@@ -44,105 +35,8 @@ from scripts.thesis.shaken_vera import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ARMS, LINKS, DURATION = 64, 4, 1.2
-"""Arms, links of each, and length of a record [s], as in the thesis."""
-_MOVE = np.pi / 2  # a quarter turn: the direction then turns by as much as it can
 # The thesis prints no e_min or e_max: nearer to "stayed" than to "turned" is what is asked.
 _NEARER = LinkFindingSettings(still=0.5, turned=np.finfo(float).max)
-ORDERS: tuple[Order, ...] = ("outward", "inward", "bisection")
-
-
-def _lowest(loose: Measurement, healthy: Measurement) -> float:
-    return _angle(statistics_of(loose).lowest_direction)
-
-
-def _change(loose: Measurement, healthy: Measurement) -> float:
-    change = statistics_of(loose).transmission_by_instrument
-    return _angle((change - statistics_of(healthy).transmission_by_instrument)[:, 0])
-
-
-def _angle(vector: Array) -> float:
-    return float(np.arctan2(vector[1], vector[0]))
-
-
-ESTIMATORS: Mapping[str, Callable[[Measurement, Measurement], float]] = {
-    "lowest correlation": _lowest,
-    "change of transmission": _change,
-}
-"""Direction of looseness [rad] from a record and the healthy twin's."""
-
-
-def predicted_slides(frames: ToolFrames, before: Array, after: Array, direction: Array) -> Array:
-    """Direction (n, d) that a slide at each link shows after a move, from the one before (4.27)."""
-    own = np.einsum("kji,j->ki", frames.images(before)[0], direction)
-    found = np.einsum("kij,kj->ki", frames.images(after)[0], own)
-    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
-
-
-class Twins:
-    """Arms with a loose link, each with its mismatch and pose, and a healthy twin of each."""
-
-    def __init__(self, arm: Arm, count: int, seed: Sequence[int]) -> None:
-        usual, self.linear = Difficulty(), LinearArm(arm)
-        sampler = FaultSampler(self.linear, usual)
-        self.rig = SimulatedRig(arm, slots=2 * count)
-        self.poses: list[Array] = []
-        for k in range(count):  # the loose links take turns
-            rng = np.random.default_rng([*seed, k])
-            fault = sampler.draw(rng, hypothesis=f"structural_looseness@link{1 + k % arm.n}")
-            mismatch = usual.mismatch.draw(arm, rng)
-            self.rig.mount(2 * k, fault, mismatch)
-            self.rig.mount(2 * k + 1, Healthy(), mismatch)
-            self.poses.append(arm.random_pose(rng))
-
-    def measure(
-        self, arms: Sequence[int], seed: Sequence[int], step: int
-    ) -> list[tuple[Measurement, Measurement] | None]:
-        """Shake joint 1 of arms and of their twins at the top level; None where a record failed."""
-        levels = np.zeros(self.linear.arm.n)
-        levels[0] = self.linear.arm.levels[-1]
-        jobs = []
-        for k in arms:
-            pose = self.poses[k].copy()
-            shake, _ = at_levels(self.linear.at(pose), levels, duration=DURATION)
-            for twin in (0, 1):
-                rng = np.random.default_rng([*seed, k, step, twin])
-                jobs.append(Job(slot=2 * k + twin, pose=pose, excitation=shake, rng=rng))
-        found = self.rig.measure_many(jobs) if jobs else []
-        pairs = zip(found[::2], found[1::2], strict=True)
-        return [None if a.failure or b.failure else (a, b) for a, b in pairs]
-
-
-def search(arm: Arm, estimator: str, order: Order, *, seed: int) -> tuple[Array, Array]:
-    """Let the steps of 4.2.2 look for the loose link of many arms.
-
-    Returns whether the loose link was named, and the moves after the first pose, by arm.
-
-    Every arm has its own mismatch, fault and first pose; a healthy twin of it gives the
-    reference in each pose. Joint 1 is shaken, all others are braked. A joint moves by a quarter
-    turn; the direction has turned if it turned by more than half of that.
-    """
-    twins = Twins(arm, ARMS, [seed, 11])
-    low, high = np.ones(ARMS, dtype=int), np.full(ARMS, arm.n)
-    moves, moved = np.zeros(ARMS, dtype=int), np.zeros(ARMS, dtype=int)
-    before: list[Sighting | None] = [None] * ARMS
-    for step in range(arm.n):
-        open_ = [int(k) for k in np.flatnonzero(low < high)]
-        measured = twins.measure(open_, [seed, 12], step)
-        for k, pair in zip(open_, measured, strict=True):
-            if pair is None:
-                continue
-            last, pose, joint = before[k], twins.poses[k], int(moved[k])
-            seen = before[k] = _sighting(pose.copy(), ESTIMATORS[estimator](*pair))
-            if last is not None and judge_turn(last, seen, joint, _NEARER) == "still":
-                low[k] = joint
-            elif last is not None:
-                high[k] = joint - 1
-            if low[k] < high[k]:
-                moved[k] = next_joint(order, int(low[k]), int(high[k]))
-                pose[moved[k] - 1] += _MOVE
-                moves[k] += 1
-    return low == 1 + np.arange(ARMS) % arm.n, moves
 
 
 def _sighting(pose: Array, direction: float) -> Sighting:
@@ -155,28 +49,6 @@ def _sighting(pose: Array, direction: float) -> Sighting:
         nominal_direction=direction,
         nominal_correlation=1.0,
     )
-
-
-def link_finding(seed: int) -> Section:
-    """Search arms of four links; `vera_link_finding` has the step that VERA allows."""
-    arm = planar(LINKS)
-    found = {(e, o): search(arm, e, o, seed=seed) for e in ESTIMATORS for o in ORDERS}
-    right = {key: named for key, (named, _) in found.items()}
-    ends = {
-        key: binomtest(int(r.sum()), len(r)).proportion_ci(0.95, method="wilson")
-        for key, r in right.items()
-    }
-    moves = {key: moved.mean() for key, (_, moved) in found.items()}
-    by_lowest, by_change = (np.mean([right[e, o].mean() for o in ORDERS]) for e in ESTIMATORS)
-    outward, inward, halving = (moves["change of transmission", o] for o in ORDERS)
-    expected, fewest = (LINKS - 1) * (LINKS + 2) / (2 * LINKS), np.log2(LINKS)
-    blind = 1 / LINKS
-    rows = [(", ".join(key), right[key].mean(), *ends[key], moves[key]) for key in found]
-    points = {
-        e: 100 * np.array([(right[e, o].mean(), *ends[e, o]) for o in ORDERS]).T for e in ESTIMATORS
-    }
-    figure = by_category(points, ORDERS, ylabel="right link [%]", xlabel="order of the joints")
-    return section("link_finding", locals(), [rows], [figure])
 
 
 # VERA has two links, so one joint tells them apart: joint 2, whose move turns the direction of a

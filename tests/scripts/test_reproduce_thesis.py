@@ -89,8 +89,10 @@ def test_the_page_holds_every_section_links_to_it_and_escapes_values() -> None:
 
 def here(keys: list[str], *, seed: int, workers: int) -> Iterator[Outcome]:
     """Outcomes of some sections, the last first, as a race of workers might give them."""
-    failed = Outcome(key="link_finding", seconds=0.1, error="ZeroDivisionError: x", trace="Trace")
-    return (failed if key == "link_finding" else outcome(key) for key in reversed(keys))
+    failed = Outcome(
+        key="vera_link_finding", seconds=0.1, error="ZeroDivisionError: x", trace="Trace"
+    )
+    return (failed if key == "vera_link_finding" else outcome(key) for key in reversed(keys))
 
 
 def test_one_failure_keeps_the_others_and_shows(
@@ -99,15 +101,17 @@ def test_one_failure_keeps_the_others_and_shows(
     monkeypatch.setattr(script, "run_sections", here)
     arguments = ["--out", str(tmp_path), "--seed", "5", "--only", "signals"]
     with pytest.raises(SystemExit) as ended:
-        script.main([*arguments, "link_finding", "index_tables"])
+        script.main([*arguments, "vera_link_finding", "index_tables"])
     assert ended.value.code == 1
     html = (tmp_path / "index.html").read_text(encoding="utf-8")
-    keys = ("signals", "index_tables", "link_finding")  # in the order of the page
+    keys = ("signals", "index_tables", "vera_link_finding")  # in the order of the page
     places = [html.index(f'<section id="{key}">') for key in keys]
     assert places == sorted(places)
     assert f"reproduce_thesis.py --seed 5 --only {' '.join(keys)}<" in html
     said = capsys.readouterr()
-    assert "Failed: link_finding" in said.out and f"Page: {tmp_path / 'index.html'}" in said.out
+    assert (
+        "Failed: vera_link_finding" in said.out and f"Page: {tmp_path / 'index.html'}" in said.out
+    )
     assert "3 of 3" in said.err and "Trace" in said.err
     script.main(arguments)  # all well: no exit with an error
     assert "Failed" not in capsys.readouterr().out
