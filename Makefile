@@ -29,7 +29,8 @@ help: ## list the verbs
 		printf '  make %-10s %s\n' "$$verb" "$$does"; done
 
 run: $(RUN) ## let five agents and two constant baselines find hidden faults: a table, and a page with pictures
-	$(BIN)/python scripts/run_demo.py $(ARGS)
+	$(BIN)/python scripts/agents/compare.py --page --episodes 300 --workers 1 --rows json \
+		--agents greedy ppo random classical classical_literal always_healthy always_unsure $(ARGS)
 
 thesis: $(RUN) ## run the thesis's experiments and set them beside what it printed
 	$(BIN)/python scripts/reproduce_thesis.py $(ARGS)

@@ -1,28 +1,25 @@
-"""Table of logs as users have them: guessed, imported and compared with the right answer.
-
-``python -m scripts.suites.logs FOLDER`` reads a folder of cases, each made by its own ``make.py``,
-and prints a row per log: runs and columns right, or the line by which the import refuses it.
-"""
+"""Logs as users have them are guessed and imported rightly, or refused with what to do."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import re
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import pi
 from pathlib import Path
 
+import pytest
+
 from loose_env.cli.main import main as loose
 from loose_env.importing import read_mapping
 from loose_env.recording import read_recording
 
+CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
 DEG = pi / 180
 Told = dict[str, tuple[str, float]]
 """Column of the recording -> part of the channel's name, and its factor to SI."""
@@ -43,8 +40,6 @@ class Log:
     """Length of the shortest run [s]."""
     said: str = ""
     """Pattern of a line that has to be said, by a refusal where there are no runs."""
-    never: tuple[str, ...] = ()
-    """Channels that are no column."""
 
 
 def _joints(names: Sequence[str], sensor: str, channel: str, factor: float) -> Told:
@@ -190,39 +185,22 @@ def run(*words: str) -> tuple[int, str]:
     return code, told.getvalue()
 
 
-def made(source: Path, target: Path) -> None:
-    """Copy a folder of cases, and make their files."""
-    for path in source.rglob("*"):
-        if path.is_file():
-            own = target / path.relative_to(source)
-            own.parent.mkdir(parents=True, exist_ok=True)
-            own.write_bytes(path.read_bytes())
-    for script in sorted(target.glob("*/make.py")):
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cases with their files made, each by its own ``make.py``."""
+    if not CASES.is_dir():
+        pytest.skip("the cases are no part of the repository")
+    place = tmp_path_factory.mktemp("cases")
+    for path in (p for p in CASES.rglob("*") if p.is_file()):  # folders there are read-only
+        own = place / path.relative_to(CASES)
+        own.parent.mkdir(parents=True, exist_ok=True)
+        own.write_bytes(path.read_bytes())
+    for script in sorted(place.glob("*/make.py")):
         subprocess.run([sys.executable, script.name], cwd=script.parent, check=True)
+    return place
 
 
-def main() -> None:
-    """Print the table."""
-    given = argparse.ArgumentParser(description=__doc__)
-    given.add_argument("folder", type=Path)
-    given.add_argument("--made", action="store_true", help="the cases' files are there already")
-    told = given.parse_args()
-    with tempfile.TemporaryDirectory() as place:
-        folder = told.folder if told.made else Path(place)
-        if not told.made:
-            made(told.folder, folder)
-        right = 0
-        for log in LOGS:
-            start = time.process_time()
-            outcome, why = tried(log, folder)
-            right += outcome.startswith("right")
-            spent = time.process_time() - start
-            print(
-                f"{log.case[:22]:22} {log.files[0][:24]:24} {outcome:14} {spent:5.1f} s  "
-                f"{why[:300]}"
-            )
-        print(f"{right} of {len(LOGS)} right")
-
-
-if __name__ == "__main__":
-    main()
+@pytest.mark.parametrize("log", LOGS, ids=lambda log: f"{log.case}-{log.files[0]}")
+def test_a_log_ends_as_it_should(log: Log, folder: Path) -> None:
+    outcome, why = tried(log, folder)
+    assert outcome.startswith("right"), why
