@@ -133,12 +133,11 @@ def solve_gap(
         # of what is in model.xml or the code, not of what was fitted and is not named
         terms = tuple(t for t in fit.terms if t.name in {f.term.name for f in named})
         fitted = fit if terms == fit.terms else selection.solve(terms, fit.powers)
-        both = selection.solve(()), fitted
-        before, after = (residual.left_by(selection, each) for each in both)
+        before, after = residual.left_by(selection, fitted)
         tests, correlations = residual.residual_tests(selection, after)
         errors, played = residual.simulated(answer, corrected)
         evidence, own = selection.evidence, decision.channels
-        sides = np.stack([held_out_rms(selection, each)[1] for each in both])
+        sides = held_out_rms(selection, fitted)
         if decision.simulated:  # what a balance leaves says little there
             count = len(evidence.balance.machine.joints)
             of = [k for k, c in enumerate(evidence.channels) if c.joint < count]

@@ -18,8 +18,13 @@ from loose_env.gap import (
     solve_gap,
     try_effect,
 )
+from loose_env.gap.core.balance import Balance
+from loose_env.gap.core.evidence import grid_of, operator_noise
 from loose_env.gap.core.find import evidence_of, readable, relinearised, silent
+from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.residual import overlays
+from loose_env.gap.core.tolerances import nuisances
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Recording, Run, read_recording, write_recording
 from loose_env.typing import Array
 from tests.gap.cases.gap_case import (
@@ -298,3 +303,34 @@ def test_a_step_of_a_fit_goes_down_what_it_minimises(
     for own, unit in zip(slope, 1e-5 * np.eye(len(values)), strict=True):
         moved = (cost(values + unit) - cost(values - unit)) / 2e-5
         assert own == pytest.approx(moved, rel=1e-3, abs=1e-3 * np.abs(slope).max())
+
+
+def test_noise_is_what_the_operator_makes_of_it(tmp_path: Path) -> None:
+    """Of an arm that is held nothing but noise is left, in every band, and of a late reading."""
+    held = record(tmp_path / "held", edit=lambda spec: None, steps_s=1e3)
+    later = held.runs[0].time > 2.0
+    runs = [
+        replace(
+            run, time=run.time[later] - 2.0,
+            sensors={name: values[later] for name, values in run.sensors.items()},
+            controls={name: values[later] for name, values in run.controls.items()},
+        )
+        for run in held.runs
+    ]  # fmt: skip
+    machine = NominalModel(held.spec())
+    balance = Balance(machine, smooth(replace(held, runs=tuple(runs)), machine))
+    late = [n for n in nuisances(balance, Tolerances()) if n.read_late]
+    for joint in range(2):
+        grid = grid_of(balance, joint)
+        bands, band = np.unique(grid.rows.turn, return_inverse=True)
+        counts = np.bincount(band, grid.rows.count)
+        (own,) = (n for n in late if n.read_late and n.read_late[0] == joint)
+        columns = np.stack([balance.residual[:, joint], own.change.at(joint)], axis=1)
+        powers = np.stack(
+            [np.bincount(band[grid.rows.cell], x**2) / counts for x in grid.whitened(columns).T]
+        )
+        delays = np.zeros((1, 2, 2))
+        delays[0, 1, joint] = own.size
+        still, moved = operator_noise(balance, joint, bands, own.operator[None], delays)
+        for power, parts in ((powers[0], still), (powers[1], moved[..., 0])):
+            assert power == pytest.approx(np.sum(parts**2, axis=1) / 1.1**2, rel=0.6)

@@ -141,7 +141,7 @@ class Balance:
         self.dry = np.broadcast_to(model.dof_frictionloss, self.needed.shape)
         still = self.position, self.speed, 0 * self.speed
         self.bias = self._forces(model, self.commands, still)[0]  # gravity and inertial coupling
-        self.operator = self._operator(model)
+        self.operator, self.varied = self._operators(model)
         self._nominal = model
         self.stiffness = np.zeros(len(machine.joints))
         if not self.released.all():
@@ -470,9 +470,13 @@ class Balance:
 
     def _operator(self, model: mujoco.MjModel, *, drives: bool = False) -> Array:
         """Mean inertia, damping and stiffness, drives included or alone (3, joints, joints)."""
+        return np.asarray(self._operators(model, drives=drives)[0])
+
+    def _operators(self, model: mujoco.MjModel, *, drives: bool = False) -> Array:
+        """The same with their variance over the motion (2, 3, joints, joints)."""
         rows = np.linspace(0, len(self.position) - 1, _POSES).astype(int)
         joints = len(self.machine.joints)
-        found = np.zeros((3, joints, joints))
+        found = np.zeros((2, 3, joints, joints))
         base = [x[rows] for x in (self.acceleration, self.speed, self.position)]
         states, commands = [base], self.commands[rows]
         for order in range(3):
@@ -487,7 +491,8 @@ class Balance:
         for order in range(3):
             for joint in range(joints):
                 change = force[1 + order * joints + joint] - force[0]
-                found[order, :, joint] = change.mean(axis=0) / (1.0 if order == 0 else _NUDGE)
+                change /= 1.0 if order == 0 else _NUDGE
+                found[:, order, :, joint] = change.mean(axis=0), change.var(axis=0)
         return found
 
     def _with_hidden_joint(
@@ -634,14 +639,7 @@ class Balance:
             found.append(tuple(p.clipped(float(v)) for p, v in pairs))
         return found
 
-    def noise(
-        self,
-        joint: int,
-        frequency: Array,
-        operator: Array | None = None,
-        *,
-        floor: bool = True,
-    ) -> Array:
+    def noise(self, joint: int, frequency: Array, *, floor: bool = True) -> Array:
         """Standard deviation of a channel's balance by the sensors' noise (F,).
 
         What the operator makes of the noise of positions and speeds, beside that of the torque;
@@ -651,21 +649,23 @@ class Balance:
         if joint >= joints:
             return self.readings.noise(joint - joints, frequency)
         torque = self.motion.noise[2]
-        total = np.sum(self.noise_of(joint, frequency, operator), axis=1) + 1e-300
+        total = np.sum(self.noise_of(joint, frequency), axis=1) + 1e-300
         if floor:
             total = total + (_MODEL * self.machine.load_scales[joint]) ** 2
         if np.isfinite(torque[joint]) and (self.forms == "inverse").any():
             total = total + torque[joint] ** 2
         return np.asarray(np.sqrt(total))
 
-    def noise_of(self, joint: int, frequency: Array, operator: Array | None = None) -> Array:
-        """Variance of a joint's balance by the noise of each joint's motion (F, joints)."""
-        own = self.operator if operator is None else operator
-        turn = 2 * np.pi * frequency
-        # not the difference of stiffness and inertia, which vanishes where a pendulum swings
-        gain = own[2, joint] ** 2 + (own[0, joint] * turn[:, None] ** 2) ** 2
-        gain = gain + (own[1, joint] * turn[:, None]) ** 2
-        return np.asarray(gain / self.motion.precision(turn))
+    def noise_of(self, joint: int, frequency: Array) -> Array:
+        """Variance of a joint's balance by the noise of each joint's motion (F, joints).
+
+        Where stiffness and inertia cancel, the damping is left, and by how much they vary.
+        """
+        turn = 2 * np.pi * frequency[:, None]
+        (mass, damping, stiffness), varied = self.operator[:, joint], self.varied[:, joint]
+        gain = (stiffness - mass * turn**2) ** 2 + (damping * turn) ** 2
+        gain = gain + varied[2] + varied[1] * turn**2 + varied[0] * turn**4
+        return np.asarray(gain / self.motion.precision(turn[:, 0]))
 
 
 def with_effects(machine: NominalModel, found: Found) -> mujoco.MjSpec:

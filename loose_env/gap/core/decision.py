@@ -310,11 +310,15 @@ def folds_of(selection: Selection, terms: Set) -> list[list[list[NDArray[np.bool
 def _held_out(
     selection: Selection, fit: SetFit, folds: Sequence[Sequence[NDArray[np.bool_]]]
 ) -> float:
-    """Minus twice the log likelihood of held-out cells, fitted to the others."""
+    """Minus twice the log likelihood of held-out cells given the others, and what tolerances cost.
+
+    That is what evidence these cells add: they say little where they depend on tolerances that no
+    other cell determines.
+    """
     total, tolerances = 0.0, slice(0, selection.evidence.tolerances)
     for held in folds:
         own = selection.without(held, fit)
-        total += selection.on(held).score(own)
+        total += fit.cost - own.cost
         total += float(own.values[tolerances] @ own.values[tolerances]) / len(folds)
     return total
 
@@ -329,7 +333,7 @@ def held_out_gain(selection: Selection, before: SetFit, after: SetFit) -> float:
 def _gains(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
     """Rise of twice the held-out log likelihood with each member, by runs and by stretches."""
     rests = (tuple(t for t in fit.terms if t is not term) for term in fit.terms)
-    sets = [fit, *(replace(fit, terms=rest) for rest in rests)]
+    sets = [fit, *(selection.solve(rest, fit.powers) for rest in rests)]
     one, other = (
         np.array([_held_out(selection, own, folds) for own in sets])
         for folds in folds_of(selection, fit.terms)
@@ -475,7 +479,7 @@ def _covariance(selection: Selection, fit: SetFit) -> Array:
         return np.asarray(laplace)
     left_out = np.stack(
         [
-            selection.on([c.stretch != s for c in channels]).fit(fit.terms, fit.powers, 2).values
+            selection.on([c.stretch != s for c in channels]).fit(fit.terms, fit, 2).values
             for s in stretches
         ]
     )

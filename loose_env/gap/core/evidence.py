@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.catalogue import Late, Term, moves_at
 from loose_env.gap.core.tolerances import Nuisance, together
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 BANDS = 7
 """Bands of a channel, the first around zero, the others of equal ratio: three or four a decade, for
@@ -28,6 +28,7 @@ _SHORTEST_S = 4.0  # shortest stretch [s]: some periods of slow motion
 KNOCK = 16.0
 """Mean square residual over its local median beyond which a stretch is a knock: four times the
 usual amplitude is no motion of the machine's own."""
+_WITHIN = np.linspace(-0.33, 0.33, 3)  # frequencies of a band, in its width by their logarithms
 _NOISE = 1.1
 """Noise that is believed over its estimate, which takes it for white: filters and rounding colour
 it by some per cent."""
@@ -58,7 +59,9 @@ class Channel:
     held: Array
     """Relative change of the stiffness by which the drive holds the joint, by each column (K,)."""
     beside: Array
-    """Part of `growth` that no operator has: of foretold readings, and of late positions (C, K)."""
+    """Part of `growth` that no operator has, of foretold readings (C, K)."""
+    foretold: Array
+    """Share of each cell's noise that `beside` changes: not a reading's own (C,)."""
     blanked: float  # Share of the time that is left out: rest, and knocks
     first: NDArray[np.intp] = field(init=False)  # First row of each cell (C,)
     slope: Array = field(init=False)  # Products with the residual (C, K)
@@ -104,6 +107,9 @@ class Evidence:
     high: Array  # Largest coefficients (K,)
     inexact: Array  # Part of its force that the law of each column misses (K,)
     operators: Array  # Change of the operator by each column (K, 3, joints, joints)
+    delays: Array
+    """By how much each column reads a joint's position late, at once and by its rate [s] (K, 2,
+    joints)."""
     law: float  # What the law of an effect of a joint or a drive misses, as a share of its force
     tolerances: int  # How many of the columns, the first ones, are combinations of tolerances
     mixed: Array  # Tolerances in each of these combinations (tolerances, combinations)
@@ -140,6 +146,8 @@ def whiten(
     residual = balance.residual - together(balance)
     wide = [n.change for n in tolerances]
     operators = np.stack([n.operator for n in tolerances])
+    delays = _delays(balance, [n.read_late for n in tolerances])[:, ::-1]
+    moved = np.array([not n.of_commands for n in tolerances])
     compared = [joint for joint in range(len(balance.channels)) if _compared(balance, joint)]
     rows = {
         joint: _rows(balance, joint, np.column_stack([_at(wide, joint), residual[:, joint]]))
@@ -153,7 +161,8 @@ def whiten(
     kept = mixed.shape[1]
     channels = []
     for joint, own in rows.items():
-        noise = _noise_of(balance, joint, own.turn, own.whitened[:, :-1], operators)
+        noisy = moved * own.whitened[:, :-1]
+        noise = _noise_of(balance, joint, own.turn, noisy, operators, delays)
         channels.append(
             Channel(
                 joint=joint,
@@ -166,6 +175,7 @@ def whiten(
                 run=own.run,
                 turn=own.turn,
                 **{name: part @ mixed for name, part in noise.items()},
+                foretold=_foretold(balance, joint, own.turn),
                 blanked=float(np.mean(weight_of(balance, joint) < 0.5)),
             )
         )
@@ -180,6 +190,7 @@ def whiten(
         high=np.full(kept, np.inf),
         inexact=np.zeros(kept),
         operators=np.tensordot(mixed.T, operators, 1),
+        delays=np.tensordot(mixed.T, delays, 1),
         law=law,
         tolerances=kept,
         mixed=mixed,
@@ -216,11 +227,13 @@ def append(evidence: Evidence, *terms: Term) -> None:
         first += len(term.columns)
     first = len(evidence.centre)
     evidence.terms += terms
+    changes = np.stack([c.operator for c in columns])
+    delays = _delays(balance, [c.late for c in columns])
     for channel in evidence.channels:
         own = [k for k, c in enumerate(columns) if c.change.reaches(channel.joint)]
         if not own:
             continue
-        wide, operators = zip(*((columns[k].change, columns[k].operator) for k in own), strict=True)
+        wide = [columns[k].change for k in own]
         new = _rows(balance, channel.joint, _at(wide, channel.joint)).whitened
         slope = channel.by_cell(new * channel.residual[:, None])
         channel.columns = np.concatenate([channel.columns, first + np.array(own)])
@@ -228,8 +241,8 @@ def append(evidence: Evidence, *terms: Term) -> None:
         channel.slope = _widened(channel.slope, slope)
         channel.square = _widened(channel.square, channel.by_cell(new**2))
         noise = _noise_of(
-            balance, channel.joint, channel.turn, new, np.stack(operators),
-            [columns[k].late for k in own], [columns[k].eased for k in own],
+            balance, channel.joint, channel.turn, new, changes[own], delays[own],
+            [columns[k].eased for k in own],
         )  # fmt: skip
         for name, part in noise.items():
             setattr(channel, name, np.concatenate([getattr(channel, name), part], axis=-1))
@@ -240,8 +253,17 @@ def append(evidence: Evidence, *terms: Term) -> None:
     evidence.precision = np.concatenate([evidence.precision, spreads**-2])
     laws = (_inexact(term, evidence.law) for term in terms)
     evidence.inexact = np.concatenate([evidence.inexact, *laws])
-    changes = np.stack([c.operator for c in columns])
     evidence.operators = np.concatenate([evidence.operators, changes])
+    evidence.delays = np.concatenate([evidence.delays, delays])
+
+
+def _delays(balance: Balance, late: Sequence[Late]) -> Array:
+    """By how much columns read each joint's position late, at once [s] (K, 2, joints)."""
+    found = np.zeros((len(late), 2, len(balance.machine.joints)))
+    for k, own in enumerate(late):
+        if own is not None:
+            found[k, 0, own[0]] = own[1]
+    return found
 
 
 def _noise_of(
@@ -250,14 +272,14 @@ def _noise_of(
     turn: Array,
     rows: Array,
     operators: Array,
-    late: Sequence[Late] = (),
+    delays: Array,
     eased: Sequence[Array | float] = (),
 ) -> dict[str, Array]:
     """Relative changes of a channel's noise and of what its drive holds, by each column."""
-    beside = _beside(balance, joint, turn, rows, late)
+    beside = _beside(balance, joint, turn, rows)
     held = _held(balance, joint, operators, eased or [0.0] * len(operators))
     bands, band = np.unique(turn, return_inverse=True)
-    still, moved = operator_noise(balance, joint, bands, operators)
+    still, moved = operator_noise(balance, joint, bands, operators, delays)
     growth = np.einsum("bj,bjk->bk", still, moved)[band] + beside
     return {"growth": growth, "held": held, "beside": beside}
 
@@ -423,45 +445,51 @@ def _gains(balance: Balance, channel: int, turn: Array, rows: Array) -> Array:
     return np.asarray(shares[band])
 
 
-def _beside(
-    balance: Balance, channel: int, turn: Array, rows: Array, late: Sequence[Late]
-) -> Array:
-    """Relative change of a channel's noise by what no operator has (C, K).
+def _foretold(balance: Balance, channel: int, turn: Array) -> Array:
+    """Share of the noise of a reading that the foretold one has; 1 of a joint's balance (F,)."""
+    number, frequency = channel - len(balance.machine.joints), turn / (2 * np.pi)
+    if number < 0:
+        return np.ones(len(turn))
+    foretold = balance.readings.foretold_variance(number, frequency)
+    return np.asarray(foretold / balance.noise(channel, frequency) ** 2)
 
-    Of a reading, the noise of the foretold one; of a joint whose positions are late, the part of
-    the shift that is in phase.
-    """
-    number, found = channel - len(balance.machine.joints), np.zeros((len(turn), rows.shape[1]))
-    if number >= 0:
-        foretold = balance.readings.foretold_variance(number, turn / (2 * np.pi))
-        noisy = foretold / balance.noise(channel, turn / (2 * np.pi)) ** 2
-        return noisy[:, None] * _gains(balance, channel, turn, rows)
-    for k, own in enumerate(late):
-        if own is not None:
-            of_joint = balance.noise_of(channel, turn / (2 * np.pi))[:, own[0]]
-            share = of_joint / balance.noise(channel, turn / (2 * np.pi), floor=False) ** 2
-            found[:, k] = share * (np.cos(turn * own[1]) - 1)
-    return found
+
+def _beside(balance: Balance, channel: int, turn: Array, rows: Array) -> Array:
+    """Relative change of a reading's noise by that of the foretold one (C, K)."""
+    if channel < len(balance.machine.joints):
+        return np.zeros((len(turn), rows.shape[1]))
+    return _foretold(balance, channel, turn)[:, None] * _gains(balance, channel, turn, rows)
 
 
 def operator_noise(
-    balance: Balance, joint: int, turn: Array, operators: Array
+    balance: Balance, joint: int, turn: Array, operators: Array, delays: Array
 ) -> tuple[Array, Array]:
-    """What an operator makes of the noise of motion at some frequencies; its change by columns.
+    """What an operator makes of the noise of motion in some bands; its change by columns.
 
-    In the channel's noise standard deviations: (F, 3 joints) and (F, 3 joints, K).
+    In the channel's noise standard deviations, in phase and a quarter period ahead, at several
+    frequencies of each band: (B, F) and (B, F, K), of which the squares add up.
     """
     joints = len(balance.machine.joints)
     if joint >= joints:
         return np.zeros((len(turn), 1)), np.zeros((len(turn), 1, len(operators)))
-    usual = (
-        np.sqrt(balance.motion.precision(turn))
-        * (balance.noise(joint, turn / (2 * np.pi), floor=False)[:, None])
-    )
-    powers = np.stack([turn**2, turn, turn**0], axis=1)
-    weight = (powers[:, :, None] / usual[:, None]).reshape(len(turn), -1)
-    moved = operators[:, :, joint].reshape(len(operators), -1)
-    return weight * balance.operator[:, joint].ravel(), weight[..., None] * moved.T
+    edges = _edges(balance)
+    within = (turn[:, None] * (edges[-1] / edges[-2]) ** _WITHIN).ravel()[:, None]
+    usual = np.sqrt(len(_WITHIN) * balance.motion.precision(within[:, 0]))
+    usual *= balance.noise(joint, within[:, 0] / (2 * np.pi), floor=False)[:, None]
+
+    def response(own: Array) -> ComplexArray:
+        mass, damping, stiffness = (part[..., None, :] for part in np.moveaxis(own, -2, 0))
+        return np.asarray((stiffness + 1j * within * damping - within**2 * mass) / usual)
+
+    def parts(own: ComplexArray) -> Array:
+        both = np.stack([own.real, own.imag], axis=-1)
+        return both.reshape(*own.shape[:-2], len(turn), -1)
+
+    still, moved = response(balance.operator[:, joint]), response(operators[:, :, joint])
+    late = np.any(delays, axis=(1, 2))
+    turned = 1j * within * delays[late, :, None]
+    moved[late] += (np.exp(turned[:, 0]) - 1 + turned[:, 1]) * still
+    return parts(still), np.moveaxis(parts(moved), 0, -1)
 
 
 def weight_of(balance: Balance, joint: int) -> Array:

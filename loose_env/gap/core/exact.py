@@ -179,7 +179,9 @@ class Exact:
             # rows repeat a discrepancy, which counts for as many values as in the likelihood
             count = np.bincount(channel)
             share = (self._values(count) / np.maximum(count, 1))[channel]
-            normal = solved.jac.T @ (share[:, None] * solved.jac) + 1e-9 * np.eye(len(found))
+            normal = solved.jac.T @ (share[:, None] * solved.jac)
+            # that values lie anywhere between their bounds is known, too
+            normal += np.diag(12 / np.diff(bounds)[:, 0] ** 2)
             spread = np.sqrt(np.diag(np.linalg.inv(normal)))
         parts = np.split(found, cuts) if terms else []
         return ExactFit(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -12,6 +12,7 @@ from scipy.signal.windows import tukey
 
 from loose_env.arms import quiet
 from loose_env.gap.core.balance import Balance
+from loose_env.gap.core.catalogue import Term
 from loose_env.gap.core.decision import folds_of
 from loose_env.gap.core.evidence import stretches_of, weight_of
 from loose_env.gap.core.exact import Exact
@@ -38,30 +39,33 @@ _SEGMENTS = 4
 """Segments of a run in a frequency response, overlapping by half; runs are averaged, too."""
 
 
-def left_by(selection: Selection, fit: SetFit) -> Array:
-    """Residual of a fitted set on data it was not fitted to (T, channels).
+def left_by(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
+    """Residual on data that a set was not fitted to, without its effects and with (T, channels).
 
-    Each run, or each alternate stretch of the only one, is left by the fit to the others.
+    Each run, or each alternate stretch of the only one, is left by the fit to the others. Without,
+    tolerances are as beside the effects: alone they would be pulled far to stand in for them.
     """
     balance, channels = selection.evidence.balance, selection.evidence.channels
-    found, stretches = balance.residual.copy(), stretches_of(balance)
-    parts = balance.motion.split(found)  # views
+    sides, stretches = (balance.residual.copy(), balance.residual.copy()), stretches_of(balance)
     for held in folds_of(selection, fit.terms)[0]:
         own = selection.without(held, fit)
-        whole = balance.motion.split(_remainder(selection, own))
-        for k in {int(s) for c, h in zip(channels, held, strict=True) for s in c.stretch[h]}:
-            run, rows = stretches[k]
-            parts[run][rows] = whole[run][rows]
-    return found
+        own_stretches = {int(s) for c, h in zip(channels, held, strict=True) for s in c.stretch[h]}
+        for side, terms in zip(sides, ((), fit.terms), strict=True):
+            parts = balance.motion.split(side)  # views
+            whole = balance.motion.split(_remainder(selection, own, terms))
+            for k in own_stretches:
+                run, rows = stretches[k]
+                parts[run][rows] = whole[run][rows]
+    return sides
 
 
-def _remainder(selection: Selection, fit: SetFit) -> Array:
-    """Residual less all fitted columns (T, channels)."""
+def _remainder(selection: Selection, fit: SetFit, terms: Iterable[Term]) -> Array:
+    """Residual less the fitted tolerances and the columns of some effects (T, channels)."""
     evidence = selection.evidence
     left = evidence.balance.residual.copy()
     pulls = evidence.mixed @ fit.values[: evidence.tolerances]
     parts = [(n.change, x) for n, x in zip(evidence.nuisances, pulls, strict=True)]
-    for term in fit.terms:
+    for term in terms:
         values = fit.values[fit.places(evidence.columns_of(term))]
         parts += [(c.change, x) for c, x in zip(term.columns, values, strict=True)]
     for change, size in parts:

@@ -157,7 +157,7 @@ class Selection:
 
     def without(self, held: Sequence[NDArray[np.bool_]], fit: SetFit) -> SetFit:
         """A set, fitted to all cells but those that are held out."""
-        return self.on([~cells for cells in held]).fit(fit.terms, fit.powers)
+        return self.on([~cells for cells in held]).fit(fit.terms, fit)
 
     def sized(self, fit: SetFit) -> tuple[Selection, SetFit]:
         """A set with hardly any prior of sizes: how large an effect is, once it is there.
@@ -171,7 +171,7 @@ class Selection:
             _SIZES**-2 * evidence.precision, evidence.precision,
         )  # fmt: skip
         found.evidence = evidence
-        fitted = found.fit(fit.terms, fit.powers)
+        fitted = found.fit(fit.terms, fit)
         return (found, fitted) if fitted.allowed else (self, fit)
 
     def solve(self, terms: Sequence[Term], start: Sequence[Array] | None = None) -> SetFit:
@@ -179,17 +179,16 @@ class Selection:
         key = frozenset(id(term) for term in terms)
         if key not in self.fits:
             # the likelihood has several optima: also from nothing but noise, and from no set
-            noisy = [channel.count for channel in self.evidence.channels]
-            starts = [noisy, None, *([] if start is None else [start])]
+            starts = [[c.count for c in self.evidence.channels], None, *([start] if start else [])]
             parts = self._parts(terms)
             fits = [self._fit(tuple(terms), parts, own) for own in starts]
             self.fits[key] = min(fits, key=lambda f: (not f.allowed, f.cost))
         return self.fits[key]
 
     def fit(
-        self, terms: Set, start: Sequence[Array] | None = None, rounds: int = _ROUNDS
+        self, terms: Set, start: SetFit | Sequence[Array] | None = None, rounds: int = _ROUNDS
     ) -> SetFit:
-        """Fit a set by reweighted least squares, from the weights of a start."""
+        """Fit a set by reweighted least squares, from the weights of a start, or from a fit."""
         return self._fit(terms, self._parts(terms), start, rounds)
 
     def _parts(self, terms: Iterable[Term]) -> list[_Part]:
@@ -201,12 +200,15 @@ class Selection:
         self,
         terms: Set,
         parts: Sequence[_Part],
-        start: Sequence[Array] | None,
+        start: SetFit | Sequence[Array] | None,
         rounds: int = _ROUNDS,
     ) -> SetFit:
         evidence, numbers = self.evidence, self.columns(terms)
         precision, centre = evidence.precision[numbers], evidence.centre[numbers]
         found = np.zeros(len(numbers))
+        if isinstance(start, SetFit):
+            _, here, there = np.intersect1d(numbers, start.numbers, return_indices=True)
+            found[here], start = start.values[there], start.powers
         states = [part.state(found[part.at]) for part in parts]
         powers = [c.power for c in evidence.channels] if start is None else list(start)
         best, last, stale = np.inf, np.inf, 0
@@ -362,9 +364,12 @@ class Selection:
         One kind at a time may be led astray: where friction is missing as well, a lag that halves
         every drive explains more than the true delay.
         """
-        form = Form(self, self.rich)
-        single = _by_kind(t for _, t in self.screened(form, (), self.evidence.terms))
-        fits = [fit for fit in (self.solve(s, self.rich) for s in single) if fit.allowed]
+        nothing, single = self.solve(()), dict[frozenset[int], tuple[Set, Sequence[Array]]]()
+        for powers in self._weightings(nothing):
+            likely = self.screened(Form(self, powers, nothing), (), self.evidence.terms)
+            for own in _by_kind(term for _, term in likely):
+                single.setdefault(frozenset(map(id, own)), (own, powers))
+        fits = [fit for fit in (self.solve(*own) for own in single.values()) if fit.allowed]
         chosen: dict[str, Set] = {}
         for fit in sorted(fits, key=lambda f: f.total):
             chosen.setdefault(fit.terms[0].form[0], fit.terms)
@@ -436,9 +441,8 @@ class Selection:
         key = id(term), *(f"{value:.1e}" for value in term.values(shares))
         if key not in self._off:
             balance = self.evidence.balance
-            exact = balance.forces(term.effect, term.values(shares)).with_contact(
-                balance.directions[term.contact or USUAL]
-            )
+            direction = balance.directions[term.contact or USUAL]
+            exact = balance.forces(term.effect, term.values(shares)).with_contact(direction)
             parts = zip(shares, term.columns, strict=True)
             off = balance.folded(exact) - sum(
                 share * column.change.whole() for share, column in parts
@@ -794,6 +798,7 @@ class _State:
     held: float  # Stiffness by which the drive holds the joint, over the nominal one
     scale: Array  # Power of the same motion over the nominal one (C,)
     excess: Array  # Power beyond the noise, of the same motion (C,)
+    quieter: NDArray[np.bool_]  # Cells in which it is that of a noise that shrinks (C,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -807,8 +812,9 @@ class _Part:
     gram: Array  # Products of the columns in each cell (C, K K)
     count: Array  # Independent values (C,)
     band: NDArray[np.intp]  # Band of each cell (C,)
-    still: Array  # What the nominal operator makes of the noise of motion in each band (B, 3 J)
-    moved: Array  # Its change by each column (B, 3 J, K)
+    read: bool  # Whether it is a reading, not a joint's balance
+    still: Array  # What the nominal operator makes of the noise of motion in each band (B, F)
+    moved: Array  # Its change by each column (B, F, K)
     held: Array  # Relative change of the stiffness by which the drive holds the joint (K,)
     beside: Array  # Relative change of the noise that no operator has (C, K)
 
@@ -816,20 +822,24 @@ class _Part:
         """The channel at some coefficients.
 
         A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
-        drive that holds less, whose discrepancy stays the same motion.
+        drive that holds less, whose discrepancy stays the same motion. What was read does not
+        shrink, and its discrepancy stays the same reading.
         """
         left = self.rows @ values - self.channel.residual
         power = self.channel.by_cell(left**2)
-        change, beside = self.moved @ values, 1 + self.beside @ values
-        ratio = np.sum((2 * self.still + change) * change, axis=1)[self.band] + beside**2
-        ratio = np.maximum(ratio, 1e-12)
+        change, beside = self.moved @ values, self.beside @ values
+        noisier = beside / np.maximum(self.channel.foretold, 1e-12)
+        ratio = np.sum((2 * self.still + change) * change, axis=1)[self.band]
+        ratio = np.maximum(ratio + 1 + (2 + noisier) * beside, 1e-12)
         growth = np.einsum("bj,bjk->bk", self.still + change, self.moved)[self.band]
-        growth += beside[:, None] * self.beside
+        growth += (1 + noisier)[:, None] * self.beside
         held = max(1.0 + float(self.held @ values), 1e-6)
         beyond = power - self.count * ratio
-        scale = np.where(beyond > 0, np.minimum(np.minimum(ratio, held**2), 1.0), ratio)
+        least = 1.0 if self.read else np.minimum(np.minimum(ratio, held**2), 1.0)
+        quieter = (beyond <= 0) | (least == ratio) & (not self.read)
+        scale = np.where(quieter, ratio, least)
         excess = np.maximum(beyond / scale, -self.count)
-        return _State(left, growth, power, ratio, held, scale, excess)
+        return _State(left, growth, power, ratio, held, scale, excess, quieter)
 
     def steps(self, at: _State, weight: Array) -> tuple[Array, Array]:
         """Normal matrix and half the derivative of the weighted excess of all cells.
@@ -838,13 +848,11 @@ class _Part:
         coefficients (errors in variables).
         """
         weight, size = weight / at.scale, len(self.at)
-        quieter = at.scale == at.ratio
-        softer = (at.scale < 1) & ~quieter
-        noisy = np.where(quieter, self.count + at.excess, self.count)
-        noisy *= weight
+        softer = (at.scale < 1) & ~at.quieter
+        noisy = weight * np.where(at.quieter, self.count + at.excess, self.count)
         normal = (weight @ self.gram).reshape(size, size)
-        if quieter.any():
-            normal += (at.growth.T * (noisy * quieter)) @ at.growth
+        if at.quieter.any():
+            normal += (at.growth.T * (noisy * at.quieter)) @ at.growth
         down = self.rows.T @ (weight[self.channel.cell] * at.left) - noisy @ at.growth
         beyond = float(np.sum(weight * softer * np.maximum(at.excess, 0.0)))
         if beyond:
@@ -867,12 +875,13 @@ def _part(channel: Channel, numbers: NDArray[np.intp], evidence: Evidence) -> _P
     gram[:, kept:] = channel.by_products(rows[:, kept:], rows)
     gram[:, :kept, kept:] = gram[:, kept:, :kept].transpose(0, 2, 1)
     bands, band = np.unique(channel.turn, return_inverse=True)
-    operators = evidence.operators[numbers[at]]
-    still, moved = operator_noise(evidence.balance, channel.joint, bands, operators)
+    changes = evidence.operators[numbers[at]], evidence.delays[numbers[at]]
+    still, moved = operator_noise(evidence.balance, channel.joint, bands, *changes)
     return _Part(
         at=at, grid=np.ix_(at, at), channel=channel, rows=rows,
-        gram=gram.reshape(len(gram), -1), count=channel.count, band=band, still=still,
-        moved=moved, held=channel.held[local], beside=channel.beside[:, local],
+        gram=gram.reshape(len(gram), -1), count=channel.count, band=band,
+        read=channel.joint >= len(evidence.balance.machine.joints), still=still, moved=moved,
+        held=channel.held[local], beside=channel.beside[:, local],
     )  # fmt: skip
 
 

@@ -123,6 +123,10 @@ class Nuisance:
     """Joint whose measured torque is scaled, and by how much; `change` has the nominal part."""
     late: tuple[int, float] | None = None
     """Actuator whose commands are shifted, and by how much [s]."""
+    read_late: tuple[int, float] | None = None
+    """Joint whose position is read late, and by how much [s]."""
+    of_commands: bool = False
+    """Whether the change is made of commands, which have no noise, not of the measured motion."""
     size: float = nan  # One standard deviation; NaN of what has no size that one could look up
     unit: str = ""  # Its unit
 
@@ -357,7 +361,8 @@ def _between_samples(balance: Balance) -> Iterator[Nuisance]:
             ]
             for part in seen if readings.accelerated else [np.sum(seen, axis=0)]:
                 change = np.hstack([np.zeros((len(part), joints)), part])
-                yield _shift(f"{what} of {name} in readings", change, balance)
+                name_of_it = f"{what} of {name} in readings"
+                yield _shift(name_of_it, change, balance, of_commands=True)
 
 
 def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
@@ -367,11 +372,13 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     if not balance.released.all():
         yield from _between_samples(balance)
     step = motion.runs[0].log_step
-    for name in balance.encoders:
+    for name, joint in balance.encoders.items():
         forces = balance.forces(SensorDelay(balance.machine, name), np.array([0.1 * step]))
         change = 10 * tolerances.sensor_samples * np.hstack([forces.smooth, forces.readings])
         size = tolerances.sensor_samples * step
-        yield _shift(f"delay of {name}", change, balance, size=size, unit="s")
+        yield _shift(
+            f"delay of {name}", change, balance, read_late=(joint, size), size=size, unit="s"
+        )
     for name in dict.fromkeys(name for name, _ in motion.sensors):
         at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
         shown = foretold[:, at]
