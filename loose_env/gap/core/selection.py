@@ -364,12 +364,9 @@ class Selection:
         One kind at a time may be led astray: where friction is missing as well, a lag that halves
         every drive explains more than the true delay.
         """
-        nothing, single = self.solve(()), dict[frozenset[int], tuple[Set, Sequence[Array]]]()
-        for powers in self._weightings(nothing):
-            likely = self.screened(Form(self, powers, nothing), (), self.evidence.terms)
-            for own in _by_kind(term for _, term in likely):
-                single.setdefault(frozenset(map(id, own)), (own, powers))
-        fits = [fit for fit in (self.solve(*own) for own in single.values()) if fit.allowed]
+        form = Form(self, self.rich)
+        single = _by_kind(t for _, t in self.screened(form, (), self.evidence.terms))
+        fits = [fit for fit in (self.solve(s, self.rich) for s in single) if fit.allowed]
         chosen: dict[str, Set] = {}
         for fit in sorted(fits, key=lambda f: f.total):
             chosen.setdefault(fit.terms[0].form[0], fit.terms)
