@@ -146,7 +146,7 @@ def whiten(
     residual = balance.residual - together(balance)
     wide = [n.change for n in tolerances]
     operators = np.stack([n.operator for n in tolerances])
-    delays = _delays(balance, [n.read_late for n in tolerances])[:, ::-1]
+    delays = _delays(balance, [n.read_late for n in tolerances], by_rate=True)
     moved = np.array([not n.of_commands for n in tolerances])
     compared = [joint for joint in range(len(balance.channels)) if _compared(balance, joint)]
     rows = {
@@ -257,12 +257,12 @@ def append(evidence: Evidence, *terms: Term) -> None:
     evidence.delays = np.concatenate([evidence.delays, delays])
 
 
-def _delays(balance: Balance, late: Sequence[Late]) -> Array:
-    """By how much columns read each joint's position late, at once [s] (K, 2, joints)."""
+def _delays(balance: Balance, late: Sequence[Late], *, by_rate: bool = False) -> Array:
+    """By how much columns read each joint's position late, see `Evidence.delays`."""
     found = np.zeros((len(late), 2, len(balance.machine.joints)))
     for k, own in enumerate(late):
         if own is not None:
-            found[k, 0, own[0]] = own[1]
+            found[k, int(by_rate), own[0]] = own[1]
     return found
 
 
@@ -326,6 +326,7 @@ class Grid:
     pieces: list[tuple[slice, Array, Array, NDArray[np.intp]]]
     """Samples, taper, scale and kept frequencies of each stretch."""
     order: NDArray[np.intp]  # Order of the rows by cells
+    width: float  # End of a band over its beginning
     rows: _Rows  # Cells, without rows
 
     def whitened(self, stacked: Array) -> Array:
@@ -376,7 +377,7 @@ def grid_of(balance: Balance, joint: int, *, taper: float = 0.25) -> Grid:
         whitened=np.empty(0), cell=cell[order], count=np.array(list(counts.values())),
         stretch=stretch, run=runs[stretch], turn=centres[bands],
     )  # fmt: skip
-    cache[joint] = Grid(pieces, order, found)
+    cache[joint] = Grid(pieces, order, float(edges[-1] / edges[-2]), found)
     return cache[joint]
 
 
@@ -472,8 +473,7 @@ def operator_noise(
     joints = len(balance.machine.joints)
     if joint >= joints:
         return np.zeros((len(turn), 1)), np.zeros((len(turn), 1, len(operators)))
-    edges = _edges(balance)
-    within = (turn[:, None] * (edges[-1] / edges[-2]) ** _WITHIN).ravel()[:, None]
+    within = (turn[:, None] * grid_of(balance, joint).width ** _WITHIN).ravel()[:, None]
     usual = np.sqrt(len(_WITHIN) * balance.motion.precision(within[:, 0]))
     usual *= balance.noise(joint, within[:, 0] / (2 * np.pi), floor=False)[:, None]
 

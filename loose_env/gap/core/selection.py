@@ -66,7 +66,6 @@ class SetFit:
     values: Array  # Their coefficients
     powers: tuple[Array, ...]
     """Residual sum of squares of each cell, channel by channel, in units of its noise."""
-    costs: tuple[Array, ...]  # Minus twice the log likelihood of each cell
     normal: Array  # Precision of the coefficients
     cost: float  # Minus twice the log evidence
     total: float  # The same with the prior of the set
@@ -134,10 +133,6 @@ class Selection:
         """Columns of a set, those of the tolerances first."""
         own = sorted({k for term in terms for k in self.evidence.columns_of(term)})
         return np.array([*range(self.evidence.tolerances), *own], dtype=int)
-
-    def score(self, fit: SetFit) -> float:
-        """Minus twice the log likelihood of the cells that are used, up to a constant."""
-        return self._summed(fit.costs)
 
     def _summed(self, cells: Iterable[Array]) -> float:
         """Sum over the cells that are used."""
@@ -249,7 +244,7 @@ class Selection:
                 x = values[np.searchsorted(numbers, evidence.columns_of(term))]
                 allowed &= bool(np.any(term.values(x) != term.effect.null_values))
         return SetFit(
-            terms, numbers, values, *levels, curvature, cost, cost + self.prior(terms), allowed
+            terms, numbers, values, levels[0], curvature, cost, cost + self.prior(terms), allowed
         )
 
     def _levels(self, states: Sequence[_State]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:

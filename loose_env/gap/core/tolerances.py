@@ -361,8 +361,9 @@ def _between_samples(balance: Balance) -> Iterator[Nuisance]:
             ]
             for part in seen if readings.accelerated else [np.sum(seen, axis=0)]:
                 change = np.hstack([np.zeros((len(part), joints)), part])
-                name_of_it = f"{what} of {name} in readings"
-                yield _shift(name_of_it, change, balance, of_commands=True)
+                yield _shift(
+                    f"{what} of {name} in readings", change, balance, of_commands=True
+                )  # fmt: skip
 
 
 def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
