@@ -26,21 +26,21 @@ def knocks(load: Array, mass: Array, gap: Array, friction: Array, period: float)
     6
     """
     step = period / load.shape[1]
+    force = np.ascontiguousarray(-load.T)
+    slips = 1e-200 * force  # at rest, it slips the way it is pushed
+    rests, hangs = force < friction, force > -friction  # what holds it at 0, and at the gap
     x, v = np.zeros(len(load)), np.zeros(len(load))
-    samples = np.ascontiguousarray(-load.T)
-    out = np.zeros_like(samples)
-    for k in range(2 * len(samples)):
-        force = samples[k % len(samples)]
-        held = ((x <= 0) & (force < friction)) | ((x >= gap) & (force > -friction))
-        drag = friction * np.sign(np.where(v != 0, v, force))
-        v = np.where(held, 0.0, v + (force - drag) / mass * step)
-        x = x + v * step
-        arrived = ~held & ((x <= 0) | (x >= gap))
-        if k >= len(samples):
-            out[k - len(samples)] = np.where(arrived, v * v, 0.0)
-        v[arrived] = 0.0
-        np.clip(x, 0.0, gap, out=x)
-    found: Array = out.T
+    low, high = x <= 0, x >= gap
+    arrived = np.zeros_like(force)
+    for k in [*range(len(force))] * 2:
+        drag = np.copysign(friction, v + slips[k])
+        v += (force[k] - drag) / mass * step
+        np.putmask(v, low & rests[k] | high & hangs[k], 0.0)
+        x += v * step
+        low, high = x <= 0, x >= gap
+        v -= np.multiply(v, low | high, out=arrived[k])
+        np.minimum(np.maximum(x, 0.0, out=x), gap, out=x)
+    found: Array = arrived.T**2
     return found
 
 

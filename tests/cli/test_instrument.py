@@ -11,10 +11,9 @@ import pytest
 
 from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.cli.main import main
-from loose_env.instrument import read_diagnosis, read_plan
+from loose_env.instrument import PlanSettings, plan, read_diagnosis, read_plan
 from loose_env.recording import read_recording, write_csv
-from scripts.example_recording import loose_arm
-from tests.instrument.machine import JOINTS, NOMINAL, Truth, played, simulated
+from tests.instrument.machine import JOINTS, NOMINAL, Truth, played, session, simulated
 
 Capture = pytest.CaptureFixture[str]
 ARM = str(SIX_AXIS_SERVO_ARM)
@@ -22,10 +21,13 @@ ARM = str(SIX_AXIS_SERVO_ARM)
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with a session of a loose arm and one of a healthy arm."""
+    """Folder with a model, ``bench.xml``, a session of a loose arm and one of a healthy arm."""
     folder = tmp_path_factory.mktemp("cli")
-    loose_arm(folder / "june" / "recording")
-    loose_arm(folder / "may" / "recording", loose=False)
+    (folder / "bench.xml").write_text(NOMINAL)
+    made, arm = plan(folder / "bench.xml", PlanSettings(controller="ros2_jtc", poses=3))
+    loose = Truth(seat="fore", direction=(0.6, 0.0, 0.8), mode_hz=40)
+    for month, truth in (("june", loose), ("may", Truth(mode_hz=40))):
+        session(folder / month, made, arm, truth)
     return folder
 
 
@@ -65,7 +67,7 @@ def test_inspect_names_drives_and_couplings_as_what_they_are(
     ]
 
 
-def test_a_plan_is_written_for_the_machine_and_goes_on(home: Path, tmp_path: Path) -> None:
+def test_a_plan_is_written_for_the_machine_and_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "session"
     assert main(["plan", ARM, "--controller", "ros2_jtc", "--out", str(out)]) == 0
     made = read_plan(out)
@@ -125,12 +127,13 @@ def test_a_session_is_repeated_with_the_limits_of_the_first(
 
 
 def test_a_session_is_diagnosed_and_planned_on(home: Path, tmp_path: Path, capsys: Capture) -> None:
-    session, out = home / "june", tmp_path / "found"
-    assert main(["diagnose", str(session / "recording"), "--out", str(out)]) == 0
+    june, out = home / "june", tmp_path / "found"
+    assert main(["diagnose", str(june / "recording"), "--out", str(out)]) == 0
     found = read_diagnosis(out)
     assert found.verdict == "loose" and found.headline in capsys.readouterr().out
-    assert main(["plan", ARM, "--known", str(out), "--out", str(tmp_path / "next")]) == 0
-    assert main(["diagnose", str(session / "recording"), "--out", str(session)]) == 1
+    goes_on = ["--known", str(out), "--out", str(tmp_path / "next"), "--poses", "3"]
+    assert main(["plan", str(home / "bench.xml"), *goes_on]) == 0
+    assert main(["diagnose", str(june / "recording"), "--out", str(june)]) == 1
     assert "give a new or empty folder" in last_line(capsys)
 
 
@@ -151,14 +154,16 @@ def test_months_are_compared(home: Path, tmp_path: Path) -> None:
     assert json.loads((out / "trend.json").read_text())["since"] == "june"
 
 
-def test_a_plan_beside_measured_runs_keeps_them(tmp_path: Path) -> None:
-    recording = loose_arm(tmp_path / "session" / "recording").folder
+def test_a_plan_beside_measured_runs_keeps_them(home: Path, tmp_path: Path) -> None:
+    shutil.copytree(home / "june", tmp_path / "session")
+    recording = tmp_path / "session" / "recording"
     before = {path.name: path.read_bytes() for path in recording.glob("run-*")}
-    assert main(["plan", ARM, "--controller", "ros2_jtc", "--out", str(recording.parent)]) == 0
+    words = ["plan", str(home / "bench.xml"), "--controller", "ros2_jtc", "--poses", "3"]
+    assert main([*words, "--out", str(recording.parent)]) == 0
     assert [run.name for run in read_recording(recording).runs] == sorted(before)
     assert {path.name: path.read_bytes() for path in recording.glob("run-*")} == before
     planned = [run.file for run in read_plan(recording).runs]
-    assert planned[:6] == sorted(before) and planned[6] == "run-07.csv"
+    assert planned[:3] == sorted(before) and planned[3] == "run-04.csv"
 
 
 @pytest.mark.parametrize(
@@ -175,9 +180,9 @@ def test_a_plan_whose_signal_is_damaged_ends_in_a_line(
 ) -> None:
     recording = tmp_path / "recording"
     shutil.copytree(home / "june" / "recording", recording)
-    plan = json.loads((recording / "plan.json").read_text())
-    plan["signal"][key] = value
-    (recording / "plan.json").write_text(json.dumps(plan))
+    given = json.loads((home / "june" / "plan.json").read_text())
+    given["signal"][key] = value
+    (recording / "plan.json").write_text(json.dumps(given))
     assert main(["diagnose", str(recording), "--out", str(tmp_path / "found")]) == 1
     assert says in last_line(capsys) and not (tmp_path / "found").exists()
 

@@ -12,6 +12,7 @@ import pytest
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap import (
     GapSettings,
+    GapSolution,
     Tolerances,
     check_gap,
     find_gap,
@@ -37,11 +38,17 @@ from tests.gap.cases.gap_case import (
 )
 
 ONE = GapSettings(threads=1)
+DRY = GapSettings(threads=1, simulate=False, kinds=("coulomb_friction",))
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return record(tmp_path_factory.mktemp("arm") / "recording")
+
+
+@pytest.fixture(scope="module")
+def solution(recording: Recording) -> GapSolution:
+    return solve_gap(recording, FEW)
 
 
 def test_missing_friction_of_a_servoed_arm_is_named_with_its_value(recording: Recording) -> None:
@@ -89,9 +96,20 @@ def test_nothing_is_named_where_nothing_is_missing(tmp_path: Path) -> None:
     assert result.gap.after < 1.6 and all(test.rms < 1.6 for test in result.residual_tests)
 
 
-def test_friction_of_joints_that_mostly_stand_still_is_found_in_simulation(tmp_path: Path) -> None:
-    kinds = ("coulomb_friction", "viscous_friction", "actuator_gain", "load_friction")
-    settings = GapSettings(threads=1, kinds=kinds)
+@pytest.mark.parametrize(
+    "others",
+    [
+        (),
+        pytest.param(
+            ("viscous_friction", "actuator_gain", "load_friction"), marks=pytest.mark.slow
+        ),
+    ],
+    ids=["alone", "among others"],
+)
+def test_friction_of_joints_that_mostly_stand_still_is_found_in_simulation(
+    others: tuple[str, ...], tmp_path: Path
+) -> None:
+    settings = GapSettings(threads=1, kinds=("coulomb_friction", *others))
     answer = find_gap(record(tmp_path / "steps", steps_s=1.0, runs=2), settings)
     assert answer.exact, "nothing was simulated"
     (friction,) = (f for f in answer.decision.findings if f.named)
@@ -99,14 +117,15 @@ def test_friction_of_joints_that_mostly_stand_still_is_found_in_simulation(tmp_p
     assert friction.values == pytest.approx([FRICTION], rel=0.1)
 
 
-def test_runs_that_are_held_out_are_predicted_alone(recording: Recording) -> None:
-    settings = GapSettings(threads=1, kinds=("coulomb_friction",), held_out=("run-03",))
-    solution = solve_gap(recording, settings)
-    assert solution.result.held_out_runs == ("run-03.csv",)
-    assert [run.name for run in solution.answer.recording.runs] == ["run-01.csv", "run-02.csv"]
-    assert solution.played is not None
-    assert [trial.name for trial in solution.played.trials] == ["run-03.csv"]
-    assert not solve_gap(recording, FEW).result.held_out_runs
+def test_runs_that_are_held_out_are_predicted_alone(
+    recording: Recording, solution: GapSolution
+) -> None:
+    parted = solve_gap(recording, replace(DRY, held_out=("run-03",)))
+    assert parted.result.held_out_runs == ("run-03.csv",)
+    assert [run.name for run in parted.answer.recording.runs] == ["run-01.csv", "run-02.csv"]
+    assert parted.played is not None
+    assert [trial.name for trial in parted.played.trials] == ["run-03.csv"]
+    assert not solution.result.held_out_runs
 
 
 def test_the_check_says_what_could_be_seen(recording: Recording) -> None:
@@ -125,8 +144,8 @@ def test_the_check_says_what_could_be_seen(recording: Recording) -> None:
     assert near < wide
 
 
-def test_an_effect_is_tried_beside_the_others(recording: Recording) -> None:
-    answer = find_gap(recording, FEW)
+def test_an_effect_is_tried_beside_the_others(solution: GapSolution) -> None:
+    answer = solution.answer
     late, friction = (
         try_effect(answer, kind, where)
         for kind, where in (("viscous_friction", "shoulder"), ("coulomb_friction", "elbow"))
@@ -150,7 +169,7 @@ def test_an_encoder_that_shows_nothing_of_its_joint_spoils_no_other(
         if shown == "nothing":
             del sensors["encoder1"]
         runs.append(replace(run, sensors=sensors))
-    result = solve_gap(replace(recording, runs=tuple(runs)), FEW).result
+    result = solve_gap(replace(recording, runs=tuple(runs)), DRY).result
     assert [(e.kind, e.where) for e in result.effects] == [("coulomb_friction", "elbow")]
     assert result.effects[0].parameters["torque"] == pytest.approx(FRICTION, rel=0.2)
     words = {each.channel: each.verdict for each in result.channels}
@@ -236,7 +255,7 @@ def test_the_stretch_that_is_shown_of_a_joint_is_one_in_which_it_moves(
 def test_a_name_of_the_model_may_be_anything(tmp_path: Path) -> None:
     folder = tmp_path / "odd"
     record(folder, suffix=" (a)", edit=lacks_friction(" (a)"))
-    result = solve_gap(read_recording(folder), FEW).result
+    result = solve_gap(read_recording(folder), DRY).result
     assert [effect.where for effect in result.effects] == ["elbow (a)"]
 
 
@@ -244,12 +263,13 @@ def test_rivals_are_made_again_beside_what_the_best_set_found(tmp_path: Path) ->
     def edit(spec: mujoco.MjSpec) -> None:
         spec.body("lower").mass = 1.5
 
+    own = replace(ONE, kinds=("link_mass", "link_com", "payload"))
     with silent():
-        selection = evidence_of(torque_log(tmp_path / "log", edit), ONE, lambda _: None)
+        selection = evidence_of(torque_log(tmp_path / "log", edit), own, lambda _: None)
         rival = next(t for t in selection.evidence.terms if t.effect.kind == "link_com")
         best = selection.leading[0]
         selection.__dict__["leading"] = [best, selection.solve((rival,))]
-        again, (first, second) = relinearised(selection, ONE)
+        again, (first, second) = relinearised(selection, own)
     assert again is not selection and [t.name for t in first.terms] == [t.name for t in best.terms]
     assert [t.name for t in second.terms] == [rival.name] and second.terms[0] is not rival
 

@@ -174,6 +174,20 @@ def test_dates_in_a_table_keep_their_microseconds(
     np.testing.assert_allclose(found.time, time[:80], atol=3e-7)
 
 
+def test_a_counter_that_overflows_is_counted_on(home: Path, mapping: Mapped) -> None:
+    stamps = (60_000 + 20 * np.arange(400)) % 2**16
+    (home / "log.csv").write_text("\n".join(["t,q", *(f"{t},{i}" for i, t in enumerate(stamps))]))
+    mapped = mapping(
+        '[sources.log]\ntime = { column = "t", unit = "ms" }\n[columns]\n'
+        '"sensor.elbow_angle" = { channel = "q" }\n[[runs]]\n'
+    )
+    said: list[str] = []
+    found = import_recording([home / "log.csv"], mapped, home / "out", say=said.append).runs[0]
+    assert "the counter 't' [ms] overflows at 65536, from 65520.0 to 4.0" in said[0]
+    np.testing.assert_allclose(found.time, np.arange(400) * 0.02, atol=1e-9)
+    np.testing.assert_array_equal(found.sensors["elbow_angle"], np.arange(400))
+
+
 def test_sources_of_different_rates_and_clocks_are_joined(home: Path, mapping: Mapped) -> None:
     write_robot(home / "robot.mcap", seconds=6.0)
     # The recorder starts 1 s after the robot, and its clock counts from its own start.

@@ -8,8 +8,9 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from math import pi
 from pathlib import Path
 
@@ -126,9 +127,12 @@ LOGS = (
 )  # fmt: skip
 
 
-def tried(log: Log, folder: Path) -> tuple[str, str]:
-    """Outcome of a log, and the reason where it is wrong."""
-    case = folder / log.case
+LONG_MADE = {log.case for log in LOGS if log.case[:2] in ("01", "03", "08", "12")}
+"""Cases whose files take more than five seconds; `test_formats` reads their formats."""
+
+
+def tried(log: Log, case: Path) -> tuple[str, str]:
+    """Outcome of a log of a case's folder, and the reason where it is wrong."""
     files = [str(p) for pattern in log.files for p in sorted(case.glob(pattern))]
     with tempfile.TemporaryDirectory() as place:
         mapping, out = Path(place, "map.toml"), Path(place, "rec")
@@ -186,21 +190,34 @@ def run(*words: str) -> tuple[int, str]:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The cases with their files made, each by its own ``make.py``."""
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Folder with a case whose files are made, once, by its own ``make.py``."""
     if not CASES.is_dir():
         pytest.skip("the cases are no part of the repository")
     place = tmp_path_factory.mktemp("cases")
-    for path in (p for p in CASES.rglob("*") if p.is_file()):  # folders there are read-only
-        own = place / path.relative_to(CASES)
-        own.parent.mkdir(parents=True, exist_ok=True)
-        own.write_bytes(path.read_bytes())
-    for script in sorted(place.glob("*/make.py")):
-        subprocess.run([sys.executable, script.name], cwd=script.parent, check=True)
-    return place
+
+    def copied(*paths: Path) -> None:
+        for path in (p for p in paths if p.is_file()):  # folders there are read-only
+            own = place / path.relative_to(CASES)
+            own.parent.mkdir(parents=True, exist_ok=True)
+            own.write_bytes(path.read_bytes())
+
+    @cache
+    def make(case: str) -> Path:
+        copied(*CASES.glob("*.py"), *(CASES / case).rglob("*"))
+        script = place / case / "make.py"
+        if script.is_file():
+            subprocess.run([sys.executable, script.name], cwd=script.parent, check=True)
+        return script.parent
+
+    return make
 
 
-@pytest.mark.parametrize("log", LOGS, ids=lambda log: f"{log.case}-{log.files[0]}")
-def test_a_log_ends_as_it_should(log: Log, folder: Path) -> None:
-    outcome, why = tried(log, folder)
+@pytest.mark.parametrize(
+    "log",
+    [pytest.param(e, marks=pytest.mark.slow if e.case in LONG_MADE else ()) for e in LOGS],
+    ids=lambda log: f"{log.case}-{log.files[0]}",
+)
+def test_a_log_ends_as_it_should(log: Log, made: Callable[[str], Path]) -> None:
+    outcome, why = tried(log, made(log.case))
     assert outcome.startswith("right"), why
