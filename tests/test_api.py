@@ -15,16 +15,16 @@ from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.gap import read_result
 from loose_env.instrument import read_diagnosis
 from loose_env.recording import Recording, read_recording, write_recording
-from scripts.example_recording import loose_arm
 from scripts.suites.golden import GAPS, write_gap_recording
 from tests.doctor.machine import record, with_sensors, xml
+from tests.instrument.machine import short_session
 
 KINDS = ("viscous_friction", "link_mass")
 
 
 @pytest.fixture(scope="module")
 def shaken(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return loose_arm(tmp_path_factory.mktemp("api") / "session" / "recording")
+    return short_session(tmp_path_factory.mktemp("api") / "session")
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def explained(moved: Path) -> GapReport:
 
 def test_a_diagnosis_shows_headline_table_and_what_to_do(diagnosed: DiagnosisReport) -> None:
     assert diagnosed.places[0].verdict in ("loose", "suspect")
-    assert diagnosed.places[0].at == "link3"
+    assert diagnosed.places[0].at == "fore"
     shown = repr(diagnosed).splitlines()
     assert shown[0] == diagnosed.headline
     assert any(diagnosed.result.remedy in line for line in shown)
@@ -85,8 +85,8 @@ def test_a_recording_in_memory_is_diagnosed_as_it_is(shaken: Recording, tmp_path
     found = loose_env.diagnose(part, say=said.append)
     assert len(found.result.runs) == 1 and found.result.verdict == "open"
     other = tmp_path / "renamed.xml"
-    other.write_text(shaken.model_path.read_text().replace("joint3_position", "joint3_angle"))
-    with pytest.raises(InvalidData, match=r"joint3_position.*names nothing in the model"):
+    other.write_text(shaken.model_path.read_text().replace("bend_position", "bend_angle"))
+    with pytest.raises(InvalidData, match=r"bend_position.*names nothing in the model"):
         loose_env.diagnose(part, model=other)
     with pytest.raises(InvalidSetting, match="there is no model"):
         loose_env.diagnose(part, model=tmp_path / "none.xml")

@@ -48,17 +48,17 @@ def test_a_batch_shows_what_a_single_environment_does() -> None:
 
 
 def test_what_knocks_is_loud_and_is_named_by_its_rhythm() -> None:
-    batch = batch_of(24, difficulty="easy", **OWN)
+    batch = batch_of(12, difficulty="easy", **OWN)
     problem = Problem.of(batch.arm, batch.settings)
     layout, agent = batch.layout, make_agent("rhythm", problem)
     observation, _ = batch.reset(seed=11)
     actions, _ = agent.predict(observation)
     observation, *_ = batch.step(actions)
     loud = layout.physical(observation, "loudness")[:, 0, 0]
-    episodes = [batch.batch.episode(k) for k in range(24)]
+    episodes = [batch.batch.episode(k) for k in range(12)]
     healthy = np.array([each.fault.kind == "healthy" for each in episodes])
     assert loud[healthy].max() < 6e-4 < np.median(loud[~healthy])
-    rows = evaluate(agent, "rhythm", problem.arm, problem.settings, episodes=40, seed=11)
+    rows = evaluate(agent, "rhythm", problem.arm, problem.settings, episodes=20, seed=11)
     assert np.mean([row.success for row in rows]) > 0.85
 
 

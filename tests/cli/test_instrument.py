@@ -11,9 +11,9 @@ import pytest
 
 from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.cli.main import main
-from loose_env.instrument import PlanSettings, plan, read_diagnosis, read_plan
+from loose_env.instrument import read_diagnosis, read_plan
 from loose_env.recording import read_recording, write_csv
-from tests.instrument.machine import JOINTS, NOMINAL, Truth, played, session, simulated
+from tests.instrument.machine import JOINTS, NOMINAL, Truth, played, short_session, simulated
 
 Capture = pytest.CaptureFixture[str]
 ARM = str(SIX_AXIS_SERVO_ARM)
@@ -21,13 +21,10 @@ ARM = str(SIX_AXIS_SERVO_ARM)
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with a model, ``bench.xml``, a session of a loose arm and one of a healthy arm."""
+    """Folder with a session of a loose arm and one of a healthy arm, the model beside each."""
     folder = tmp_path_factory.mktemp("cli")
-    (folder / "bench.xml").write_text(NOMINAL)
-    made, arm = plan(folder / "bench.xml", PlanSettings(controller="ros2_jtc", poses=3))
-    loose = Truth(seat="fore", direction=(0.6, 0.0, 0.8), mode_hz=40)
-    for month, truth in (("june", loose), ("may", Truth(mode_hz=40))):
-        session(folder / month, made, arm, truth)
+    short_session(folder / "june")
+    short_session(folder / "may", Truth(mode_hz=40))
     return folder
 
 
@@ -111,18 +108,18 @@ def test_a_sweep_corrects_the_plan(tmp_path: Path, capsys: Capture) -> None:
 
 
 def test_a_session_is_repeated_with_the_limits_of_the_first(
-    tmp_path: Path, capsys: Capture
+    home: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    first, again = tmp_path / "first", tmp_path / "again"
-    words = ["plan", ARM, "--controller", "ros2_jtc", "--max-speed-rad-s", "0.3", "--poses", "3"]
+    first, again, arm = tmp_path / "first", tmp_path / "again", str(home / "june" / "bench.xml")
+    words = ["plan", arm, "--controller", "ros2_jtc", "--max-speed-rad-s", "0.3", "--poses", "3"]
     assert main([*words, "--out", str(first)]) == 0
-    assert main(["plan", ARM, "--out", str(again), "--like", str(first / "recording")]) == 0
+    assert main(["plan", arm, "--out", str(again), "--like", str(first / "recording")]) == 0
     for file in ("run-01.csv", "run-02.csv", "run-03.csv"):
         assert (again / file).read_bytes() == (first / file).read_bytes()
     assert read_plan(again).settings == read_plan(first).settings
-    assert main(["plan", ARM, "--out", str(again), "--like", str(first)]) == 1
+    assert main(["plan", arm, "--out", str(again), "--like", str(first)]) == 1
     assert "--like is for a new folder" in last_line(capsys)
-    assert main(["plan", ARM, "--out", str(tmp_path / "new"), "--like", str(tmp_path)]) == 1
+    assert main(["plan", arm, "--out", str(tmp_path / "new"), "--like", str(tmp_path)]) == 1
     assert "there is no plan.json" in last_line(capsys) and not (tmp_path / "new").exists()
 
 
@@ -132,7 +129,7 @@ def test_a_session_is_diagnosed_and_planned_on(home: Path, tmp_path: Path, capsy
     found = read_diagnosis(out)
     assert found.verdict == "loose" and found.headline in capsys.readouterr().out
     goes_on = ["--known", str(out), "--out", str(tmp_path / "next"), "--poses", "3"]
-    assert main(["plan", str(home / "bench.xml"), *goes_on]) == 0
+    assert main(["plan", str(june / "bench.xml"), *goes_on]) == 0
     assert main(["diagnose", str(june / "recording"), "--out", str(june)]) == 1
     assert "give a new or empty folder" in last_line(capsys)
 
@@ -158,7 +155,7 @@ def test_a_plan_beside_measured_runs_keeps_them(home: Path, tmp_path: Path) -> N
     shutil.copytree(home / "june", tmp_path / "session")
     recording = tmp_path / "session" / "recording"
     before = {path.name: path.read_bytes() for path in recording.glob("run-*")}
-    words = ["plan", str(home / "bench.xml"), "--controller", "ros2_jtc", "--poses", "3"]
+    words = ["plan", str(home / "june" / "bench.xml"), "--controller", "ros2_jtc", "--poses", "3"]
     assert main([*words, "--out", str(recording.parent)]) == 0
     assert [run.name for run in read_recording(recording).runs] == sorted(before)
     assert {path.name: path.read_bytes() for path in recording.glob("run-*")} == before

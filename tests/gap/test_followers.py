@@ -58,7 +58,7 @@ def recorded(folder: Path, xml: str, friction: float) -> Recording:
         data, rng, rows = mujoco.MjData(model), np.random.default_rng(seed), []
         turn = 2 * np.pi * rng.uniform(0.1, 1.0, (model.nu, 3))
         phase = rng.uniform(0, 6, (model.nu, 3))
-        for k in range(10_000):
+        for k in range(6_000):
             swing = np.sin(turn * data.time + phase) - np.sin(phase)
             data.ctrl[:] = 0.25 * min(1.0, data.time) * swing.sum(axis=1)
             if k % 4 == 0:

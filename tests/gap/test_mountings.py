@@ -15,6 +15,9 @@ from loose_env.recording import Recording
 from tests.gap.cases.gap_case import torque_log
 
 Edit = Callable[[Any], None]
+MASSES = GapSettings(
+    threads=1, kinds=("payload", "link_mass", "link_com", "coulomb_friction", "torque_offset")
+)
 
 
 def carries(mass: float, x: float = 0.0, z: float = 0.0) -> Edit:
@@ -43,7 +46,7 @@ def test_a_payload_of_some_runs_is_said_of_these(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = mixed(tmp_path, [carries(0.5), bare, carries(0.5), bare], monkeypatch)
-    found = solve_gap(recording, GapSettings(threads=1)).result
+    found = solve_gap(recording, MASSES).result
     (effect,) = found.effects
     names = [run.name for run in recording.runs]
     assert effect.kind == "payload" and effect.mountings == ((names[0], names[2]),)
@@ -54,6 +57,6 @@ def test_a_payload_of_some_runs_is_said_of_these(
 def test_where_all_runs_are_alike_no_run_is_said(
     edits: list[Edit], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = solve_gap(mixed(tmp_path, edits, monkeypatch), GapSettings(threads=1)).result
+    found = solve_gap(mixed(tmp_path, edits, monkeypatch), MASSES).result
     assert not any(effect.mountings for effect in found.effects)
     assert [e.kind for e in found.effects] == ([] if edits[0] is bare else ["payload"])

@@ -15,7 +15,7 @@ from mujoco import rollout
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
-from loose_env.instrument import Plan, SuspectArm, commands_of
+from loose_env.instrument import Plan, PlanSettings, SuspectArm, commands_of, plan
 from loose_env.io import write_text
 from loose_env.recording import Recording, Run, write_recording
 
@@ -196,3 +196,13 @@ def session(
     )
     write_text(folder / "plan.json", made.to_json())
     return recording
+
+
+LOOSE = Truth(seat="fore", direction=(0.6, 0.0, 0.8), mode_hz=40)
+
+
+def short_session(folder: Path, truth: Truth = LOOSE) -> Recording:
+    """Plan three poses of the arm, play them and write the recording, ``bench.xml`` beside it."""
+    write_text(folder / "bench.xml", NOMINAL)
+    settings = PlanSettings(controller="ros2_jtc", poses=3)
+    return session(folder, *plan(folder / "bench.xml", settings), truth)
