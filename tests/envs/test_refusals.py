@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from loose_env.arms import Drift, Mismatch, planar, scara
 from loose_env.envs import (
     DiagnosisEnv,
     DiagnosisSettings,
+    DiagnosisVectorEnv,
     Difficulty,
     FaultSampler,
     ObservationLayout,
@@ -201,6 +202,20 @@ def slide(link: int) -> StructuralLooseness:
     return StructuralLooseness(link=link, direction=(1, 0, 0), gap=1e-4, stiffness=(1e4, 1e4))
 
 
+@pytest.fixture(scope="module")
+def pairs() -> Iterator[list[tuple[Any, Any]]]:
+    """Environments and batches, two alike each, which were reset together."""
+    arm, settings = planar(2), DiagnosisSettings()
+    envs = [DiagnosisEnv(arm, settings, threads=1) for _ in range(2)]
+    batches = [DiagnosisVectorEnv(arm, settings, num_envs=2, threads=1) for _ in range(2)]
+    made: list[Any] = [*envs, *batches]
+    for each in made:
+        each.reset(seed=0)
+    yield [(made[0], made[1]), (made[2], made[3])]
+    for each in made:
+        each.close()
+
+
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
@@ -231,12 +246,9 @@ def slide(link: int) -> StructuralLooseness:
     ],
 )
 def test_options_of_reset_that_cannot_be_are_refused_and_change_nothing(
-    make_env: Make, make_vector: Make, options: dict[str, Any], error: Any, words: tuple[str, ...]
+    pairs: list[tuple[Any, Any]], options: dict[str, Any], error: Any, words: tuple[str, ...]
 ) -> None:
-    for make in (make_env, make_vector):
-        env, plain = make(n_links=2), make(n_links=2)
-        for each in (env, plain):
-            each.reset(seed=0)
+    for env, plain in pairs:
         with refused(error, *words):
             env.reset(options=options)
         np.testing.assert_array_equal(env.reset()[0], plain.reset()[0])

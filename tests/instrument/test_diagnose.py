@@ -237,8 +237,9 @@ def test_missing_samples_and_a_short_cut_are_bridged(healthy: Recording, quiet: 
 
 
 def test_g_is_taken_as_g(healthy: Recording, quiet: Diagnosis) -> None:
-    told = diagnose(changed(healthy, lambda r: with_sensors(r, acc=r.sensors["acc"] / 9.81)))
-    assert all(any("logged in g" in m for m in told.remarks) for _ in told.runs)
+    one = replace(healthy, runs=healthy.runs[:1])
+    told = diagnose(changed(one, lambda r: with_sensors(r, acc=r.sensors["acc"] / 9.81)))
+    assert any("logged in g" in remark for remark in told.remarks)
     np.testing.assert_allclose(told.runs[0].lines, quiet.runs[0].lines, rtol=1e-3, atol=1e-4)
 
 
@@ -255,7 +256,7 @@ def test_a_healthy_session_in_other_poses_is_not_compared(healthy: Recording) ->
         moved = {n: v + 0.3 * (v.ndim == 1) for n, v in run.sensors.items()}
         return replace(run, sensors=moved, condition="healthy")
 
-    told = diagnose(replace(healthy, runs=(*healthy.runs, *map(elsewhere, healthy.runs))))
+    told = diagnose(replace(healthy, runs=(healthy.runs[0], elsewhere(healthy.runs[0]))))
     assert not told.reference and any("compared with none" in remark for remark in told.remarks)
 
 
