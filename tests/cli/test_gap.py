@@ -22,7 +22,7 @@ from tests.gap.cases.exported_result import write_result
 from tests.gap.cases.gap_case import record
 
 Capture = pytest.CaptureFixture[str]
-FEW = ("--kinds", "coulomb_friction", "viscous_friction", "--no-simulate", "--threads", "1")
+FEW = ("--kinds", "coulomb_friction", "--no-simulate", "--threads", "1")
 
 
 @pytest.fixture(scope="module")
