@@ -35,7 +35,7 @@ def test_damaged_files_are_refused_by_name_or_read(watch: Watch, kind: str) -> N
     assert any(outcome == "refused" for outcome, _ in found)
 
 
-RESULTS = ("gap result", "diagnosis result", "plan beside a recording", "rows")
+RESULTS = ("gap result", "diagnosis result", "plan", "rows")
 """Kinds for which the tools are run first."""
 
 
