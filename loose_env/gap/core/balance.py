@@ -194,7 +194,7 @@ class Balance:
             both = with_effects(self.machine, (*others, (effect, values)))
             return self.edited(both).less(self.known(others))
         model, commands = None, self.commands
-        if effect.overrides("edit"):
+        if effect.overrides("edit") and not effect.overrides("torque_along"):
             spec = self.machine.fresh()
             effect.edit(spec, values)
             model = compiled(spec)
@@ -341,11 +341,11 @@ class Balance:
             operator[0] = (ratio - 1)[:, None] * self.operator[0]
         needed = needed - given
         if effect is not None:
-            if effect.overrides("torque"):
+            if effect.overrides("torque", "torque_along"):
                 paths = zip(
                     self.motion.split(self.position), self.motion.split(self.speed), strict=True
                 )
-                needed -= np.concatenate([effect.torque(q, v, values) for q, v in paths])
+                needed -= np.concatenate([effect.torque_along(q, v, values) for q, v in paths])
             if isinstance(effect, DrivenEffect):
                 dry += effect.dry_friction(
                     self._loads(effect, values), self.bias, self.speed, values

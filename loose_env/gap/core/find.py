@@ -172,8 +172,8 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
 
 
 def _steps(fit: SetFit) -> bool:
-    """Whether simulations have a set: one model for all runs, and no memory of a way."""
-    return not any(t.effect.mountings or t.effect.has_memory for t in fit.terms)
+    """Whether simulations have a set: one model for all runs."""
+    return not any(t.effect.mountings for t in fit.terms)
 
 
 def _simulated(

@@ -241,11 +241,10 @@ def simulated(
     """Errors by quantity, and the beginnings of the runs, by the nominal and corrected model.
 
     Errors are of simulations of one second, between the windows that were fitted to or in the runs
-    that were kept out. Nothing of recordings whose drives do not follow commands, or where an
-    effect has a memory.
+    that were kept out. Nothing of recordings whose drives do not follow commands.
     """
     balance = answer.selection.evidence.balance
-    if balance.released.any() or any(effect.has_memory for effect in corrected.effects):
+    if balance.released.any():
         return {}, None
     recording = answer.recording
     with quiet():

@@ -168,8 +168,6 @@ class Effect:
     has_stops: ClassVar[bool] = False
     """Whether it has parts with stops: after an impact no simulation is reproducible. Parameters
     named `gap`, `stiffness` and `damping_ratio`, if any, are those of the stops."""
-    has_memory: ClassVar[bool] = False
-    """Whether its torque depends on the way to a state, which simulations do not step."""
     is_time_shift: ClassVar[bool] = False
     """Whether it shifts signals in time by its only parameter: accelerations are linear in it
     over a fraction of a millisecond only, positions over many."""
@@ -319,6 +317,13 @@ class Effect:
             [N·m, N]; zero where it does not act.
         """
         return np.zeros_like(position)
+
+    def torque_along(self, position: Array, speed: Array, values: Array) -> Array:
+        """Joint torques along a whole path (T, joints), where they depend on the way to a state.
+
+        A simulation has them by the edit, which a force balance then leaves out.
+        """
+        return self.torque(position, speed, values)
 
     def torque_code(self, values: Array) -> str:
         """Python lines that add `torque` to a simulation of the written model; "" if none.

@@ -441,14 +441,13 @@ class FrictionBehindSlack(JointEffect):
     """Dry friction of an element that is coupled with slack and an elastic way.
 
     The force is zero within the slack, grows over the elastic way, and slides at its bound: a
-    friction damper with play in its joints.
+    friction damper with play in its joints. The model gets a light part that a spring with slack
+    couples to the joint, and that friction holds.
     """
 
     kind = "friction_behind_slack"
     proportional = 0
     needs_data_starts = True
-    has_memory = True
-    in_model = False
     null_values = (0.0, 1.0, 1.0)
 
     @property
@@ -474,7 +473,19 @@ class FrictionBehindSlack(JointEffect):
             for stretch in (0.15, 0.5, 1.2)
         )
 
-    def torque(self, position: Array, speed: Array, values: Array) -> Array:
+    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
+        """Couple a light part to the link, whose joint says how far it lags behind."""
+        friction, slack, elastic = map(float, values)
+        if friction > 0:
+            model, number = self.machine.model, self.number
+            mjcf.add_slipping_part(
+                spec, self.machine.body_of(self.where), self.where,
+                mjcf.added_name(spec, self.where, self.kind), turns=self.turns,
+                axis=model.jnt_axis[number], pos=model.jnt_pos[number],
+                friction=friction, slack=slack, stiffness=friction / elastic,
+            )  # fmt: skip
+
+    def torque_along(self, position: Array, speed: Array, values: Array) -> Array:
         """Force along a path (T, joints)."""
         joint, (friction, slack, elastic) = self.number, values
         anchor, found = float(position[0, joint]), np.zeros_like(position)

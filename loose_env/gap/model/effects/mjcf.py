@@ -15,6 +15,7 @@ from loose_env.typing import Array
 
 _STIFF = 0.9999  # MuJoCo's largest constraint impedance
 _OPEN_CIRCUIT = 1e12  # resistance at which no current brakes the rotor [ohm]
+_LIGHT = 1e-9  # mass [kg] and inertia [kg·m²] of a part that weighs nothing
 _NOT_COPIED = ("id", "parent", "signature", "frame", "name", "info", "classname", "compiler")
 """Attributes of a joint that its copy has of its own."""
 FASTEST = 0.8
@@ -86,10 +87,45 @@ def add_friction(spec: mujoco.MjSpec, joint: str, friction: float) -> None:
     make_it_stick(own, spec.option.timestep)
 
 
-def make_it_stick(joint: mujoco.MjsJoint, step: float) -> None:
-    """Set a joint's friction to the largest stiffness stable at a step [s]."""
+def make_it_stick(joint: mujoco.MjsJoint | mujoco.MjsTendon, step: float) -> None:
+    """Set the friction of a joint or a tendon to the largest stiffness stable at a step [s]."""
     joint.solimp_friction = [_STIFF, _STIFF, 0.001, 0.5, 2]
     joint.solref_friction = [2 * step, 1.0]
+
+
+def add_slipping_part(
+    spec: mujoco.MjSpec,
+    link: str,
+    joint: str,
+    name: str,
+    *,
+    turns: bool,
+    axis: Array,
+    pos: Array,
+    friction: float,
+    slack: float,
+    stiffness: float,
+) -> None:
+    """Add a light part that a spring with slack couples to a link, and that friction holds.
+
+    Its own joint, on the axis of the link's, says how far it lags behind the link; the friction
+    acts on the sum of both. Its inertia is the least with which the spring is stable at a step.
+    """
+    body = spec.body(link).add_body(name=name)
+    write_inertial(body, _LIGHT, pos, np.array([1.0, 0, 0, 0]), np.full(3, _LIGHT))
+    own = add_extra_joint(body, name, turns=turns, axis=axis, pos=pos)
+    own.armature = stiffness * (spec.option.timestep / FASTEST) ** 2
+    own.damping = [float(np.sqrt(stiffness * own.armature)), 0.0, 0.0]
+    for what, joints in (("spring", (name,)), ("grip", (joint, name))):
+        tendon = spec.add_tendon(name=f"{name}_{what}")
+        for each in joints:
+            tendon.wrap_joint(each, 1.0)
+        if what == "spring":
+            tendon.stiffness = [stiffness, 0.0, 0.0]
+            tendon.springlength = [-slack / 2, slack / 2]
+        else:
+            tendon.frictionloss = friction
+            make_it_stick(tendon, spec.option.timestep)
 
 
 @dataclass(frozen=True, eq=False)
