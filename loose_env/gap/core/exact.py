@@ -14,7 +14,6 @@ from copy import copy
 from dataclasses import dataclass, replace
 from itertools import chain
 
-import mujoco
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -30,11 +29,10 @@ from loose_env.gap.core.selection import (
     at_joint,
 )
 from loose_env.gap.core.tolerances import Nuisance
-from loose_env.gap.model.effect import Effect, Parameter, free_of, values_of
+from loose_env.gap.model.effect import free_of, values_of
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.drives import DriveLimit
 from loose_env.gap.model.hypothesis import Hypothesis
-from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import Trial, align_run, channels_of, measured_runs
 from loose_env.gap.simulator import Simulator
 from loose_env.recording import Recording
@@ -74,43 +72,8 @@ class ExactFit:
     total: float  # Minus twice the log posterior, as of `Selection`
 
 
-class _Known(Effect):
-    """Tolerances at what the cells say of them; an effect for the simulator alone."""
-
-    kind = "tolerances"
-
-    def __init__(self, machine: NominalModel, pulls: Sequence[tuple[Nuisance, float]]) -> None:
-        self.machine, self.where, self.variant = machine, "", ""
-        self._pulls = pulls
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """None."""
-        return ()
-
-    def edit(self, spec: mujoco.MjSpec, values: Array) -> None:
-        """Apply each by its number of standard deviations."""
-        spec.compiler.balanceinertia = True  # an inertia pulled alone may be that of no body
-        for nuisance, deviations in self._pulls:
-            if nuisance.edit is not None:
-                nuisance.edit(spec, deviations)
-
-    def command(self, time: Array, controls: Array, values: Array) -> Array:
-        """Shift the commands, linearly between steps."""
-        found = controls.copy()
-        for nuisance, deviations in self._pulls:
-            if nuisance.late is not None:
-                number, delay = nuisance.late
-                at = time - deviations * delay
-                found[:, number] = np.interp(at, time, controls[:, number])
-        return found
-
-
 class Exact:
     """Windows of the runs with commands, or free, for exact fits."""
-
-    known: _Known
-    """Tolerances at what the cells say of them."""
 
     def __init__(
         self, recording: Recording, balance: Balance, *, threads: int = 1, between: bool = False
@@ -125,7 +88,7 @@ class Exact:
         )
         self.noise = np.nanmedian(floors, axis=0)
         windows = [w for t in trials for w in _windows(t, balance, len(trials), between=between)]
-        self.simulator = Simulator(machine, windows, self.channels, threads=threads)
+        self.simulator = self._nominal = Simulator(machine, windows, self.channels, threads=threads)
         self.steps = [0]  # of all simulations, also of those on some windows
 
     def fit(self, selection: Selection, fit: SetFit) -> ExactFit:
@@ -136,8 +99,16 @@ class Exact:
 
     def beside(self, selection: Selection, fit: SetFit) -> Exact:
         """The same with the tolerances at what the cells say of them beside a set."""
-        found = copy(self)
-        found.known = _Known(self.balance.machine, _pulls(selection, fit))
+        found, own, pulls = copy(self), self._nominal, _pulls(selection, fit)
+        spec = own.machine.fresh()
+        spec.compiler.balanceinertia = True  # an inertia pulled alone may be that of no body
+        for nuisance, deviations in pulls:
+            if nuisance.edit is not None:
+                nuisance.edit(spec, deviations)
+        late = [(*n.late, deviations) for n, deviations in pulls if n.late is not None]
+        trials = [_shifted(trial, late) for trial in own.trials]
+        machine = replace(own.machine, spec=spec)
+        found.simulator = Simulator(machine, trials, self.channels, threads=own.threads)
         return found
 
     def refit(
@@ -288,8 +259,7 @@ class Exact:
         ]
 
     def _hypothesis(self, terms: Set, values: Sequence[Array]) -> Hypothesis:
-        effects = (self.known, *(term.effect for term in terms))
-        return Hypothesis(effects=effects, values=(np.empty(0), *values))
+        return Hypothesis(effects=tuple(term.effect for term in terms), values=tuple(values))
 
     def _residuals(self, hypotheses: Sequence[Hypothesis]) -> list[tuple[Array, IndexArray]]:
         """Residuals in noise standard deviations with their channels, one row a reading."""
@@ -335,6 +305,15 @@ def _pulls(selection: Selection, fit: SetFit) -> list[tuple[Nuisance, float]]:
     pulls = evidence.mixed @ fit.values[: evidence.tolerances]
     pairs = zip(evidence.nuisances, pulls, strict=True)
     return [(n, float(x)) for n, x in pairs if abs(x) > _PULLED]
+
+
+def _shifted(trial: Trial, late: Iterable[tuple[int, float, float]]) -> Trial:
+    """A run with commands of some actuators later by so many delays, linearly between steps."""
+    controls, time = trial.controls.copy(), np.arange(len(trial.controls)) * trial.step
+    for number, delay, deviations in late:
+        at = time - deviations * delay
+        controls[:, number] = np.interp(at, time, controls[:, number])
+    return replace(trial, controls=controls)
 
 
 def _windows(trial: Trial, balance: Balance, trials: int, *, between: bool) -> list[Trial]:
