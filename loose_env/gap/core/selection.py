@@ -361,12 +361,11 @@ class Selection:
         """
         form = Form(self, self.rich)
         single = _by_kind(t for _, t in self.screened(form, (), self.evidence.terms))
-        reduced = form.beside_tolerances(k for own in single for k in self.columns(own))
+        fits = [fit for fit in (self.solve(s, self.rich) for s in single) if fit.allowed]
         chosen: dict[str, Set] = {}
-        for own in sorted(single, key=lambda s: self.predicted(reduced, s)):
-            if len(chosen) < _STARTS and self.solve(own, self.rich).allowed:
-                chosen.setdefault(own[0].form[0], own)
-        return [(), *chosen.values()]
+        for fit in sorted(fits, key=lambda f: f.total):
+            chosen.setdefault(fit.terms[0].form[0], fit.terms)
+        return [(), *list(chosen.values())[:_STARTS]]
 
     def refined(self, state: SetFit) -> SetFit:
         """Shapes of the members by a simplex, each beside the others.
