@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from hashlib import sha256
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from loose_env.arms import CREST_FACTOR, Arm, LinearArm, LinearPose
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.io import Checked, NonNegative, positive
-from loose_env.typing import Array, ComplexArray
+from loose_env.typing import Array, ComplexArray, IndexArray
 
 __all__ = [
     "CREST_FACTOR",
@@ -334,7 +334,7 @@ class SeatDrive:
     --------
     >>> from loose_env.arms import planar
     >>> drive = SeatDrive(LinearArm(planar(2)), poses=8)
-    >>> drive.slide(1, (1.0, 0.0, 0.0)) > 0
+    >>> bool(drive.slide(1, (1.0, 0.0, 0.0)) > 0)
     True
     """
 
@@ -343,36 +343,31 @@ class SeatDrive:
     ) -> None:
         if over not in get_args(SeatReference):
             raise UnknownName(f"over is one of {list(get_args(SeatReference))}, got {over!r}")
-        self._of_poses = _median if over == "median" else _best
+        self._of_poses = _median if over == "median" else partial(np.max, axis=0)
         key = (_digest(linear), poses)
         if key not in _DRIVES:
             while len(_DRIVES) >= _REMEMBERED:
                 del _DRIVES[next(iter(_DRIVES))]  # the oldest
             _DRIVES[key] = _seat_powers(linear, poses)
-        self._slide, self._hinge = _DRIVES[key]
+        self._slide, hinge = _DRIVES[key]
+        self.hinges: Array = self._of_poses(np.sqrt(hinge.max(axis=1)))
+        """Rms torque across the play of each joint [N·m, N where it slides] (n,)."""
 
-    def slide(self, link: int, direction: tuple[float, ...]) -> float:
-        """Rms force across the slide of a link along a direction of its frame [N]."""
+    def slide(self, link: int | IndexArray, direction: ArrayLike) -> Any:
+        """Rms force across the slide of a link, or of B, along directions (..., 3) [N] (...)."""
         u = np.asarray(direction, dtype=float)
-        u = u / np.linalg.norm(u)
+        u = u / np.sqrt(np.vecdot(u, u))[..., None]
         m = self._slide[:, :, link - 1]
-        u = u[: m.shape[-1]]
-        power = np.einsum("a,pjab,b->pj", u, m, u)
+        axes = range(m.shape[-1])
+        # Written out, so that the order of a sum never depends on the number of seats.
+        power: Any = sum(u[..., a] * m[..., a, b] * u[..., b] for a in axes for b in axes)
         return self._of_poses(np.sqrt(power.max(axis=1)))
 
-    def hinge(self, joint: int) -> float:
-        """Rms torque across the play of a joint [N·m, N where it slides]."""
-        return self._of_poses(np.sqrt(self._hinge[:, :, joint - 1].max(axis=1)))
 
-
-def _best(values: Array) -> float:
-    return float(values.max())
-
-
-def _median(values: Array) -> float:
-    """Median; numpy's own takes longer than all else of a draw."""
-    ordered, half = np.sort(values), len(values) // 2
-    return float(ordered[half]) if len(values) % 2 else float(ordered[half - 1 : half + 1].mean())
+def _median(values: Array) -> Array:
+    """Median along the first axis; numpy's own takes longer than all else of a draw."""
+    ordered, half = np.sort(values, axis=0), len(values) // 2
+    return np.asarray(ordered[(len(values) - 1) // 2 : half + 1].mean(axis=0))
 
 
 _Powers = tuple[Array, Array]

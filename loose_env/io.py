@@ -499,6 +499,8 @@ def check_fields(settings: Any, kind: Any = None) -> None:
         if validator is None:
             continue
         value = getattr(settings, name)
+        if validator.isinstance_python(value):
+            continue
         if not validator.isinstance_python(bare := _bare(value)):
             raise InvalidSetting(f"{kind.__name__}.{name} must be {words}; got {value!r:.200}")
         if isinstance(value, list | np.ndarray):

@@ -204,4 +204,4 @@ def test_the_seat_drive_of_a_slide_is_the_force_that_it_transmits() -> None:
     assert 0 < along < across  # link 3 is shaken across its length above all
     assert drive.slide(3, (0.0, -2.0, 0.0)) == pytest.approx(across)
     # A seat nearer to the base carries more of the arm.
-    assert drive.hinge(1) > drive.hinge(2) > drive.hinge(3) > 0
+    assert drive.hinges[0] > drive.hinges[1] > drive.hinges[2] > 0

@@ -234,21 +234,22 @@ class MismatchIndices:
 
 def apply_mismatches(
     models: Sequence[mujoco.MjModel],
+    templates: Sequence[mujoco.MjModel],
     draws: Sequence[MismatchDraw],
     indices: Sequence[MismatchIndices],
 ) -> None:
     """Write draws into compiled models of one arm, alike in layout, seat and instruments included.
 
-    Each model must be a fresh copy of its template: factors act on what they find. Call
+    Factors act on what each model's template says, whatever the model said before. Call
     ``mj_setConst`` afterwards.
     """
+    each_one = np.arange(len(models))[:, None]
 
     def factors(name: str, at: str) -> None:
-        """Multiply a model's array, at some of its rows, by the factors of the draws."""
-        found = np.array([getattr(model, name) for model in models])
+        """Multiply a template's array, at some of its rows, by the factors of the draws."""
+        found = np.array([getattr(template, name) for template in templates])
         rows = np.array([getattr(each, at) for each in indices])
-        own = np.expand_dims(shares[name], tuple(range(2, found.ndim)))
-        found[np.arange(len(models))[:, None], rows] *= own
+        found[each_one, rows] *= np.expand_dims(shares[name], tuple(range(2, found.ndim)))
         for model, values in zip(models, found, strict=True):
             getattr(model, name)[:] = values
 
@@ -269,11 +270,12 @@ def apply_mismatches(
     factors("jnt_stiffness", "joints")
     factors("dof_damping", "dofs")
     factors("dof_armature", "drives")
-    rotation, quaternion = np.zeros(9), np.zeros(4)
-    for model, draw, at in zip(models, draws, indices, strict=True):
+    rotation, quaternion, tilt = np.zeros(9), np.zeros(4), np.zeros(3)
+    for model, template, draw, at in zip(models, templates, draws, indices, strict=True):
+        model.site_pos[:] = template.site_pos
         model.site_pos[at.tool] *= draw.length[at.tool_body]
-        mujoco.mju_euler2Quat(quaternion, np.append(draw.tilt, 0.0), "xyz")
+        tilt[:2] = draw.tilt
+        mujoco.mju_euler2Quat(quaternion, tilt, "xyz")
         mujoco.mju_quat2Mat(rotation, quaternion)
         # Tilting the base turns gravity the other way in the base's own frame.
-        gravity = model.opt.gravity
-        gravity[:] = rotation.reshape(3, 3).T @ gravity
+        model.opt.gravity[:] = rotation.reshape(3, 3).T @ template.opt.gravity

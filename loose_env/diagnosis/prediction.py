@@ -410,10 +410,10 @@ def seat_drives(linear: LinearArm, directions: Array, over: SeatReference) -> Ar
 
     Some motions of a seat no joint drives, such as those across a plane of motion.
     """
-    drive, numbers = SeatDrive(linear, over=over), range(1, linear.arm.n + 1)
-    found = [drive.slide(link, tuple(u)) for link in numbers for u in directions]
-    found += [drive.hinge(joint) for joint in numbers]
-    return np.maximum(found, 1e-9 * max(found))
+    drive, links = SeatDrive(linear, over=over), np.arange(1, linear.arm.n + 1)
+    slides = drive.slide(np.repeat(links, len(directions)), np.tile(directions, (len(links), 1)))
+    found = np.concatenate([slides, drive.hinges])
+    return np.maximum(found, 1e-9 * found.max())
 
 
 def sensor_errors(b: Array, mismatch: Mismatch) -> Array:

@@ -440,7 +440,7 @@ class EpisodeBatch:
         poses = arm.random_poses(rngs[2])
         for k, pose in fixed.items():
             poses[k] = pose
-        hidden = [self._hidden(*each) for each in zip(faults, shares, rngs[0], strict=True)]
+        hidden = self._hidden(faults, shares, rngs[0])
         mismatches: dict[int, MismatchDraw] = {}
         for scale in set(scales):
             own = [k for k in rows if scales[k] == scale]
@@ -458,13 +458,25 @@ class EpisodeBatch:
         self._begun[at], self._ended[at] = True, False
         self._show_globals(at)
 
-    def _hidden(self, fault: Fault | str | None, share: float, rng: np.random.Generator) -> Fault:
-        """Draw a fault, or take the one that is given."""
-        if fault == SEVERAL_FAULTS:
-            fault = self.sampler.several(rng)
-        elif fault is None or isinstance(fault, str):
-            fault = self.sampler.draw(rng, hypothesis=fault)
-        return preloaded(self.true_arm, fault, share) if share else fault
+    def _hidden(
+        self,
+        wanted: Sequence[Fault | str | None],
+        shares: Sequence[float],
+        rngs: Sequence[np.random.Generator],
+    ) -> list[Fault]:
+        """Draw faults, or take those that are given."""
+        found: list[Any] = list(wanted)
+        named = [own is None or isinstance(own, str) for own in wanted]
+        rows = [k for k, own in enumerate(wanted) if named[k] and own != SEVERAL_FAULTS]
+        drawn = self.sampler.draw_all([rngs[k] for k in rows], [found[k] for k in rows])
+        for k, fault in zip(rows, drawn, strict=True):
+            found[k] = fault
+        for k, (fault, share) in enumerate(zip(found, shares, strict=True)):
+            if fault == SEVERAL_FAULTS:
+                found[k] = self.sampler.several(rngs[k])
+            if share:
+                found[k] = preloaded(self.true_arm, found[k], share)
+        return found
 
     def _mount(
         self, slots: Sequence[int], faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]

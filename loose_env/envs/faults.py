@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -29,57 +30,57 @@ from loose_env.faults import (
 )
 from loose_env.typing import Array, IndexArray
 
-Stops = tuple[tuple[float, float], tuple[float, float]]
-"""Stiffness, then damping, of the lower and the upper stop."""
-
 _FASTEST = 0.85 * FASTEST_TURN  # leaves room for the mismatch of masses
 
 
 class SeatMasses:
     """Effective masses of seats of the nominal arm, over many poses.
 
-    A seat is given as a vector over the degrees of freedom of the linear arm; in the first pose
-    the distal part is weighed.
+    In the first pose the distal part is weighed.
     """
 
     def __init__(self, linear: LinearArm, poses: Sequence[Array]) -> None:
         self._step = linear.arm.timestep
-        self._inertias = np.array([linear.at(pose).inertia for pose in poses])
+        self.inertias = np.array([linear.at(pose).inertia for pose in poses])
+        """Inertia matrix of the linear arm in every pose (poses, nv, nv)."""
         self._free = np.concatenate([linear.joint_dofs, linear.flexible_dofs])
-        self._among = self._inertias[:, self._free[:, None], self._free]
-        self._remembered: dict[bytes, Array] = {}
+        self._among = self.inertias[:, self._free[:, None], self._free]
+        slides, hinges = linear.slide_dofs, linear.hinge_dofs[:, None]
+        self._held = [self.inertias[0][own[:, None], own] for own in slides]
+        self._reduced = np.array([self._released(own) for own in slides])
+        at = hinges[:, 0]
+        # Of each joint's play: held in the first pose, and the lightest over all poses.
+        self._held_play = self.inertias[0][at, at]
+        self._least_play = np.array([self._released(own).min() for own in hinges])
 
-    @property
-    def size(self) -> int:
-        """Number of degrees of freedom of the linear arm."""
-        return int(self._inertias.shape[1])
+    def stops(self, places: IndexArray, along: Array, modes: Array, ratios: Array) -> Array:
+        """Stiffness, then damping, of the lower and the upper stop of B seats (B, 2, 2).
 
-    def stops(self, seat: Array, modes: Array, ratios: Array) -> Stops:
-        """Stops of a seat (nv,) loose in one way.
-
-        From the modes [Hz] of the distal part on each stop with the rest held (2,), and from the
-        damping ratios (2,) against the seat's effective mass.
+        Each is the play of a joint where its direction (B, s) is zero, else a slide of a link.
+        From the modes [Hz] of the distal part on each stop with the rest held (B, 2), and from the
+        damping ratios (B, 2) against the seat's effective mass.
         """
-        own = np.flatnonzero(seat)
-        along = seat[own]
-        held = float(along @ self._inertias[0][np.ix_(own, own)] @ along)
-        # The lightest the seat gets over many poses, with every joint free.
-        reduced = float(np.min(np.einsum("i,pij,j->p", along, self._reduced(own), along)))
-        stiffness = held * (2 * np.pi * modes) ** 2
+        held, reduced = self._held_play[places - 1], self._least_play[places - 1]
+        rows = np.flatnonzero(along.any(axis=1))
+        u = along[rows]
+        held[rows] = [own @ self._held[k - 1] @ own for own, k in zip(u, places[rows], strict=True)]
+        # The lightest the seat gets over many poses, with every joint free. Written out, so that
+        # the order of a sum never depends on the number of seats.
+        masses, axes = self._reduced[places[rows] - 1], range(along.shape[1])
+        light: Any = sum(
+            u[:, i, None] * masses[..., i, j] * u[:, j, None] for i in axes for j in axes
+        )
+        reduced[rows] = light.min(axis=-1)
+        stiffness = held[:, None] * (2 * np.pi * modes) ** 2
         softest = reduced * (_FASTEST / self._step) ** 2
-        stiffness = np.minimum(stiffness, softest)
-        return _pair(stiffness), _pair(2 * ratios * np.sqrt(stiffness * reduced))
+        stiffness = np.minimum(stiffness, softest[:, None])
+        return np.stack([stiffness, 2 * ratios * np.sqrt(stiffness * reduced[:, None])], axis=1)
 
-    def _reduced(self, seats: IndexArray) -> Array:
+    def _released(self, seats: IndexArray) -> Array:
         """Inertia of some degrees of freedom with every joint free, in every pose (p, s, s)."""
-        key = seats.tobytes()
-        found = self._remembered.get(key)
-        if found is None:
-            across = self._inertias[:, self._free[:, None], seats]
-            pull = across.transpose(0, 2, 1) @ np.linalg.solve(self._among, across)
-            found = self._inertias[:, seats[:, None], seats] - pull
-            self._remembered[key] = found
-        return found
+        across = self.inertias[:, self._free[:, None], seats]
+        pull = across.transpose(0, 2, 1) @ np.linalg.solve(self._among, across)
+        return np.asarray(self.inertias[:, seats[:, None], seats] - pull)
 
     def softening(self, seats: Array, stiffness: Array, damping: Array) -> float:
         """Factor on stiffness, and by its root on damping, that leaves seats slow enough together.
@@ -103,36 +104,32 @@ class SeatMasses:
 
     def _mobility(self, seats: Array) -> Array:
         """Inverse of the inertia of seats with everything free, in every pose (poses, p, p)."""
-        across = np.einsum("pij,aj->pia", self._inertias[:, self._free], seats)
-        masses = np.einsum("ai,pij,bj->pab", seats, self._inertias, seats)
+        across = np.einsum("pij,aj->pia", self.inertias[:, self._free], seats)
+        masses = np.einsum("ai,pij,bj->pab", seats, self.inertias, seats)
         masses -= across.transpose(0, 2, 1) @ np.linalg.solve(self._among, across)
         return np.asarray(np.linalg.inv(masses))
-
-
-def _pair(values: Array) -> tuple[float, float]:
-    return (float(values[0]), float(values[1]))
 
 
 Vector = tuple[float, float, float]
 Loose = Backlash | StructuralLooseness
 
 
-def direction_from(turn: float, height: float, *, planar: bool) -> Vector:
-    """Turn two uniform variates into a uniform direction: in the x-y plane, or in space."""
+def directions_from(turn: Array, height: Array, *, planar: bool) -> Array:
+    """Turn uniform variates (B,) into uniform directions (B, 3): in the x-y plane, or in space."""
     angle = 2 * np.pi * turn
-    z = 0.0 if planar else 2 * height - 1
+    z = np.zeros(len(turn)) if planar else 2 * height - 1
     flat = np.sqrt(1 - z**2)
-    return (float(flat * np.cos(angle)), float(flat * np.sin(angle)), float(z))
+    return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=-1)
 
 
-def uniform(limits: tuple[float, float], u: float) -> float:
-    """Turn a uniform variate into one between two limits."""
-    return limits[0] + (limits[1] - limits[0]) * float(u)
+def uniform(limits: tuple[float, float], u: Array) -> Array:
+    """Turn uniform variates into ones between two limits."""
+    return limits[0] + (limits[1] - limits[0]) * u
 
 
-def log_uniform(limits: tuple[float, float], u: float) -> float:
-    """Turn a uniform variate into a log-uniform one between two limits."""
-    return float(np.exp(uniform((np.log(limits[0]), np.log(limits[1])), u)))
+def log_uniform(limits: tuple[float, float], u: Array) -> Array:
+    """Turn uniform variates into log-uniform ones between two limits."""
+    return np.asarray(np.exp(uniform((np.log(limits[0]), np.log(limits[1])), u)))
 
 
 class FaultSampler:
@@ -171,6 +168,9 @@ class FaultSampler:
         self.linear = linear
         """The nominal arm."""
         self._known = hypotheses(self.arm, everywhere=True)
+        kinds = [kind for kind in KINDS if self.probabilities.get(kind, 0.0) > 0]
+        self._edges = np.cumsum([self.probabilities[kind] for kind in kinds])
+        self._choices = [_hypotheses_of(self.arm, kind) for kind in kinds]
         rng = np.random.default_rng(0)
         poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
         self._masses = SeatMasses(linear, poses)
@@ -194,72 +194,82 @@ class FaultSampler:
         UnknownName
             If the arm has no such hypothesis.
         """
-        if not (hypothesis is None or hypothesis in self._known):
-            raise UnknownName(f"unknown hypothesis {hypothesis!r}; they are {list(self._known)}")
-        d = self.difficulty
-        u = rng.random(10)
-        if hypothesis is None:
-            kinds = [k for k in KINDS if self.probabilities.get(k, 0.0) > 0]
-            edges = np.cumsum([self.probabilities[k] for k in kinds])
-            kind = kinds[min(int(np.searchsorted(edges, u[0], side="right")), len(kinds) - 1)]
-            places = places_of_kind(self.arm, kind)
-            place = places[min(int(u[1] * len(places)), len(places) - 1)]
-            hypothesis = hypothesis_at(kind, place) if kind != "healthy" else kind
-        if hypothesis == "healthy":
-            return Healthy()
-        return self.fault(
-            hypothesis,
-            gap=log_uniform(d.gap, u[2]),
-            ratio=log_uniform(d.friction, u[3]),
-            modes=np.array([uniform(d.contact_mode, v) for v in u[4:6]]),
-            damping=np.array([uniform(d.contact_damping, v) for v in u[6:8]]),
-            direction=(u[8], u[9]),
+        return self.draw_all([rng], [hypothesis])[0]
+
+    def draw_all(
+        self, rngs: Sequence[np.random.Generator], wanted: Sequence[str | None]
+    ) -> list[Fault]:
+        """Draw from each of B generators, as `draw`."""
+        if unknown := [name for name in wanted if not (name is None or name in self._known)]:
+            raise UnknownName(f"unknown hypothesis {unknown[0]!r}; they are {list(self._known)}")
+        d, u = self.difficulty, np.array([rng.random(10) for rng in rngs]).reshape(-1, 10)
+        chosen = np.searchsorted(self._edges, u[:, 0], side="right")
+        among = [self._choices[k] for k in np.minimum(chosen, len(self._choices) - 1).tolist()]
+        shares = u[:, 1].tolist()
+        return self.faults(
+            [
+                own[min(int(share * len(own)), len(own) - 1)] if name is None else name
+                for name, own, share in zip(wanted, among, shares, strict=True)
+            ],
+            gap=log_uniform(d.gap, u[:, 2]),
+            ratio=log_uniform(d.friction, u[:, 3]),
+            modes=uniform(d.contact_mode, u[:, 4:6]),
+            damping=uniform(d.contact_damping, u[:, 6:8]),
+            direction=u[:, 8:],
         )
 
-    def fault(
+    def faults(
         self,
-        hypothesis: str,
+        names: Sequence[str],
         *,
-        gap: float,
-        ratio: float,
+        gap: Array,
+        ratio: Array,
         modes: Array,
         damping: Array,
-        direction: tuple[float, float],
-    ) -> Loose:
-        """Play or a loose link by its parameters.
+        direction: Array,
+    ) -> list[Fault]:
+        """Faults of B hypotheses by their parameters; a healthy arm depends on none.
 
-        Travel at the tool [m], friction over the seat drive [1], modes [Hz] (2,) and damping ratios
-        (2,) of the stops, and two uniform variates of a slide's direction.
+        Travel at the tool [m] and friction over the seat drive [1] (B,), modes [Hz] and damping
+        ratios of the stops (B, 2), and two uniform variates of a slide's direction (B, 2).
         """
-        place, play = place_of(hypothesis) or 1, hypothesis.startswith("backlash")
-        along = direction_from(*direction, planar=len(self.arm.axes) == 2)
-        seat = self._seat(place, None if play else along)
-        stiffness, dampers = self._masses.stops(seat, modes, damping)
-        if play:
-            return Backlash(
-                joint=place,
-                gap=gap if self.arm.sliding[place - 1] else gap / self.arm.reach,
-                stiffness=stiffness,
-                damping=dampers,
-                friction=ratio * self.drive.hinge(place),
+        arm, places = self.arm, np.array([place_of(name) or 1 for name in names], dtype=np.intp)
+        slides = np.array([name.startswith("structural") for name in names], dtype=bool)
+        along = directions_from(*direction.T, planar=len(arm.axes) == 2)
+        axes = self.linear.slide_dofs.shape[1]
+        felt = np.where(slides[:, None], along[:, :axes], 0.0)
+        stops = self._masses.stops(places, felt, modes, damping).tolist()
+        friction = self.drive.hinges[places - 1]
+        friction[slides] = self.drive.slide(places[slides], along[slides])
+        travel = np.where(slides | arm.sliding[places - 1], gap, gap / arm.reach)
+        found: list[Fault] = []
+        rows = zip(names, places.tolist(), along.tolist(), strict=True)
+        for k, (name, place, towards) in enumerate(rows):
+            if name == "healthy":
+                found.append(Healthy())
+                continue
+            seat: dict[str, Any] = {
+                "gap": float(travel[k]),
+                "stiffness": tuple(stops[k][0]),
+                "damping": tuple(stops[k][1]),
+                "friction": float(ratio[k] * friction[k]),
+            }
+            loose = (
+                StructuralLooseness(link=place, direction=tuple(towards), **seat)
+                if slides[k]
+                else Backlash(joint=place, **seat)
             )
-        return StructuralLooseness(
-            link=place,
-            direction=along,
-            gap=gap,
-            stiffness=stiffness,
-            damping=dampers,
-            friction=ratio * self.drive.slide(place, along),
-        )
+            found.append(loose)
+        return found
 
-    def _seat(self, place: int, along: Vector | None) -> Array:
-        """Seat over all degrees of freedom (nv,): of a link along a direction, or of a joint."""
-        seat = np.zeros(self._masses.size)
-        if along is None:
-            seat[self.linear.hinge_dofs[place - 1]] = 1.0
+    def _seat(self, fault: Loose) -> Array:
+        """Seat of a fault over all degrees of freedom (nv,)."""
+        seat = np.zeros(self._masses.inertias.shape[1])
+        if isinstance(fault, Backlash):
+            seat[self.linear.hinge_dofs[fault.joint - 1]] = 1.0
         else:
-            slides = self.linear.slide_dofs[place - 1]
-            seat[slides] = along[: len(slides)]
+            slides = self.linear.slide_dofs[fault.link - 1]
+            seat[slides] = fault.direction[: len(slides)]
         return seat
 
     def several(self, rng: np.random.Generator, count: int = 2) -> SeveralFaults:
@@ -286,13 +296,18 @@ class FaultSampler:
             here = weights * [place in places_of_kind(self.arm, k) for k in kinds]
             kind = kinds[int(rng.choice(len(kinds), p=here / here.sum()))]
             faults.append(self.draw(rng, hypothesis=hypothesis_at(kind, place)))  # type: ignore[arg-type]
-        seats = [self._seat(f.place, getattr(f, "direction", None)) for f in faults]
         share = self._masses.softening(
-            np.array(seats),
+            np.array([self._seat(f) for f in faults]),
             np.array([max(f.stiffness) for f in faults]),
             np.array([max(f.damping) for f in faults]),
         )
         return SeveralFaults(faults=tuple(_softer(f, share) for f in faults))
+
+
+def _hypotheses_of(arm: Arm, kind: str) -> list[str]:
+    """Hypotheses of one kind."""
+    places = places_of_kind(arm, kind)
+    return [kind] if kind == "healthy" else [hypothesis_at(kind, place) for place in places]
 
 
 def _softer(fault: Loose, share: float) -> Loose:

@@ -12,7 +12,7 @@ from loose_env.envs.batch import EpisodeBatch
 from loose_env.envs.faults import log_uniform, uniform
 from loose_env.envs.spaces import checked_indices
 from loose_env.errors import InvalidSetting
-from loose_env.faults import Fault, Healthy
+from loose_env.faults import Fault
 from loose_env.typing import Array
 
 NAMES = (
@@ -53,7 +53,7 @@ class FaultPrior:
         u = rng.random((count, len(self.low)))
         for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)):
             turn = log_uniform if k < _LOG else uniform
-            drawn[:, 1 + k] = [turn((low, high), each) for each in u[:, k]]
+            drawn[:, 1 + k] = turn((low, high), u[:, k])
         return drawn
 
     def log_prob(self, theta: Array) -> Array:
@@ -145,7 +145,14 @@ def simulator(
         one = designs.ndim == 2
         designs = designs[:, None] if one else designs
         _check(batch, prior, parameters, designs)
-        faults = [_fault(batch, hypotheses[int(row[0])], row[1:]) for row in parameters]
+        faults = batch.sampler.faults(
+            [hypotheses[int(k)] for k in parameters[:, 0]],
+            gap=parameters[:, 1],
+            ratio=parameters[:, 2],
+            modes=parameters[:, 3:5],
+            damping=parameters[:, 5:7],
+            direction=parameters[:, 7:],
+        )
         found = np.empty((*designs.shape[:2], len(batch.observations.slot_elements)))
         for first in range(0, len(faults), num_envs):
             own = slice(first, first + num_envs)
@@ -171,20 +178,6 @@ def _check(batch: EpisodeBatch, prior: FaultPrior, theta: Array, designs: Array)
             f"an arm takes {most} records at most, got {designs.shape[1]}: give max_records"
         )
     checked_indices("hypotheses of theta", theta[:, 0], np.full(len(theta), len(prior.hypotheses)))
-
-
-def _fault(batch: EpisodeBatch, hypothesis: str, figures: Array) -> Fault:
-    """Fault of a hypothesis with given parameters."""
-    if hypothesis == "healthy":
-        return Healthy()
-    return batch.sampler.fault(
-        hypothesis,
-        gap=float(figures[0]),
-        ratio=float(figures[1]),
-        modes=figures[2:4],
-        damping=figures[4:6],
-        direction=(float(figures[6]), float(figures[7])),
-    )
 
 
 def _records(

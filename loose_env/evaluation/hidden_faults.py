@@ -164,7 +164,7 @@ def _ratio(sampler: FaultSampler, part: SinglePart) -> float:
     if part.friction == 0:
         return math.inf
     if isinstance(part, Backlash):
-        drive = sampler.drive.hinge(part.joint)
+        drive = sampler.drive.hinges[part.joint - 1]
     elif isinstance(part, StructuralLooseness):
         drive = sampler.drive.slide(part.link, part.direction)
     else:

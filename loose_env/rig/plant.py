@@ -42,24 +42,12 @@ _Seats = tuple[tuple[int, ...], tuple[SeatKind, ...]]
 _MOST = 5  # loose degrees of freedom beside a joint, of the six a body can have
 
 
-# What factors act on, or only some faults set; all else of a plant is written anew.
-_KEPT = (
-    "body_pos",
-    "body_mass",
-    "body_inertia",
-    "site_pos",
-    "jnt_axis",
-    "jnt_pos",
-    "jnt_stiffness",
-    "dof_armature",
-    "dof_damping",
-)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlantIndices:
     """Indices of the parts of an arm under test: the same for all plants of one template."""
 
+    template: mujoco.MjModel
+    """The template."""
     mismatch: MismatchIndices
     """What a mismatch changes."""
     position: NDArray[np.intp]
@@ -85,6 +73,7 @@ class PlantIndices:
             return np.array(list(found), dtype=np.intp)
 
         return cls(
+            template=model,
             mismatch=MismatchIndices.of(model, arm),
             position=indices(j.qposadr[0] for j in joints),
             dofs=indices(j.dofadr[0] for j in joints),
@@ -203,21 +192,17 @@ class PlantShop:
         if indices is None:
             indices = self._indices[links, kinds] = PlantIndices.of(template, self.arm)
         retired = self._retired.get(indices)
-        if retired:
+        if retired:  # all that tells plants of a template apart is written anew
             model = retired.pop()
-            for name in _KEPT:
-                getattr(model, name)[:] = getattr(template, name)
-            model.opt.gravity[:] = template.opt.gravity
+            model.jnt_axis[:], model.jnt_pos[:] = template.jnt_axis, template.jnt_pos
         else:
             model = copy.copy(template)
-        # A healthy arm has one gap in whatever seat it stands.
-        gaps = np.resize(gaps_of(fault), len(indices.seat))
         return Plant(
             fault=fault,
             mismatch=mismatch,
             model=model,
             indices=indices,
-            gaps=gaps,
+            gaps=np.array(gaps_of(fault)),
             shaker=self.arm.shaker,
         )
 
@@ -228,7 +213,8 @@ class PlantShop:
         parts = plants[0].parts
         if parts not in self._scratch:
             self._scratch[parts] = mujoco.MjData(models[0])
-        apply_mismatches(models, draws, [at.mismatch for at in indices])
+        templates = [at.template for at in indices]
+        apply_mismatches(models, templates, draws, [at.mismatch for at in indices])
         for plant, model in zip(plants, models, strict=True):
             set_seat(model, plant.fault, self._scratch[parts], plant.indices.seat)
         step = self.timestep

@@ -92,10 +92,9 @@ def controls(nominal: LinearArm, trials: Trials, *, timestep: float) -> Controls
     )
     gravity = nominal.gravity_torques(trials.poses)
     constant = np.clip(gravity, -limits, limits)
-    varied = np.zeros((len(trials), n + 1), dtype=bool)
-    varied[records, drives] = True
-    constant[varied[:, :n]] = 0.0
-    periods += np.pad(gravity, ((0, 0), (0, 1)))[records, drives][:, None]
+    joints = np.flatnonzero(drives < n)  # the others are the shaker's
+    constant[records[joints], drives[joints]] = 0.0
+    periods[joints] += gravity[records[joints], drives[joints], None]
     force = np.inf if arm.shaker is None else arm.shaker.force_limit
     most = np.append(limits, force)[drives][:, None]
     np.clip(periods, -most, most, out=periods)

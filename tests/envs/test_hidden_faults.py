@@ -128,7 +128,7 @@ def figures(arm: str, difficulty: str) -> tuple[list[float], list[float]]:
             frictions.append(fault.friction / drive.slide(fault.link, fault.direction))
             travels.append(fault.gap)
         elif isinstance(fault, Backlash):
-            frictions.append(fault.friction / drive.hinge(fault.joint))
+            frictions.append(fault.friction / drive.hinges[fault.joint - 1])
             travels.append(fault.gap * reach)
     return frictions, travels
 
@@ -167,7 +167,7 @@ def test_a_ratio_of_one_is_the_force_that_the_top_level_drives_through_the_seat(
     drive = SeatDrive(at)
     # The yardstick takes 48 poses of its own.
     assert drive.slide(2, (0.6, 0.8, 0.0)) == pytest.approx(np.median(forces), rel=0.15)
-    assert drive.hinge(2) == pytest.approx(np.median(torques), rel=0.15)
+    assert drive.hinges[1] == pytest.approx(np.median(torques), rel=0.15)
 
 
 def seat_masses(arm: str, fault: StructuralLooseness | Backlash) -> tuple[float, float]:
