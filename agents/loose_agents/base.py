@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, LinearArm
 from loose_env.envs import ActionLayout, DiagnosisSettings, ObservationLayout
-from loose_env.errors import InvalidSetting
+from loose_env.errors import InvalidAction, InvalidSetting
 from loose_env.faults import UNSURE, hypotheses
 from loose_env.typing import Array
 
@@ -79,6 +80,39 @@ class Problem:
     def verdict(self, named: str) -> NDArray[np.int64]:
         """Build the action that declares a hypothesis, or "unsure"."""
         return self.actions.encode(verdict=1 + self.verdicts.index(named))
+
+
+def code_of(layout: ActionLayout, action: Any) -> str:
+    """Write an action as its number among all actions, in base 36."""
+    layout.decode(action)
+    number = 0
+    for entry, choices in zip(np.asarray(action).tolist(), layout.nvec.tolist(), strict=True):
+        number = number * choices + int(entry)
+    return str(np.base_repr(number, 36)).lower()
+
+
+def action_of(layout: ActionLayout, code: str) -> NDArray[np.int64]:
+    """Read an action that `code_of` wrote.
+
+    Raises
+    ------
+    InvalidAction
+        If it stands for no action.
+    """
+    try:
+        number = int(code, 36)
+    except ValueError:
+        number = -1
+    entries = []
+    for choices in layout.nvec[::-1].tolist():
+        number, entry = divmod(number, choices)
+        entries.append(entry)
+    if number != 0:
+        raise InvalidAction(
+            f"{code!r:.40} is not the number of an action, in base 36: there are "
+            f"{math.prod(layout.nvec.tolist())} actions"
+        )
+    return np.array(entries[::-1], dtype=np.int64)
 
 
 class Agent(Protocol):

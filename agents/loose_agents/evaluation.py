@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import loose_env  # noqa: F401  (registers the ids)
-from loose_agents.base import Agent, Problem
+from loose_agents.base import Agent, Problem, code_of
 from loose_agents.belief import best_verdict, goes_on
 from loose_env.arms import Arm
 from loose_env.envs import (
@@ -288,7 +288,7 @@ def evaluate(
             _note(batch, slots[k], run)
         for k, outcome in enumerate(batch.step(slots, list(actions))):
             run = runs[k]
-            run.actions.append(batch.actions.code(actions[k]))
+            run.actions.append(code_of(batch.actions, actions[k]))
             if not outcome.terminated:  # a record was taken
                 run.price -= outcome.reward
                 run.excited += int(np.count_nonzero(batch.actions.decode(actions[k]).levels))

@@ -413,7 +413,7 @@ def seat_drives(linear: LinearArm, directions: Array, over: SeatReference) -> Ar
     drive, links = SeatDrive(linear, over=over), np.arange(1, linear.arm.n + 1)
     slides = drive.slide(np.repeat(links, len(directions)), np.tile(directions, (len(links), 1)))
     found = np.concatenate([slides, drive.hinges])
-    return np.maximum(found, 1e-9 * found.max())
+    return np.asarray(np.maximum(found, 1e-9 * found.max()))
 
 
 def sensor_errors(b: Array, mismatch: Mismatch) -> Array:

@@ -767,24 +767,6 @@ class EpisodeBatch:
             for some, records in measured_by(self.rig, trials):
                 yield own[some], records
 
-    def simulate(
-        self,
-        fault: Fault,
-        pose: Array,
-        excitation: Excitation,
-        rng: np.random.Generator,
-        *,
-        mismatch: MismatchDraw | None = None,
-    ) -> Measurement:
-        """Measure an arm with a given fault outside any episode.
-
-        The mismatch is drawn from ``rng`` unless it is given.
-        """
-        draw = self.difficulty.mismatch.draw(self.true_arm, rng) if mismatch is None else mismatch
-        rig, _ = _simulated_rig(self.true_arm, self.settings, 1, 1)
-        rig.mount(0, fault, draw)
-        return rig.measure(pose, excitation, rng=rng)
-
     def _end(self, slot: int, named: str | None) -> dict[str, Any]:
         """End an episode by naming a hypothesis, or None by running out of records."""
         self._ended[slot], self._verdicts[slot] = True, named

@@ -12,14 +12,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm, MismatchDraw
+from loose_env.arms import Arm
 from loose_env.envs.batch import BatchRig, Episode, EpisodeBatch
-from loose_env.envs.rendering import Picture, checked_render_mode, render_modes
+from loose_env.envs.rendering import Picture
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.excitation import Excitation
-from loose_env.faults import Fault
-from loose_env.rig import Measurement
 from loose_env.typing import IndexArray
 
 
@@ -116,14 +113,22 @@ class BatchShell:
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._ended = np.array(state.ended, dtype=bool)
 
-    def _drawn(self, *, show: bool = False) -> list[Any]:
+    def _draws(self, mode: str | None) -> None:
+        """Take a render mode that is offered, or None."""
+        if mode not in (None, "rgb_array"):
+            raise UnknownName(
+                f"unknown render_mode {mode!r}; the mode is 'rgb_array', whose pictures of one "
+                "environment gymnasium.wrappers.HumanRendering shows in a window"
+            )
+        self.render_mode = mode
+
+    def _drawn(self) -> list[Any]:
         """Picture of every arm's episode."""
         if self.render_mode is None:
             raise UnknownName("no render_mode was given; make the environment with 'rgb_array'")
         episodes = [self.batch.episode(i) for i in range(self.batch.num)]
         if self._picture is None:
-            sensors = self.settings.sensors
-            self._picture = Picture(self.batch.nominal, show=show, sensors=sensors)
+            self._picture = Picture(self.batch.nominal, sensors=self.settings.sensors)
         return [self._picture.draw(each, verdict=each.verdict) for each in episodes]
 
     def _let_go(self) -> None:
@@ -266,9 +271,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         threads: int = 0,
         true_arm: Arm | None = None,
     ) -> None:
-        # "human" only where a display can be opened: Gymnasium's checker tries every mode.
-        self.metadata = {**self.metadata, "render_modes": render_modes()}
-        self.render_mode = checked_render_mode(render_mode, self.metadata["render_modes"])
+        self._draws(render_mode)
         settings = DiagnosisSettings() if settings is None else settings
         batch = EpisodeBatch(arm, settings, threads=threads, rig=rig, true_arm=true_arm)
         self._show(batch, rig=rig)
@@ -283,15 +286,11 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         if seed is not None:
             self._warn_of_neighbour(seed)
         self._begin([0], [seed], [options])
-        if self.render_mode == "human":
-            self.render()
         return self._shown(), {"action_mask": self.batch.mask(0)}
 
     def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, excite and measure; or give a verdict."""
         outcome = self.batch.step([0], [action])[0]
-        if self.render_mode == "human":
-            self.render()
         return (
             self._shown(),
             outcome.reward,
@@ -322,24 +321,9 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         """Allowed choices of the next action, in the form MaskablePPO takes."""
         return self.batch.mask(0)
 
-    def simulate(
-        self,
-        fault: Fault,
-        pose: NDArray[np.float64],
-        excitation: Excitation,
-        rng: np.random.Generator,
-        *,
-        mismatch: MismatchDraw | None = None,
-    ) -> Measurement:
-        """Measure an arm with a given fault outside any episode.
-
-        The mismatch is drawn from ``rng`` unless it is given.
-        """
-        return self.batch.simulate(fault, pose, excitation, rng, mismatch=mismatch)
-
     def render(self) -> Any:
         """Draw the arm in its pose with the latest record."""
-        return self._drawn(show=self.render_mode == "human")[0]
+        return self._drawn()[0]
 
     def close(self) -> None:
         """Close the picture."""

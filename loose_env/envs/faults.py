@@ -345,8 +345,6 @@ def hypothesis_words(hypothesis: str | None, *, past: bool = False) -> str:
     verb = "was" if past else "is"
     if hypothesis.startswith("rotational"):
         return f"link {place} {verb} loose and {'rocked' if past else 'rocks'}"
-    if hypothesis.startswith("compound"):
-        return f"link {place} {verb} loose in several directions"
     return f"link {place} {verb} loose"
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
-import socket
 import sys
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
@@ -23,7 +22,7 @@ from loose_env.diagnosis import Prediction, SensorFloor, predict
 from loose_env.envs.batch import Episode
 from loose_env.envs.faults import fault_words, hypothesis_words
 from loose_env.envs.palette import BODY, EDGE, FAINT, INK, MEASURED, MUTED, PAPER, SHAKEN, TRUTH
-from loose_env.errors import InvalidSetting, MissingExtra, UnknownName
+from loose_env.errors import MissingExtra
 from loose_env.excitation import Excitation
 from loose_env.faults import (
     UNSURE,
@@ -404,9 +403,8 @@ _STAGE = """<mujoco>
 
 def stage() -> mujoco.Renderer | None:
     """Make MuJoCo's renderer of an empty room; None where there is no OpenGL."""
-    headless = sys.platform.startswith("linux") and not has_screen()
     with contextlib.suppress(AttributeError, ImportError, OSError, RuntimeError, mujoco.FatalError):
-        if headless and not os.environ.get("MUJOCO_GL"):
+        if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL"):
             # MuJoCo chooses its platform when it is imported, GLFW by default: that needs a screen.
             context: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
             context.GLContext = vars(importlib.import_module("mujoco.egl"))["GLContext"]
@@ -414,48 +412,8 @@ def stage() -> mujoco.Renderer | None:
     return None
 
 
-def has_screen() -> bool:
-    """Return whether a display server answers: DISPLAY may be left over from a session."""
-    if os.environ.get("WAYLAND_DISPLAY"):
-        return True
-    host, _, number = os.environ.get("DISPLAY", "").rpartition(":")
-    number = number.partition(".")[0]
-    if not number.isdigit():
-        return False
-    with contextlib.suppress(OSError):
-        if host not in ("", "unix"):
-            socket.create_connection((host, 6000 + int(number)), timeout=1.0).close()
-            return True
-        for place in (f"\0/tmp/.X11-unix/X{number}", f"/tmp/.X11-unix/X{number}"):
-            with socket.socket(socket.AF_UNIX) as server, contextlib.suppress(OSError):
-                server.connect(place)
-                return True
-    return False
-
-
-def render_modes() -> list[str]:
-    """Modes in which pictures can be shown here; "human" needs a display and a window toolkit."""
-    shows = sys.platform in ("darwin", "win32") or has_screen()
-    toolkit = any(
-        importlib.util.find_spec(name) for name in ("tkinter", "PyQt6", "PySide6", "PyQt5")
-    )
-    return ["rgb_array", "human"] if shows and toolkit else ["rgb_array"]
-
-
-def checked_render_mode(mode: str | None, modes: list[str]) -> str | None:
-    """Return a render mode that is offered, or None."""
-    if mode == "human" and mode not in modes:
-        raise InvalidSetting(
-            "render_mode='human' opens a window, which needs a display and a window toolkit "
-            "(tkinter or PyQt6); without them use render_mode='rgb_array' and save the pictures"
-        )
-    if mode is not None and mode not in modes:
-        raise UnknownName(f"unknown render_mode {mode!r}; modes are {modes}")
-    return mode
-
-
 class Picture:
-    """Pictures of the episodes of one arm, as arrays of pixels, in a window, or for saving.
+    """Pictures of the episodes of one arm, as arrays of pixels or for saving.
 
     Above, the arm in its pose; below, the correlation of its latest record along the directions
     of each plane of the tool frame, measured and as the healthy arm would show it. The true fault
@@ -465,8 +423,6 @@ class Picture:
     ----------
     linear : LinearArm
         The nominal arm.
-    show : bool
-        Whether to draw in a window; else `draw` returns the pixels.
     sensors : SensorSuite, optional
         What reads the motion: the noise that the healthy arm's correlation would show.
 
@@ -479,34 +435,28 @@ class Picture:
     size = (5.6, 6.6)
     """Width and height [inches]."""
 
-    def __init__(
-        self, linear: LinearArm, *, show: bool = False, sensors: SensorSuite | None = None
-    ) -> None:
+    def __init__(self, linear: LinearArm, *, sensors: SensorSuite | None = None) -> None:
         if importlib.util.find_spec("matplotlib") is None:
             raise MissingExtra(
                 "pictures need matplotlib: install it with pip install 'loose-env[report]'"
             )
-        self.linear, self.show = linear, show
+        self.linear = linear
         self._floor = SensorFloor.of(sensors or SensorSuite(), linear.arm.band)
         self._drawing = ArmDrawing(linear.arm)
         self._stage: mujoco.Renderer | None = None
-        self._window: Any = None
 
-    def draw(self, episode: Episode, *, verdict: str | None = None) -> NDArray[np.uint8] | None:
+    def draw(self, episode: Episode, *, verdict: str | None = None) -> NDArray[np.uint8]:
         """Draw an episode as it stands; the verdict shows once it has ended.
 
         Returns
         -------
-        ndarray (1056, 896, 3) of uint8, or None
-            The picture in red, green and blue; None where it is shown in a window.
+        ndarray (1056, 896, 3) of uint8
+            The picture in red, green and blue.
         """
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
         if self._stage is None:
             self._stage = stage()
-        if self.show:
-            self._update_window(episode, verdict)
-            return None
         figure = self.figure(episode, verdict=verdict, lit=True)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # type: ignore[no-untyped-call]
@@ -522,26 +472,10 @@ class Picture:
         return figure
 
     def close(self) -> None:
-        """Close the window and the renderer, if there are any."""
-        if self._window is not None:
-            from matplotlib import pyplot
-
-            pyplot.close(self._window)
+        """Close the renderer, if there is one."""
         if self._stage is not None:
             self._stage.close()
-        self._window = self._stage = None
-
-    def _update_window(self, episode: Episode, verdict: str | None) -> None:
-        from matplotlib import pyplot
-
-        if self._window is None or not pyplot.fignum_exists(self._window.number):
-            name = f"loose-env: {self.linear.arm.name}"
-            self._window = pyplot.figure(num=name, figsize=self.size, clear=True)
-            self._window.show()
-        self._window.clear()
-        self._compose(self._window, episode, verdict, True)
-        self._window.canvas.draw()
-        self._window.canvas.start_event_loop(0.5)
+            self._stage = None
 
     def _compose(self, figure: Figure, episode: Episode, verdict: str | None, lit: bool) -> None:
         """Draw an episode into an empty figure."""

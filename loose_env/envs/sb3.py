@@ -16,6 +16,13 @@ from loose_env.envs.env import new_seed
 from loose_env.envs.vector_env import DiagnosisVectorEnv, batch_seeds
 from loose_env.errors import InvalidSetting, UnknownName
 
+_SHARED = {
+    **{name: f"single_{name}" for name in ("action_space", "observation_space")},
+    **{name: name for name in ("actions", "arm", "hypotheses", "layout", "metadata")},
+    **{name: name for name in ("render_mode", "settings", "spec", "verdicts")},
+}
+"""Attributes that are the same object for every environment of a batch, by their name there."""
+
 
 class KeyedDummyVecEnv(DummyVecEnv):
     """Single environments whose seeds are those of `loose_env.envs.batch_seeds`.
@@ -117,22 +124,25 @@ class Sb3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """Attribute of the environments; it is the same object for all."""
-        values = self.env.unwrapped.get_attr(attr_name)
-        return [values[i] for i in self._get_indices(indices)]
+        if attr_name not in _SHARED:
+            raise UnknownName(
+                f"environments of a batch have no {attr_name!r}; they have the attributes "
+                f"{sorted(_SHARED)} and the method 'action_masks'"
+            )
+        value = getattr(self.env.unwrapped, _SHARED[attr_name])
+        return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Refuse, as the environments of a batch do."""
-        self.env.unwrapped.set_attr(attr_name, value)
+        """Refuse: environments of a batch share their attributes, which stay as they were made."""
+        raise InvalidSetting(
+            f"{attr_name!r} of the environments of a batch cannot be set: they share their arm and "
+            "settings; give these when the batch is made, and what changes from episode to "
+            "episode as options of reset()"
+        )
 
     def has_attr(self, attr_name: str) -> bool:
         """Return whether the environments have an attribute or a method."""
-        if attr_name == "action_masks":
-            return True
-        try:
-            self.env.unwrapped.get_attr(attr_name)
-        except UnknownName:
-            return False
-        return True
+        return attr_name == "action_masks" or attr_name in _SHARED
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any

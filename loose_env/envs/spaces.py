@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -238,52 +237,6 @@ class ActionLayout:
         """Entries of the excitation."""
         return slice(self.most_moved, self.most_moved + self.most_excited)
 
-    def code(self, action: Any) -> str:
-        """Write an action as its number among all actions, in base 36.
-
-        Raises
-        ------
-        InvalidAction
-            As `decode` does.
-
-        Examples
-        --------
-        >>> from loose_env.arms import planar
-        >>> layout = ActionLayout(planar(2), DiagnosisSettings(), hypotheses=5)
-        >>> layout.code([2, 2, 0, 3, 2, 0])
-        '365'
-        >>> layout.from_code("365").tolist()
-        [2, 2, 0, 3, 2, 0]
-        """
-        self.decode(action)
-        number = 0
-        for entry, choices in zip(np.asarray(action).tolist(), self.nvec.tolist(), strict=True):
-            number = number * choices + int(entry)
-        return str(np.base_repr(number, 36)).lower()
-
-    def from_code(self, code: str) -> NDArray[np.int64]:
-        """Read an action that `code` wrote.
-
-        Raises
-        ------
-        InvalidAction
-            If it stands for no action.
-        """
-        try:
-            number = int(code, 36)
-        except ValueError:
-            number = -1
-        entries = []
-        for choices in self.nvec[::-1].tolist():
-            number, entry = divmod(number, choices)
-            entries.append(entry)
-        if number != 0:
-            raise InvalidAction(
-                f"{code!r:.40} is not the number of an action, in base 36: there are "
-                f"{math.prod(self.nvec.tolist())} actions"
-            )
-        return np.array(entries[::-1], dtype=np.int64)
-
     def _moves_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
         """Move of each joint (A, n)."""
         if not self._few_moved:
@@ -362,13 +315,6 @@ class ActionLayout:
             entries[:] = excited
         action[-2:] = ends
         return action
-
-    def strongest_options(self) -> NDArray[np.intp]:
-        """Places, among all options one after the other, of top levels and longest record (K,)."""
-        first = np.cumsum(self.nvec) - self.nvec
-        top = len(self.arm.levels) * np.arange(1, (self.arm.n if self._few_excited else 1) + 1)
-        levels = (first[self.excitation][:, None] + top).ravel()
-        return np.append(levels, first[-2] + int(np.argmax(self.settings.durations)))
 
     def allowed_moves(self, pose: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return the moves that keep each joint of poses (..., n) in its range (..., n, moves)."""

@@ -15,7 +15,7 @@ from loose_env.arms import Arm
 from loose_env.envs.batch import EpisodeBatch, mapping_of
 from loose_env.envs.env import BatchShell
 from loose_env.envs.settings import DiagnosisSettings
-from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
+from loose_env.errors import InvalidAction, InvalidSetting
 from loose_env.io import is_whole
 
 
@@ -94,13 +94,6 @@ def mode_named(given: AutoresetMode | str) -> AutoresetMode:
     )
 
 
-_SHARED = (
-    *("actions", "arm", "hypotheses", "layout", "metadata", "render_mode", "settings", "spec"),
-    "verdicts",
-)
-"""Attributes that are the same object for every environment of a batch."""
-
-
 class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
     """`num_envs` diagnosis episodes side by side, simulated in one batch.
 
@@ -174,16 +167,11 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         for name, given in (("num_envs", num_envs), ("max_episode_steps", limit)):
             if not is_whole(given) or given < 1:
                 raise InvalidSetting(f"{name} must be 1 or more, a whole number; got {given!r}")
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise UnknownName(
-                f"a batch has no render_mode {render_mode!r}; it has 'rgb_array', and a single "
-                "environment has 'human' too"
-            )
         super().__init__()
         self.autoreset_mode = mode_named(autoreset_mode)
         # The class's own dictionary says what the default is.
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.render_mode = render_mode
+        self._draws(render_mode)
         self.num_envs = int(num_envs)
         settings = DiagnosisSettings() if settings is None else settings
         self._show(
@@ -284,48 +272,6 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next actions (num_envs, sum of choices)."""
         return self.batch.masks(self._all)
-
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of every environment, or get an attribute, as a tuple of results.
-
-        Methods are ``action_masks`` and ``render``; attributes those of `get_attr`.
-
-        Raises
-        ------
-        UnknownName
-            If a batch has no such thing.
-        """
-        if name == "action_masks":
-            return tuple(self.action_masks())
-        if name == "render":
-            return self.render()
-        return self.get_attr(name)
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Attribute of every environment: spaces, settings, names, layouts.
-
-        Raises
-        ------
-        UnknownName
-            If a batch has no such thing.
-        """
-        if name in ("action_space", "observation_space"):
-            return (getattr(self, f"single_{name}"),) * self.num_envs
-        if name not in _SHARED:
-            known = sorted({*_SHARED, "action_space", "observation_space"})
-            raise UnknownName(
-                f"environments of a batch have no {name!r}; they have the attributes {known} and "
-                "the methods 'action_masks' and 'render'"
-            )
-        return (getattr(self, name),) * self.num_envs
-
-    def set_attr(self, name: str, values: Any) -> None:
-        """Refuse: environments of a batch share their attributes, which stay as they were made."""
-        raise InvalidSetting(
-            f"{name!r} of the environments of a batch cannot be set: they share their arm and "
-            "settings; give these when the batch is made, and what changes from episode to "
-            "episode as options of reset()"
-        )
 
     def render(self) -> tuple[Any, ...]:
         """Picture of every environment, each (height, width, 3) of uint8."""

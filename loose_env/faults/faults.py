@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
-from annotated_types import Len, MinLen, Predicate
+from annotated_types import MinLen, Predicate
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.io import Checked, NonNegative, Rule
 
-FaultKind = Literal[
-    "healthy", "structural_looseness", "backlash", "rotational_looseness", "compound_looseness"
-]
+FaultKind = Literal["healthy", "structural_looseness", "backlash", "rotational_looseness"]
 
 KINDS: tuple[FaultKind, ...] = ("healthy", "structural_looseness", "backlash")
 """Kinds that are hypotheses, in the order in which these are counted."""
@@ -140,10 +138,6 @@ def place_of(hypothesis: str) -> int | None:
     return int(place.removeprefix("link").removeprefix("joint")) if place else None
 
 
-_INDEPENDENT = 1e-3
-"""Smallest singular value of unit vectors that still count as independent [1]."""
-
-
 Vector = tuple[float, float, float]
 Direction = Annotated[
     Vector, Rule("three finite numbers, not all zero, in the link frame", (Predicate(any),))
@@ -254,46 +248,8 @@ class RotationalLooseness(LooseSeat):
     """A point of the axis in the link frame [m]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class CompoundLooseness(_Placed):
-    """Link loose on its flange in two or more directions (3.2.2, 8.3.2).
-
-    An undersized pin lets the link slide both ways across it: two parts. A seat loose in all
-    six directions has six. Each part has its own stops, its own friction and its own place in
-    its gap, so that the room the link has is a box: a round hole would be a cylinder, which two
-    slides take for the square around it, and friction acts on each part alone.
-
-    The parts follow each other from the flange outward. In gaps of seats their order shows
-    in the second order of the travel only.
-    """
-
-    kind: ClassVar[FaultKind] = "compound_looseness"
-    link: int
-    """Loose link, from 1 at the base."""
-    parts: Annotated[
-        tuple[StructuralLooseness | RotationalLooseness, ...],
-        Rule("a tuple of two to six StructuralLooseness or RotationalLooseness", (Len(2, 6),)),
-    ]
-    """Two to six ways in which the link is loose, independent of each other."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        parts = tuple(self.parts)
-        object.__setattr__(self, "parts", parts)
-        others = [part.link for part in parts if part.link != self.link]
-        if others:
-            raise InvalidSetting(
-                f"all parts of a compound looseness lie on its link {self.link}; got one on link "
-                f"{others[0]}"
-            )
-        slides = [p.direction for p in parts if isinstance(p, StructuralLooseness)]
-        axes = [p.axis for p in parts if isinstance(p, RotationalLooseness)]
-        _independent("directions of the slides", slides)
-        _independent("axes of the rotations", axes)
-
-
-LooseFault = StructuralLooseness | Backlash | RotationalLooseness | CompoundLooseness
-"""A fault that leaves one seat loose, in one way or several."""
+LooseFault = StructuralLooseness | Backlash | RotationalLooseness
+"""A fault that leaves one seat loose."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,7 +262,7 @@ class SeveralFaults(Checked):
     kind: ClassVar[str] = SEVERAL_FAULTS
     hypothesis: ClassVar[str] = SEVERAL_FAULTS
     faults: Annotated[
-        tuple[StructuralLooseness | Backlash | RotationalLooseness | CompoundLooseness, ...],
+        tuple[StructuralLooseness | Backlash | RotationalLooseness, ...],
         Rule("a tuple of two or more loose faults; give a single one as it is", (MinLen(2),)),
     ]
     """Two faults or more, each on a link or joint of its own number."""
@@ -317,8 +273,7 @@ class SeveralFaults(Checked):
         places = [fault.place for fault in self.faults]
         if len(set(places)) != len(places):
             raise InvalidSetting(
-                "several faults lie on links and joints of different numbers, for one link loose "
-                f"in several ways use CompoundLooseness; got places {places}"
+                f"several faults lie on links and joints of different numbers; got places {places}"
             )
 
 
@@ -334,14 +289,3 @@ def unit(vector: Vector) -> NDArray[np.float64]:
     """Normalise a vector (3,)."""
     given = np.asarray(vector, dtype=float)
     return np.asarray(given / np.linalg.norm(given))
-
-
-def _independent(what: str, vectors: list[Vector]) -> None:
-    if not vectors:
-        return
-    units = np.array([unit(v) for v in vectors])
-    if len(vectors) > 3 or np.linalg.svd(units, compute_uv=False).min() < _INDEPENDENT:
-        raise InvalidSetting(
-            f"the {what} must be independent, three at most: leave out those that the others "
-            f"make; got {vectors}"
-        )

@@ -22,9 +22,9 @@ which rests 1e4 m or rad away, so that it changes by a 1e-7th where the seat mov
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
@@ -33,7 +33,6 @@ from loose_env.arms import FASTEST_TURN, GRAVITY, Arm
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults.faults import (
     Backlash,
-    CompoundLooseness,
     Fault,
     Healthy,
     LooseSeat,
@@ -58,9 +57,7 @@ SinglePart = Healthy | Preload | StructuralLooseness | Backlash | RotationalLoos
 
 def parts_of(fault: Fault) -> tuple[SinglePart, ...]:
     """Decompose a fault into single-degree-of-freedom faults."""
-    if isinstance(fault, SeveralFaults):
-        return tuple(part for one in fault.faults for part in parts_of(one))
-    return fault.parts if isinstance(fault, CompoundLooseness) else (fault,)
+    return fault.faults if isinstance(fault, SeveralFaults) else (fault,)
 
 
 def gaps_of(fault: Fault) -> tuple[float, ...]:
@@ -99,7 +96,7 @@ def part_seats(fault: Fault) -> tuple[tuple[int, ...], tuple[SeatKind, ...]]:
     if not is_fault(fault):
         raise UnknownName(
             "a fault is Healthy, Preload, StructuralLooseness, Backlash, RotationalLooseness, "
-            f"CompoundLooseness or SeveralFaults, got {type(fault).__name__}: {fault!r}"
+            f"or SeveralFaults, got {type(fault).__name__}: {fault!r}"
         )
     parts = parts_of(fault)
     kinds = tuple(_KIND_OF[type(part)] for part in parts)
@@ -252,10 +249,9 @@ def preloaded(arm: Arm, fault: Fault, share: float) -> Fault:
         if not np.isfinite(share):
             raise InvalidSetting(f"a share of the weight is a finite number, got {share!r}")
         return replace(fault, preload=float(share) * seat_weight(arm, fault))
-    if isinstance(fault, (CompoundLooseness, SeveralFaults)):
-        name = "parts" if isinstance(fault, CompoundLooseness) else "faults"
-        pressed = tuple(preloaded(arm, one, share) for one in getattr(fault, name))
-        return replace(fault, **{name: pressed})  # type: ignore[arg-type]
+    if isinstance(fault, SeveralFaults):
+        pressed: Any = tuple(preloaded(arm, one, share) for one in fault.faults)
+        return replace(fault, faults=pressed)
     return fault
 
 
@@ -290,8 +286,7 @@ def seated_spec(
     UnknownName
         If the arm has no such link, or a kind is not "slide", "hinge" or "play".
     InvalidSetting
-        If a seat has more degrees of freedom than a body can, six with the link's own, or not
-        every degree of freedom has its link.
+        If not every degree of freedom has a link of its own.
 
     Examples
     --------
@@ -301,52 +296,22 @@ def seated_spec(
     1
     """
     wanted = (kinds,) if isinstance(kinds, str) else tuple(kinds)
-    for kind in wanted:
-        if kind not in ("slide", "hinge", "play"):
-            raise UnknownName(f"a seat is a 'slide', a 'hinge' or a 'play', got {kind!r}")
-    links = tuple(link) if isinstance(link, Sequence) else (link,) * max(len(wanted), 1)
-    if len(links) != max(len(wanted), 1):
+    links = tuple(link) if isinstance(link, Sequence) else (link,)
+    if len(links) != len(wanted) or len(set(links)) != len(links) or not links:
         raise InvalidSetting(
-            f"each of {len(wanted)} degrees of freedom stands on one link, got links {links}"
+            f"each of {len(wanted)} degrees of freedom stands on a link of its own, got links "
+            f"{links}"
         )
     spec = arm.spec.copy()
-    for number in dict.fromkeys(arm.link_number(at) for at in links):
-        own = {
-            k: kind for k, (at, kind) in enumerate(zip(links, wanted, strict=False)) if at == number
-        }
-        _seat_link(arm, spec, number, own)
-    return spec
-
-
-def _seat_link(arm: Arm, spec: mujoco.MjSpec, number: int, kinds: Mapping[int, SeatKind]) -> None:
-    """Add a seat to one link; kinds are encoded by their index."""
-    body = spec.body(arm.seat_bodies[number - 1])
-    joint = spec.joint(arm.joints[number - 1])
-    if not 1 <= len(kinds) <= 6 - len(body.joints):
-        raise InvalidSetting(
-            f"the seat of link {number} of arm {arm.name!r} takes 1 to {6 - len(body.joints)} "
-            f"degrees of freedom, got {len(kinds)}"
-        )
-    slides, hinges = iter(np.eye(3)), iter(_frame_about(np.array(joint.axis)))
-    for k, kind in kinds.items():
+    for k, (at, kind) in enumerate(zip(links, wanted, strict=True)):
+        if kind not in get_args(SeatKind):
+            raise UnknownName(f"a seat is a 'slide', a 'hinge' or a 'play', got {kind!r}")
+        number = arm.link_number(at)
+        body, joint = spec.body(arm.seat_bodies[number - 1]), spec.joint(arm.joints[number - 1])
         turns = kind == "hinge" or (kind == "play" and joint.type == _HINGE)
-        if kind == "slide":
-            axis = next(slides, None)
-        else:
-            axis = np.array(joint.axis) if kind == "play" else next(hinges, None)
-        if axis is None:
-            raise InvalidSetting(
-                f"a seat has three slides and three hinges at most, got {tuple(kinds.values())}"
-            )
+        axis = np.eye(3)[0] if kind == "slide" else np.array(joint.axis)
         _add_seat(spec, body, seat_name(k), axis, joint.pos if turns else None)
-
-
-def _frame_about(axis: Array) -> Array:
-    """Three axes for the hinges of a seat, the joint's own first (3, 3)."""
-    first = axis / np.linalg.norm(axis)
-    second = np.cross(first, np.eye(3)[int(np.argmin(np.abs(first)))])
-    second = second / np.linalg.norm(second)
-    return np.array([axis, second, np.cross(first, second)])
+    return spec
 
 
 def _add_seat(

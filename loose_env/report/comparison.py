@@ -300,7 +300,7 @@ def episode_timeline(
         Index of the episode: the same one as that of a comparison with this seed.
     """
     batch = EpisodeBatch(arm, settings, threads=1)
-    picture = Picture(batch.nominal, show=False, sensors=settings.sensors)
+    picture = Picture(batch.nominal, sensors=settings.sensors)
     batch.start(0, seed=seed, number=number)
     episode = batch.episode(0)
     cards = [FigureCard(image=to_svg(picture.figure(episode)), caption="The first pose")]

@@ -38,7 +38,6 @@ KIND_WORDS = {
     "structural_looseness": "link slides",
     "backlash": "joint play",
     "rotational_looseness": "link rocks",
-    "compound_looseness": "link slides and rocks",
 }
 """Kinds of fault in few words."""
 _SIGNIFICANCE = 0.05  # p-value [1] of the sign test above which a lead is sampling error

@@ -39,7 +39,6 @@ from loose_env.typing import Array
 __all__ = ["Plant", "PlantIndices", "PlantShop"]
 
 _Seats = tuple[tuple[int, ...], tuple[SeatKind, ...]]
-_MOST = 5  # loose degrees of freedom beside a joint, of the six a body can have
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,9 +155,8 @@ class PlantShop:
 
     def spare(self, parts: int) -> mujoco.MjModel:
         """Compiled model of any seat with a given number of parts."""
-        links = tuple(self.arm.n - k // _MOST for k in range(parts))  # where one is full, the next
-        kinds: list[SeatKind] = ["slide" if k % _MOST < 3 else "hinge" for k in range(parts)]
-        return self.template(links, tuple(kinds))
+        slide: SeatKind = "slide"
+        return self.template(tuple(range(1, parts + 1)), (slide,) * parts)
 
     def build(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
         """Build the true arm with the seat of its fault; as `build_all`."""

@@ -373,7 +373,7 @@ def require_one_part(plant: Plant) -> None:
     if plant.parts != 1:
         raise InvalidSetting(
             "the reduced engine knows faults of one degree of freedom; take the engine 'mujoco' "
-            "for compound looseness and for several faults at once"
+            "for several faults at once"
         )
 
 

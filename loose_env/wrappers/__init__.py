@@ -19,11 +19,9 @@ from loose_env.wrappers.posteriors import (
 from loose_env.wrappers.shells import DiagnosisVectorWrapper, DiagnosisWrapper
 from loose_env.wrappers.single import (
     JointSideObservation,
-    LatestRecord,
     MacroActions,
     MeasuredMinusNominal,
     PosteriorObservation,
-    SeparateVerdict,
 )
 
 __all__ = [
@@ -31,13 +29,11 @@ __all__ = [
     "DiagnosisVectorWrapper",
     "DiagnosisWrapper",
     "JointSideObservation",
-    "LatestRecord",
     "MacroActions",
     "MeasuredMinusNominal",
     "Posterior",
     "PosteriorObservation",
     "RecordLayout",
-    "SeparateVerdict",
     "analytic_posterior",
     "checked_order",
     "default_macros",

@@ -64,24 +64,6 @@ class _Records(Change):
         return np.concatenate([start, shown.reshape(len(start), -1)], axis=1)
 
 
-class LatestRecord(_Records):
-    """Shows the latest record only."""
-
-    def _changed(self) -> RecordLayout:
-        names = [each.name for each in self.inner.global_elements]
-        self._spent = names.index("spent.records")
-        self._most = self.diagnosis.settings.max_records
-        return replace(self.inner, slots=1)
-
-    def _shown(
-        self, start: NDArray[np.float32], records: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        taken = np.rint(start[:, self._spent].astype(float) * self._most).astype(np.intp)
-        # Of a layout of one slot there is only that one.
-        slot = np.minimum(np.maximum(taken, 1), records.shape[1]) - 1
-        return np.asarray(records[np.arange(len(records)), slot])
-
-
 class MeasuredMinusNominal(_Records):
     """Shows statistics less what the nominal, healthy arm would show."""
 
@@ -262,36 +244,3 @@ class MacroActions(Change):
         verdicts = inner[:, -self._verdicts :]
         records = inner[:, self._moves].all(axis=2) & verdicts[:, :1]
         return np.concatenate([records, verdicts[:, 1:]], axis=1)
-
-
-class SeparateVerdict(Change):
-    """Whether to stop, and what to say then, as two entries in place of one."""
-
-    def __init__(self, env: Any) -> None:
-        super().__init__(env)
-        nvec = self.diagnosis.actions.nvec
-        self._nvec = np.array([*nvec[:-1], 2, nvec[-1] - 1])
-        self.set_space("action", spaces.MultiDiscrete(self._nvec))
-
-    def inner_actions(self, actions: Any) -> NDArray[np.int64]:
-        """Actions with one verdict, given only with a stop."""
-        try:
-            chosen = np.asarray(actions)
-        except ValueError:  # rows of different length
-            chosen = np.array(None)
-        whole = chosen.shape == (self.num, len(self._nvec))
-        whole = whole and np.issubdtype(chosen.dtype, np.integer)
-        if not whole or (chosen < 0).any() or (chosen >= self._nvec).any():
-            raise InvalidAction(
-                f"an action is one of MultiDiscrete({self._nvec}): a record, whether to stop, a "
-                f"verdict; got {actions!r:.200}"
-            )
-        verdict = np.where(chosen[:, -2] > 0, 1 + chosen[:, -1], 0)
-        return np.concatenate([chosen[:, :-2], verdict[:, None]], axis=1)
-
-    def masks(self, inner: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Allowed choices of all entries, one after the other, as MaskablePPO takes them."""
-        record, go_on, named = np.split(inner, [-self._nvec[-1] - 1, -self._nvec[-1]], axis=1)
-        some = named.any(axis=1, keepdims=True)
-        # An entry without a choice is no mask; what it says does not count before a stop.
-        return np.concatenate([record, go_on, some, named | ~some], axis=1)

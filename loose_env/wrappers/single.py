@@ -9,21 +9,6 @@ from loose_env.wrappers import changes
 from loose_env.wrappers.shells import DiagnosisWrapper
 
 
-class LatestRecord(changes.LatestRecord, DiagnosisWrapper):
-    """Shows the latest record only: a policy with a memory of its own reads them one by one.
-
-    The global elements stay: the pose, and what has been spent. Before the first record, and where
-    the latest one is empty, the record is zero.
-
-    Examples
-    --------
-    >>> import gymnasium, loose_env
-    >>> env = LatestRecord(gymnasium.make("loose_env/Vera-v0"))
-    >>> env.reset(seed=0)[0].shape
-    (66,)
-    """
-
-
 class MeasuredMinusNominal(changes.MeasuredMinusNominal, DiagnosisWrapper):
     """Shows statistics less what the nominal, healthy arm would show.
 
@@ -118,21 +103,4 @@ class MacroActions(changes.MacroActions, DiagnosisWrapper):
     >>> env = MacroActions(gymnasium.make("loose_env/Vera-v0"))
     >>> env.action_space
     Discrete(21)
-    """
-
-
-class SeparateVerdict(changes.SeparateVerdict, DiagnosisWrapper):
-    """Whether to stop, and what to say then, as two entries in place of one.
-
-    In the environment's own action six of seven choices of the last entry end the episode (on
-    VERA), so a policy that knows nothing stops at once. Here the last two entries are whether to
-    stop, and the verdict, which counts only then: a policy that knows nothing stops every other
-    time.
-
-    Examples
-    --------
-    >>> import gymnasium, loose_env
-    >>> env = SeparateVerdict(gymnasium.make("loose_env/Vera-v0"))
-    >>> env.action_space
-    MultiDiscrete([5 5 4 4 3 2 6])
     """

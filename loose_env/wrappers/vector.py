@@ -24,16 +24,10 @@ from loose_env.wrappers.shells import DiagnosisVectorWrapper
 
 __all__ = [
     "JointSideObservation",
-    "LatestRecord",
     "MacroActions",
     "MeasuredMinusNominal",
     "PosteriorObservation",
-    "SeparateVerdict",
 ]
-
-
-class LatestRecord(changes.LatestRecord, DiagnosisVectorWrapper):
-    """As `loose_env.wrappers.LatestRecord`."""
 
 
 class MeasuredMinusNominal(changes.MeasuredMinusNominal, DiagnosisVectorWrapper):
@@ -55,7 +49,3 @@ class PosteriorObservation(changes.PosteriorObservation, DiagnosisVectorWrapper)
 
 class MacroActions(changes.MacroActions, DiagnosisVectorWrapper):
     """As `loose_env.wrappers.MacroActions`."""
-
-
-class SeparateVerdict(changes.SeparateVerdict, DiagnosisVectorWrapper):
-    """As `loose_env.wrappers.SeparateVerdict`."""

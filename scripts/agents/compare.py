@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
-from loose_agents.base import EVALUATION_SEED, Problem
+from loose_agents.base import EVALUATION_SEED, Problem, action_of
 from loose_agents.belief import ESTIMATORS, OWN_WEIGHTS, setting_name, weights_digest, weights_path
 from loose_agents.evaluation import arguments_of, diagnosis_env, problem_of
 from loose_agents.jobs import BackendSettings, canonical
@@ -208,7 +208,7 @@ def write_dataset(
     for row in rows:
         batch.start(0, seed=row["seed"], number=row["episode"])
         for code in row["actions"].split():
-            action = batch.actions.from_code(code)
+            action = action_of(batch.actions, code)
             steps["observations"].append(batch.observe(0))
             steps["action_masks"].append(batch.mask(0))
             found = batch.step([0], [action])[0]

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from loose_agents.base import action_of, code_of
 from numpy.typing import NDArray
 
 from loose_env.arms import planar, six_axis
@@ -181,11 +182,11 @@ def test_actions_have_numbers() -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
         action = rng.integers(actions.nvec)
-        assert actions.from_code(actions.code(action)).tolist() == action.tolist()
-    assert actions.code(np.zeros(5, dtype=int)) == "0"
+        assert action_of(actions, code_of(actions, action)).tolist() == action.tolist()
+    assert code_of(actions, np.zeros(5, dtype=int)) == "0"
     for wrong in ("", "-1", "?", np.base_repr(int(np.prod(actions.nvec)), 36)):
         with pytest.raises(InvalidAction, match="not the number of an action"):
-            actions.from_code(wrong)
+            action_of(actions, wrong)
 
 
 def test_weaker_levels_leave_the_friction_of_the_seats() -> None:

@@ -14,7 +14,7 @@ from gymnasium.wrappers import vector as wrappers
 from numpy.typing import NDArray
 
 from loose_env.envs import DiagnosisEnv, DiagnosisVectorEnv, batch_seeds
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import UnknownName
 from loose_env.registration import IDS
 from loose_env.rig import Measurement
 
@@ -122,25 +122,12 @@ def test_a_batch_is_drawn_or_refuses_to_be() -> None:
     env.reset(seed=0)
     frames = env.render()
     assert len(frames) == 3 and all(each.ndim == 3 for each in frames)
-    assert env.call("render")[0].shape == frames[0].shape
     with pytest.raises(UnknownName, match="rgb_array"):
         make(render_mode="human")
     plain = make()
     plain.reset(seed=0)
     with pytest.raises(UnknownName, match="no render_mode"):
         plain.render()
-
-
-def test_attributes_and_methods_of_each_environment() -> None:
-    env = make()
-    env.reset(seed=0)
-    assert env.get_attr("hypotheses") == (env.hypotheses,) * 3
-    assert env.call("action_space") == (env.single_action_space,) * 3
-    np.testing.assert_array_equal(np.stack(env.call("action_masks")), env.action_masks())
-    with pytest.raises(UnknownName, match="action_masks"):
-        env.call("batch")
-    with pytest.raises(InvalidSetting, match="options of reset"):
-        env.set_attr("settings", None)
 
 
 def test_each_environment_takes_options_of_its_own() -> None:

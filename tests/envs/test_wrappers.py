@@ -14,21 +14,17 @@ from loose_env.envs import batch_seeds
 from loose_env.errors import InvalidAction, InvalidSetting
 from loose_env.wrappers import (
     JointSideObservation,
-    LatestRecord,
     MacroActions,
     MeasuredMinusNominal,
     PosteriorObservation,
-    SeparateVerdict,
     vector,
 )
 
 PLAIN: list[type[Any]] = [
     PosteriorObservation,
-    LatestRecord,
     MeasuredMinusNominal,
     JointSideObservation,
     MacroActions,
-    SeparateVerdict,
 ]
 
 
@@ -79,23 +75,6 @@ def test_what_is_no_single_flat_environment_is_refused(wrapper: type[Any]) -> No
         wrapper(gymnasium.make("CartPole-v1"))
 
 
-def test_the_latest_record_is_the_last_slot_that_was_filled() -> None:
-    env = LatestRecord(make())
-    count = len(env.layout.global_elements)
-    full = env.unwrapped.layout
-    env.reset(seed=1)
-    for k in range(3):
-        shown = env.step(shake(env, 1 + k))[0]
-        observation = env.unwrapped.batch.observe(0)
-        np.testing.assert_array_equal(shown[count:], full.slots_of(observation)[k])
-        assert shown[count] == 1.0
-    # Through the other wrapper of records: differences of the latest one.
-    both = LatestRecord(MeasuredMinusNominal(make()))
-    both.reset(seed=1)
-    assert both.step(shake(both))[0].shape == both.observation_space.shape
-    assert both.layout.slots == 1
-
-
 def test_differences_are_of_twins_and_the_rest_stays() -> None:
     env = MeasuredMinusNominal(make())
     env.reset(seed=1)
@@ -126,7 +105,7 @@ def test_the_posterior_is_that_of_the_estimator() -> None:
     assert info["probabilities"].max() > 0.6
     assert env.reset(seed=6)[1]["probabilities"].max() < 0.4
     with pytest.raises(InvalidSetting, match="full observation"):
-        PosteriorObservation(LatestRecord(make()))
+        PosteriorObservation(MeasuredMinusNominal(make()))
     with pytest.raises(InvalidSetting, match=r"update_all\(\)"):
         PosteriorObservation(make(), 3)  # type: ignore[arg-type]
 
@@ -153,21 +132,9 @@ def test_a_macro_is_the_record_it_stands_for() -> None:
         env.step(count + 6)
 
 
-def test_a_verdict_counts_only_with_a_stop() -> None:
-    env = SeparateVerdict(make())
-    env.reset(seed=0)
-    record = shake(env)[:-1].tolist()
-    assert env.action_masks()[-8:].tolist() == [True, False] + [True] * 6
-    assert not env.step(np.array([*record, 1, 2]))[2]  # nothing measured yet: it measures
-    assert env.action_masks()[-8:].tolist() == [True, True] + [True] * 5 + [False]
-    assert not env.step(np.array([*record, 0, 2]))[2]
-    *_, terminated, _, info = env.step(np.array([*record, 1, 2]))
-    assert terminated and info["verdict"] == env.unwrapped.verdicts[2]
-
-
 STACKS = [
     ["PosteriorObservation", "MacroActions"],
-    ["MeasuredMinusNominal", "LatestRecord", "SeparateVerdict"],
+    ["MeasuredMinusNominal"],
     ["JointSideObservation"],
 ]
 
@@ -255,8 +222,6 @@ def test_batches_are_copied_and_the_wrong_kind_is_refused() -> None:
         envs.step(np.array([0, 1, 99]))
     with pytest.raises(InvalidAction, match="from 0 to"):
         envs.step(np.zeros((3, 2), dtype=int))
-    with pytest.raises(InvalidAction, match="whether to stop"):
-        make_batch(["SeparateVerdict"]).step([[0], [1, 2], 3])
 
 
 ARGUMENTS = {"n_links": 2, "engine": "reduced", "max_records": 2}

@@ -12,7 +12,6 @@ from loose_env.arms import Arm, MismatchDraw, planar, scara, six_axis, vera
 from loose_env.excitation import at_levels
 from loose_env.faults import (
     Backlash,
-    CompoundLooseness,
     Fault,
     RotationalLooseness,
     StructuralLooseness,
@@ -50,18 +49,6 @@ def tilted(arm: Arm, link: int) -> RotationalLooseness:
     if len(arm.axes) == 2:
         axis[:2] = 0.0
     return rock(link, axis=tuple(axis), pivot=tuple(pivot), stiffness=(1e3, 1e3))
-
-
-def box(arm: Arm, link: int, count: int) -> CompoundLooseness:
-    """A link loose in several ways: slide, rotation, slide, ..."""
-    flat = len(arm.axes) == 2
-    ways = np.eye(3) if flat else np.linalg.qr(np.random.default_rng(3).random((3, 3)))[0]
-    parts: list[StructuralLooseness | RotationalLooseness] = []
-    for k in range(count):
-        way = tuple(ways[2] if flat and k % 2 else ways[k // 2])
-        pivot = tilted(arm, link).pivot
-        parts.append(rock(link, axis=way, pivot=pivot) if k % 2 else slide(link, direction=way))
-    return CompoundLooseness(link=link, parts=tuple(parts))
 
 
 def pose_of(arm: Arm) -> Array:

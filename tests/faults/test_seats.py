@@ -17,7 +17,6 @@ from loose_env.faults import (
     SEAT,
     SEVERAL_FAULTS,
     Backlash,
-    CompoundLooseness,
     Healthy,
     Preload,
     RotationalLooseness,
@@ -148,18 +147,16 @@ def test_every_seat_stands_where_it_would_stand_alone(arm: Arm) -> None:
             )
 
 
-def test_a_compound_seat_beside_another_keeps_its_parts_in_order(arm: Arm) -> None:
-    cross = CompoundLooseness(link=1, parts=(slide(1), rock(1)))
-    fault = SeveralFaults(faults=(cross, play(2)))
-    assert parts_of(fault) == (slide(1), rock(1), play(2))
-    assert part_seats(fault) == ((1, 1, 2), ("slide", "hinge", "play"))
-    assert gaps_of(fault) == (2e-4, 1e-3, 1e-3)
+def test_seats_of_several_links_keep_their_order(arm: Arm) -> None:
+    fault = SeveralFaults(faults=(play(2), slide(1)))
+    assert parts_of(fault) == (play(2), slide(1))
+    assert part_seats(fault) == ((2, 1), ("play", "slide"))
+    assert gaps_of(fault) == (1e-3, 2e-4)
     assert fault.hypothesis == fault.kind == SEVERAL_FAULTS
     plant = plant_of(arm, fault)
-    assert plant.parts == 3 and seat_names(plant.model) == ("seat", "seat2", "seat3")
+    assert plant.parts == 2 and seat_names(plant.model) == ("seat", "seat2")
     bodies = [int(plant.model.joint(s).bodyid[0]) for s in seat_names(plant.model)]
-    wanted = [plant.model.body(arm.seat_bodies[k]).id for k in (0, 0, 1)]
-    assert bodies == wanted
+    assert bodies == [plant.model.body(arm.seat_bodies[k]).id for k in (1, 0)]
 
 
 def test_a_seat_that_nothing_opens_leaves_the_other_as_it_is_alone(arm: Arm) -> None:
@@ -268,21 +265,6 @@ REFUSED: list[tuple[Any, dict[str, Any], dict[str, Any], str]] = [
         for bad in (NAN, INF, "1", None)
     ),
     *(
-        (CompoundLooseness, {"link": 2}, {"parts": parts}, said)
-        for parts, said in (
-            *(
-                (parts, "parts must be a tuple of two to six StructuralLooseness or Rotational")
-                for parts in ((), (SLIDING,), (Healthy(), ROCKING))
-            ),
-            ((replace(SLIDING, link=1), ROCKING), "lie on its link 2; got one on link 1"),
-            (
-                tuple(replace(SLIDING, direction=(x, y, 0)) for x, y in ((1, 0), (0, 1), (1, 1))),
-                "directions of the slides must be independent, three at most",
-            ),
-            ((ROCKING, rock(2, pivot=(1.0, 0, 0))), "axes of the rotations must be independent"),
-        )
-    ),
-    *(
         (SeveralFaults, {}, {"faults": faults}, said)
         for faults, said in (
             *(
@@ -309,7 +291,7 @@ def test_a_fault_that_is_none_is_refused(
 
 
 def seat(*kinds: Any) -> mujoco.MjModel:
-    return seated_spec(planar(2), 1, kinds).compile()
+    return seated_spec(planar(2), range(1, 1 + len(kinds)), kinds).compile()
 
 
 @pytest.mark.parametrize(
@@ -320,13 +302,13 @@ def seat(*kinds: Any) -> mujoco.MjModel:
             for link in (0, 4, -1, 1.0, True, "1", None)
         ),
         (lambda: seat("ball"), UnknownName, r"'slide', a 'hinge' or a 'play', got 'ball'"),
-        (lambda: seat(), InvalidSetting, "1 to 6 degrees of freedom, got 0"),
-        (lambda: seat(*["slide"] * 4), InvalidSetting, "three slides and three hinges at most"),
-        (lambda: seated_spec(planar(3), (1, 2), ("slide",)), InvalidSetting, "one link"),
+        (lambda: seat(), InvalidSetting, "each of 0 degrees of freedom"),
+        (lambda: seated_spec(planar(3), (1, 1), ["slide"] * 2), InvalidSetting, "of its own"),
+        (lambda: seated_spec(planar(3), (1, 2), ("slide",)), InvalidSetting, "of its own"),
         (lambda: set_seat(seat("slide"), replace(SLIDING, gap=5.0)), InvalidSetting, "gap of 5 is"),
         (lambda: set_seat(seat("slide"), ROCKING), InvalidSetting, "needs a hinge, which 'seat'"),
         (
-            lambda: set_seat(seat("slide"), CompoundLooseness(link=2, parts=(SLIDING, ROCKING))),
+            lambda: set_seat(seat("slide"), SeveralFaults(faults=(SLIDING, play(1)))),
             InvalidSetting,
             "2 loose degrees of freedom, the model's seat has 1",
         ),

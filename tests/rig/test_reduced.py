@@ -19,7 +19,7 @@ from loose_env.diagnosis import statistics_of
 from loose_env.envs import DiagnosisSettings, Difficulty, EpisodeBatch, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
-from loose_env.faults import CompoundLooseness, Healthy, Preload, StructuralLooseness, hypotheses
+from loose_env.faults import Healthy, Preload, SeveralFaults, StructuralLooseness, hypotheses
 from loose_env.rig import ReducedRig, SimulatedRig
 from loose_env.sensors import SensorSuite
 
@@ -127,10 +127,10 @@ def test_a_preloaded_seat_and_a_stuck_one_read_the_same():
 def test_what_it_does_not_know_is_refused_with_words():
     arm = planar(2)
     part = StructuralLooseness(link=1, direction=(1, 0, 0), gap=1e-4, stiffness=(1e4, 1e4))
-    other = StructuralLooseness(link=1, direction=(0, 1, 0), gap=1e-4, stiffness=(1e4, 1e4))
+    other = StructuralLooseness(link=2, direction=(0, 1, 0), gap=1e-4, stiffness=(1e4, 1e4))
     rig = ReducedRig(arm)
     with pytest.raises(InvalidSetting, match="mujoco"):
-        rig.mount(0, CompoundLooseness(link=1, parts=(part, other)))
+        rig.mount(0, SeveralFaults(faults=(part, other)))
     rig.measure(np.zeros(2), shake(rig, np.zeros(2), np.array([3, 0])))  # the slot is as it was
     with pytest.raises(InvalidSetting, match="at least one slot"):
         ReducedRig(arm, slots=0)

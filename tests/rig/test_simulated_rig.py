@@ -17,11 +17,11 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, at_levels
 from loose_env.faults import (
     Backlash,
-    CompoundLooseness,
     Fault,
     Healthy,
     Preload,
     RotationalLooseness,
+    SeveralFaults,
     StructuralLooseness,
 )
 from loose_env.rig import Job, Measurement, SimulatedRig
@@ -49,14 +49,12 @@ ROCK = RotationalLooseness(
     damping=(0.2, 0.4),
     friction=0.05,
 )
-BOX = CompoundLooseness(
-    link=1, parts=(LOOSE, dataclasses.replace(ROCK, link=1, gap=2e-4, friction=0.2))
-)
+BOX = SeveralFaults(faults=(LOOSE, ROCK))
 FAULTS: dict[str, Fault] = {
     "slide": LOOSE,
     "play": PLAY,
     "rotation": ROCK,
-    "compound": BOX,
+    "several": BOX,
     "healthy": Healthy(),
 }
 

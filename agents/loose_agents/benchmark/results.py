@@ -16,7 +16,7 @@ from annotated_types import Ge, Le
 from pydantic import ConfigDict, TypeAdapter
 
 import loose_env
-from loose_agents.base import Agent, EpisodeAgent, Problem
+from loose_agents.base import Agent, EpisodeAgent, Problem, action_of
 from loose_agents.belief import setting_name, usual_estimator, weights_path
 from loose_agents.benchmark.episodes import (
     HIDDEN,
@@ -363,7 +363,7 @@ class _Recorded(EpisodeAgent):
     def __init__(self, problem: Problem, number: int, actions: str) -> None:
         super().__init__(problem)
         try:
-            self.actions = [problem.actions.from_code(code) for code in actions.split()]
+            self.actions = [action_of(problem.actions, code) for code in actions.split()]
         except InvalidAction as error:
             raise InvalidData(f"episode {number}: {error}") from error
         self.number = number

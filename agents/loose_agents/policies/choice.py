@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_agents.base import Problem
+from loose_agents.base import Problem, action_of
 from loose_agents.belief import (
     AfterRecords,
     BeliefAgent,
@@ -500,4 +500,4 @@ def designed_sequences(
         options={"fault": "healthy"},
     )  # fmt: skip
     taken = [row.actions.split()[:length] for row in rows]
-    return [tuple(tuple(problem.actions.from_code(c).tolist()) for c in own) for own in taken]
+    return [tuple(tuple(action_of(problem.actions, c).tolist()) for c in own) for own in taken]

@@ -46,7 +46,7 @@ from loose_agents.rl.training_env import (
     forced_records,
     training_seed,
 )
-from loose_env.envs import EpisodeBatch
+from loose_env.envs import ActionLayout, EpisodeBatch
 from loose_env.envs.sb3 import Sb3VecEnv
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.faults import UNSURE
@@ -560,6 +560,14 @@ def _checkpointed(
     return model
 
 
+def _strongest(actions: ActionLayout) -> list[int]:
+    """Places, among all options one after the other, of top levels and the longest record."""
+    first, levels = np.cumsum(actions.nvec) - actions.nvec, len(actions.arm.levels)
+    entries = range(actions.excitation.start, actions.excitation.stop)
+    tops = [first[e] + k for e in entries for k in range(levels, actions.nvec[e], levels)]
+    return [*tops, first[-2] + int(np.argmax(actions.settings.durations))]
+
+
 def _new_model(
     run: Training, model_class: type[Any], vec: Any, given: dict[str, Any], problem: Problem
 ) -> Any:
@@ -573,7 +581,7 @@ def _new_model(
     if run.estimator is not None:
         with torch.no_grad():
             bias = model.policy.action_net.bias
-            bias[torch.as_tensor(problem.actions.strongest_options())] += LEVEL_BIAS
+            bias[torch.as_tensor(_strongest(problem.actions))] += LEVEL_BIAS
             bias[-1] += STOP_BIAS
     return model
 
