@@ -54,10 +54,13 @@ MADE: list[tuple[str, dict[str, Any], type[LooseEnvError], tuple[str, ...]]] = [
     *((env_id[10:-3], {"hold": "glue"}, UnknownName, ("'glue'", "'compliant'")) for env_id in IDS),
     ("Planar", {"hold": None}, UnknownName, ("None", "'compliant'")),
     ("Planar", {"durations": (0.2, 0.01)}, InvalidSetting, ("0.01 s", "(30.0, 150.0) Hz")),
-    *(
-        ("Planar", {"kinds": ("healthy", kind)}, InvalidSetting, (kind, "no posterior", "reset("))
-        for kind in ("rotational_looseness", "compound_looseness")
+    (
+        "Planar",
+        {"kinds": ("healthy", "rotational_looseness")},
+        InvalidSetting,
+        ("rotational_looseness", "no posterior", "reset("),
     ),
+    ("Planar", {"kinds": ("healthy", "compound_looseness")}, UnknownName, ("kinds are",)),
     ("Planar", {"kinds": ["healthy", ["backlash"]]}, UnknownName, ("[['backlash']]", "kinds are")),
     ("Planar", {"rig": "x"}, LooseEnvError, ("rig",)),
     ("Planar", {"sensors": 3, "link_accelerometers": True}, InvalidSetting, ("a SensorSuite", "3")),
