@@ -67,9 +67,9 @@ class PoseModel:
     """Acceleration of the tool by angular acceleration about each, tool frame (ROCKS, 3)."""
 
     def tilt(self, acceleration: ComplexArray, hertz: Array) -> ComplexArray:
-        """Gravity that turns through the sensor (k, 3), by lines of joint acceleration (k, n)."""
+        """Gravity that turns through the sensor (..., k, 3), by lines of joint acceleration."""
         angle = -acceleration / (_TURN * hertz[:, None]) ** 2
-        return np.cross(self.up[None], angle @ self.turning.T)
+        return np.asarray(angle @ np.cross(self.up, self.turning.T))
 
     def throws(self, stiffening: Array) -> tuple[Array, Array, Array, Array]:
         """Motion of the tool by a force pair within the arm, above the modes of its gears.

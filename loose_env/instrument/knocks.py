@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,8 +91,10 @@ def loads_of(model: PoseModel, acceleration: Array, stiffening: Array) -> Loads:
     )
 
 
-def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period: float) -> Array:
-    """Ringing that each hypothesis foretells (H, GRID): seats by direction, teeth, the base.
+def trains(
+    loads: Sequence[Loads], directions: Array, gap_mm: float, slides: Array, period: float
+) -> list[Array]:
+    """Ringing that hypotheses foretell in each pose (H, GRID): seats by direction, teeth, base.
 
     Parameters
     ----------
@@ -101,6 +104,17 @@ def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period
         Clearance of a seat [mm]; ten times it is a joint's free travel [mrad], or as much of a
         slide [mm].
     """
+    carried = [_carried(own, directions, gap_mm, slides) for own in loads]
+    load, mass, gap, friction = (np.concatenate([own[k] for own in carried]) for k in range(4))
+    energy = knocks(load, mass, gap, friction, period)
+    parts = zip(np.split(energy, len(loads)), carried, strict=True)
+    return [rung(own * louds[:, None], _RING_S, period) for own, (*_, louds) in parts]
+
+
+def _carried(
+    loads: Loads, directions: Array, gap_mm: float, slides: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Load (H, GRID), mass, clearance, friction and loudness of each hypothesis (H,)."""
     n, each = len(loads.seats), _of_each(loads, directions)
     parts = [loads.along(link, own) for link, own in enumerate(each)]
     load = np.concatenate([p[0] for p in parts] + [loads.turning])
@@ -108,10 +122,9 @@ def trains(loads: Loads, directions: Array, gap_mm: float, slides: Array, period
     count = n * each.shape[1]
     gap = np.full(len(load), gap_mm * 1e-3)
     gap[count:] = np.where(_sliding(slides), gap_mm * 1e-3, gap_mm * 1e-2)
-    energy = knocks(load, mass, gap, friction_of(loads, each.shape[1], slides), period)
     thrown = np.concatenate([p[2] for p in parts])
     loud = np.concatenate([(thrown**2).sum(1), (loads.turns**2).sum(1)])
-    return rung(energy * loud[:, None], _RING_S, period)
+    return load, mass, gap, friction_of(loads, each.shape[1], slides), loud
 
 
 def _of_each(loads: Loads, directions: Array) -> Array:

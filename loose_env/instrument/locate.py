@@ -196,10 +196,8 @@ def _compare(heard: Heard, directions: Array) -> _Agreement:
     shifts = rng.integers(GRID, size=(_SHIFTS, len(poses)), dtype=np.intp)
     for loads, gaps in ((heard.elastic, GAPS_MM), (heard.rigid, RIGID_GAPS_MM)):
         for gap in gaps:
-            told = [
-                np.sqrt(knocks.trains(own, directions, gap, heard.slides, heard.period_s))
-                for own in loads
-            ]
+            rung = knocks.trains(loads, directions, gap, heard.slides, heard.period_s)
+            told = [np.sqrt(own) for own in rung]
             found, share, other = correlation(
                 heard.amplitude, told, heard.friction, shifts, heard.sensors
             )
@@ -237,7 +235,8 @@ def _told(
     n = len(heard.slides)
     row = 2 * n + d if i == n else i if kind == BOLTS else n + i
     own = rhythm.directions[[max(d, 0) * (i < n)]]
-    found: Array = np.sqrt(knocks.trains(loads, own, gap_mm, heard.slides, heard.period_s)[row])
+    (rung,) = knocks.trains([loads], own, gap_mm, heard.slides, heard.period_s)
+    found: Array = np.sqrt(rung[row])
     return found
 
 

@@ -20,6 +20,7 @@ MODE_HZ, _MODE_SPREAD = 35.0, 3.3
 """Usual mode of an arm on its gears [Hz] and the spread of its logarithm: 20 to 60 Hz in
 industrial arms (Klimchik et al. 2014), wide enough for a desk arm and a stiff gantry."""
 _ROTOR_SPREAD = 1.0
+_SLOPE = 1e-3  # relative step of numerical derivatives
 _LATE_S = 2e-3
 """Usual error of an alignment of two clocks [s]."""
 
@@ -59,12 +60,16 @@ def links_of(
     hertz: Array,
     loss: Array | float,
 ) -> ComplexArray:
-    """Lines of link acceleration (k, n) from the motors', the links hanging on springs."""
-    stiff = np.diag(spring * (1 + 1j * np.broadcast_to(loss, len(spring))))
+    """Lines of link acceleration (..., k, n) from the motors' (k, n), the links on springs.
+
+    By springs, rotors and losses of the gears (..., n), of one set or of several.
+    """
+    stiff = (spring * (1 + 1j * np.asarray(loss)))[..., None, :]
     omega2 = (2 * np.pi * hertz[:, None, None]) ** 2
-    system = stiff - omega2 * (model.inertia + np.diag(rotor))
-    found = np.linalg.solve(system, (joints @ stiff.T)[:, :, None])[:, :, 0]
-    return found.astype(np.complex128)
+    diagonal = np.eye(spring.shape[-1])
+    inertia = model.inertia + rotor[..., None] * diagonal
+    system = stiff[..., None] * diagonal - omega2 * inertia[..., None, :, :]
+    return np.asarray(np.linalg.solve(system, (joints * stiff)[..., None])[..., 0])
 
 
 def turned(
@@ -119,26 +124,34 @@ def fit_gears(
     own = np.mean([np.diag(d.model.inertia) for d in data], 0)
 
     def parts(p: Array) -> tuple[Array, Array]:
-        rotor = arm.rotors / (1 + np.exp(-p[n : 2 * n]))
-        return (own + rotor) * (2 * np.pi * np.exp(p[:n])) ** 2, rotor
+        rotor = arm.rotors / (1 + np.exp(-p[..., n : 2 * n]))
+        return (own + rotor) * (2 * np.pi * np.exp(p[..., :n])) ** 2, rotor
 
-    def miss(p: Array, highest: float, robust: bool = True) -> Array:
+    def misses(p: Array, highest: float) -> Array:
+        """Of several sets of parameters (P, parameters), all at once (P, rows)."""
         use = signal.hertz <= highest
         spring, rotor = parts(p)
         found = [
-            (p[:n] - np.log(MODE_HZ)) / _MODE_SPREAD,
-            (p[n : 2 * n] + 4.0) / _ROTOR_SPREAD,
-            p[2 * n :],
+            (p[:, :n] - np.log(MODE_HZ)) / _MODE_SPREAD,
+            (p[:, n : 2 * n] + 4.0) / _ROTOR_SPREAD,
+            p[:, 2 * n :],
         ]
         for k, d in enumerate(data):
             moved = links_of(d.joints[use], d.model, spring, rotor, d.hertz[use], _LOSS)
             told = moved @ d.model.jacobian.T + d.model.tilt(moved, d.hertz[use])
-            late = np.exp(2j * np.pi * d.hertz[use] * _LATE_S * p[2 * n + k])[:, None]
+            late = np.exp(2j * np.pi * d.hertz[use] * _LATE_S * p[:, [2 * n + k]])[..., None]
             e = (d.tool[use] * late - told) / d.scale
-            if robust:  # a resonance missed by a hair must not rule
-                e = e / np.sqrt(1 + np.abs(e) ** 2)
-            found += [e.real.ravel(), e.imag.ravel()]
-        return np.concatenate(found)
+            e = e / np.sqrt(1 + np.abs(e) ** 2)  # a resonance missed by a hair must not rule
+            found += [e.real.reshape(len(p), -1), e.imag.reshape(len(p), -1)]
+        return np.concatenate(found, axis=1)
+
+    def miss(p: Array, highest: float) -> Array:
+        return np.asarray(misses(p[None], highest)[0])
+
+    def slopes(p: Array, highest: float) -> Array:
+        steps = _SLOPE * np.maximum(np.abs(p), 1.0)
+        base, *moved = misses(np.vstack([p, p + np.diag(steps)]), highest)
+        return np.asarray(((moved - base) / steps[:, None]).T)
 
     top = float(signal.hertz.max())
     best = None
@@ -146,7 +159,7 @@ def fit_gears(
         p = np.r_[np.full(n, np.log(mode)), np.full(n, -4.0), np.zeros(len(data))]
         for highest in (9.0, 13.0, 19.0, top):
             if highest <= top:
-                fit = least_squares(miss, p, max_nfev=12, diff_step=1e-3, args=(highest,))
+                fit = least_squares(miss, p, slopes, max_nfev=12, args=(highest,))
                 p = fit.x
         best = fit if best is None or fit.cost < best.cost else best
     assert best is not None

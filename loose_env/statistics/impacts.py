@@ -25,22 +25,27 @@ def knocks(load: Array, mass: Array, gap: Array, friction: Array, period: float)
     >>> int((knocks(swing, one, 1e-4 * one, 0.1 * one, 1.0) > 0).sum())
     6
     """
-    step = period / load.shape[1]
-    force = np.ascontiguousarray(-load.T)
-    slips = 1e-200 * force  # at rest, it slips the way it is pushed
-    rests, hangs = force < friction, force > -friction  # what holds it at 0, and at the gap
+    step, share = period / load.shape[1], period / load.shape[1] / mass
     x, v = np.zeros(len(load)), np.zeros(len(load))
-    low, high = x <= 0, x >= gap
-    arrived = np.zeros_like(force)
-    for k in [*range(len(force))] * 2:
-        drag = np.copysign(friction, v + slips[k])
-        v += (force[k] - drag) / mass * step
-        np.putmask(v, low & rests[k] | high & hangs[k], 0.0)
-        x += v * step
-        low, high = x <= 0, x >= gap
-        v -= np.multiply(v, low | high, out=arrived[k])
-        np.minimum(np.maximum(x, 0.0, out=x), gap, out=x)
-    found: Array = arrived.T**2
+    low, high = np.ones(len(load), bool), np.zeros(len(load), bool)
+    samples = np.ascontiguousarray(-load.T)
+    at_low, at_high = samples < friction, samples > -friction
+    out = np.zeros_like(samples)
+    for k in range(2 * len(samples)):
+        now = k % len(samples)
+        # most are held at a stop most of the time
+        free = np.flatnonzero(~(low & at_low[now] | high & at_high[now]))
+        force, speed, most = samples[now, free], v[free], gap[free]
+        drag = np.copysign(friction[free], np.where(speed != 0, speed, force))
+        speed = speed + (force - drag) * share[free]
+        way = x[free] + speed * step
+        low[free], high[free] = below, beyond = way <= 0, way >= most
+        stopped = below | beyond
+        if k >= len(samples):
+            out[now, free] = np.where(stopped, speed * speed, 0.0)
+        v[free] = np.where(stopped, 0.0, speed)
+        x[free] = np.minimum(np.maximum(way, 0.0), most)
+    found: Array = out.T
     return found
 
 

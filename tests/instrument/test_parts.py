@@ -263,7 +263,7 @@ def test_joints_that_are_all_parallel_leave_numbers(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[2][2 + ROCKS // 2], 0, atol=1e-9)
     swing = np.sin(np.linspace(0, 20 * np.pi, 200))[:, None] * np.array([200.0, 300.0])
     loads = loads_of(planar.at(np.array([0.3, 0.4])), swing, np.zeros(2))
-    rang = trains(loads, np.eye(3), 0.05, planar.slides, 1.0)
+    (rang,) = trains([loads], np.eye(3), 0.05, planar.slides, 1.0)
     assert np.isfinite(rang).all() and rang[-ROCKS // 2].max() < 1e-9 * rang.max()
 
 
