@@ -137,7 +137,8 @@ def _run(words: Sequence[str]) -> int:
     from loose_env.cli.console import Console
     from loose_env.errors import LooseEnvError
 
-    _return_freed_memory()
+    if words[0] == "gap":
+        _return_freed_memory()
     try:
         with errors_in_one_line(
             f"loose {words[0]}",
@@ -162,7 +163,8 @@ def _return_freed_memory() -> None:
     """Have the C library return freed arrays to the system, on Linux.
 
     By default glibc keeps freed blocks of up to 32 MB, between which others come to lie: the
-    process of `loose gap` grew to 1.6 times the memory that it needs.
+    process of `loose gap` grew to 1.6 times the memory that it needs. Commands that go through long
+    arrays once are faster without: each array would be zeroed by the system anew.
     """
     if not sys.platform.startswith("linux"):
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -98,9 +99,8 @@ class Import(Output):
                 "by --mapping"
             )
         proposal = propose(self.sources, self._compiled(self.model), self.rate_hz)
-        model, home = self.model.resolve(), target.resolve().parent
-        beside = model.relative_to(home).as_posix() if model.is_relative_to(home) else ""
-        text = proposal_text(proposal, beside)
+        way = os.path.relpath(self.model.resolve(), target.resolve().parent)
+        text = proposal_text(proposal, Path(way).as_posix())
         write_text(target, text)
         if proposal.refused:
             raise InvalidData(f"{proposal.refused}; {target} lists all channels")

@@ -234,6 +234,8 @@ def _pieces(run: Run, channel: Channel) -> Iterator[Finding]:
     """Judge pieces of equal values: frozen readings, lost ones."""
     values, time = channel.there, run.time[np.isfinite(channel.values)]
     starts, lengths = _repeats(values)
+    if lengths.max() < LOST_VALUE:
+        return
     step = median_step(run.time)
     least = max(FROZEN_SAMPLES, FROZEN_S / step, FROZEN_RATIO * np.percentile(lengths, 90))
     long = np.flatnonzero(lengths >= least)
@@ -267,12 +269,16 @@ def _clipped(machine: Machine, run: Run, channel: Channel) -> Iterator[Finding]:
         if share > LIMITED_SHARE and len(_repeats(at_end.astype(float))[0]) > FEWEST_PIECES:
             found = f"{share:.1%} of the commands are at a limit of the actuator ({low:g} to "
             yield _CLIPPED.at(channel.name, f"{found}{high:g})", share, unit="1", run=run.name)
+    least = max(CLIPPED_LEAST, CLIPPED_SHARE * len(values))
+    ends = values.min(), values.max()
+    if channel.kind not in _NOISY or max(np.count_nonzero(values == v) for v in ends) < least:
+        return
     levels, counts = np.unique(values, return_counts=True)
-    if channel.kind not in _NOISY or len(levels) < FEWEST_LEVELS:
+    if len(levels) < FEWEST_LEVELS:
         return  # too coarse to tell
     for extreme, beside in ((0, slice(1, 6)), (-1, slice(-6, -1))):
         count, level = int(counts[extreme]), levels[extreme]
-        most = max(CLIPPED_LEAST, CLIPPED_SHARE * len(values), CLIPPED_PILE * counts[beside].max())
+        most = max(least, CLIPPED_PILE * counts[beside].max())
         at_zero = channel.kind in ("torque", "velocity") and level == 0.0
         if count < most or at_zero or level in (values[0], values[-1]):
             continue  # few, or rest before or after the motion

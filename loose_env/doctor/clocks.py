@@ -13,14 +13,14 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal
+from numpy.lib.stride_tricks import sliding_window_view
 
 from loose_env.doctor.findings import Defect, DoctorSettings, Finding
 from loose_env.doctor.machine import Machine, Motion, filled, forces_of, positions_of, servos_of
 from loose_env.doctor.signals import implied_readings
 from loose_env.importing import early_by
 from loose_env.statistics import phase_delay
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 # Clocks
 COHERENT = 0.7
@@ -119,18 +119,17 @@ def delay_between(
     Examples
     --------
     >>> rng = np.random.default_rng(0)
-    >>> x = signal.sosfilt(
-    ...     signal.butter(4, (30, 150), "bandpass", fs=1000, output="sos"), rng.normal(size=4010)
-    ... )
+    >>> from loose_env.statistics import bandpass
+    >>> x = bandpass(rng.normal(size=4010), 1000, (30, 150))
     >>> found = delay_between(x[10:], -x[5:-5] + 0.01 * rng.normal(size=4000), 0.001)
     >>> round(found.seconds, 4)
     0.005
     """
     if len(x) < 16 * SEGMENTS:
         return None
-    x, y, size = signal.detrend(x), signal.detrend(y), 2 * len(x) // (SEGMENTS + 1)
-    frequency, cross = signal.csd(x, y, 1 / step, nperseg=size)
-    own, other = (signal.welch(each, 1 / step, nperseg=size)[1] for each in (x, y))
+    size = 2 * len(x) // (SEGMENTS + 1)
+    frequency = np.asarray(np.fft.rfftfreq(size, step), dtype=float)
+    own, cross, other = _spectra(x, y, size)
     coherence = np.abs(cross) ** 2 / np.maximum(own * other, 1e-300)
     used = (coherence > COHERENT) & (own > LEAST_POWER * own[1:].max(initial=0.0))
     used &= (frequency > 1.5 * frequency[1]) & (
@@ -154,6 +153,19 @@ def delay_between(
         return None
     sd = max(np.sqrt(_NEIGHBOURS) * found.sd, 0.02 * step)
     return Delay(found.seconds, sd, float(np.sqrt(np.sum(weight * at**2) / weight.sum())))
+
+
+def _spectra(x: Array, y: Array, size: int) -> tuple[Array, ComplexArray, Array]:
+    """Power of x, cross-spectrum conj(X) Y and power of y, by half-overlapping Hann segments."""
+    line, found = np.linspace(-1, 1, len(x)), []
+    for values in (x, y):
+        plain = values - values.mean()
+        plain -= line * (line @ plain) / (line @ line)
+        parts = sliding_window_view(plain, size)[:: size - size // 2]
+        parts = (parts - parts.mean(axis=1, keepdims=True)) * np.hanning(size + 1)[:-1]
+        found.append(np.fft.rfft(parts, axis=1))
+    a, b = found
+    return (abs(a) ** 2).mean(0), (np.conj(a) * b).mean(0), (abs(b) ** 2).mean(0)
 
 
 def check_clocks(

@@ -9,7 +9,6 @@ from typing import Literal
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
 
 from loose_env.importing import Drive, drives_of, inverse_dynamics, joint_targets, median_step
 from loose_env.kinematics import carried_bodies
@@ -52,7 +51,8 @@ class Channel:
     @cached_property
     def there(self) -> Array:
         """Samples that are not missing."""
-        return np.asarray(self.values[np.isfinite(self.values)])
+        good = np.isfinite(self.values)
+        return self.values if good.all() else np.asarray(self.values[good])
 
     @property
     def reach(self) -> float:
@@ -150,8 +150,10 @@ def motion_of(machine: Machine, run: Run, window_s: float = 0.0) -> Motion | Non
 def _means(time: Array, values: Array, edges: Array) -> Array:
     last = int(np.searchsorted(time, edges[-1])) + 1
     time, values = time[:last], values[:last]
-    total = cumulative_trapezoid(filled(time, values), time, initial=0.0)
-    return np.asarray(np.diff(np.interp(edges, time, total)) / np.diff(edges))
+    values = filled(time, values)
+    areas = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
+    total = np.interp(edges, time, np.concatenate([[0.0], np.cumsum(areas)]))
+    return np.asarray(np.diff(total) / np.diff(edges))
 
 
 def carried(machine: Machine, sensor: str, known: frozenset[str]) -> bool:

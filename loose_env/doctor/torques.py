@@ -20,13 +20,11 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.optimize import lsq_linear, nnls
-from scipy.signal import butter, sosfiltfilt
 
 from loose_env.doctor.corrections import Correction, corrected
 from loose_env.doctor.findings import Defect, Finding
@@ -246,11 +244,19 @@ class TorqueFit:
         self, values: Array, rows: _Rows, k: int, *more: Array
     ) -> tuple[Array, float]:
         """Non-negative coefficients of further torques and friction; mean square of the rest."""
-        own = self.nuisance(rows, k)
-        columns = np.column_stack([*more, own, -own[:, 3]])
-        size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
-        found, norm = nnls(columns / size, values)
-        return np.asarray(found / size), float(norm**2 / len(values))
+        columns = np.column_stack([*more, self.nuisance(rows, k)])
+        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        normal, right = (columns / size).T @ (columns / size), values @ (columns / size)
+        best, least = np.zeros(len(size)), np.inf
+        # The least squares with some of the coefficients at 0; the offset has either sign.
+        for chosen in product((False, True), repeat=len(size) - 1):
+            own = np.flatnonzero([*chosen, True])
+            found = np.linalg.lstsq(normal[np.ix_(own, own)], right[own], rcond=None)[0]
+            rest = float(values @ values - found @ right[own])
+            if rest < least and (found[:-1] >= 0).all():
+                best, least = np.zeros(len(size)), rest
+                best[own] = found
+        return best / size, max(least, 0.0) / len(values)
 
     def beyond(self, columns: Array) -> Array:
         """Torques (E, J, C) beyond friction and rotor inertia, over their spread (E J, C)."""
@@ -264,16 +270,21 @@ class TorqueFit:
 
 def _smoothed(run: Run, grid: Array) -> Run:
     """Run of slow signals on an even grid."""
-    low = butter(2, TORQUE_BAND_HZ, fs=1 / (grid[1] - grid[0]), output="sos")
+    ends = min(len(grid) - 1, TORQUE_POINTS)
+    turn = np.pi * np.fft.rfftfreq(len(grid) + 2 * ends)
+    corner = np.tan(np.pi * TORQUE_BAND_HZ * (grid[1] - grid[0]))
+    low = 1 / (1 + (np.tan(turn) / corner) ** 4)  # Butterworth, forwards and backwards
     kept = len(grid) if len(grid) < TORQUE_POINTS else len(grid) // TORQUE_POINTS * TORQUE_POINTS
 
     def smooth(columns: Mapping[str, Array]) -> dict[str, Array]:
         return {
-            name: np.asarray(sosfiltfilt(low, np.interp(grid, run.time, filled(run.time, v))))[
-                :kept
-            ]
+            name: np.fft.irfft(
+                low * np.fft.rfft(np.pad(x, ends, mode="reflect", reflect_type="odd")),
+                len(grid) + 2 * ends,
+            )[ends:][:kept]
             for name, v in columns.items()
             if v.ndim == 1
+            for x in [np.interp(grid, run.time, filled(run.time, v))]
         }
 
     controls, sensors, torques = (smooth(c) for c in (run.controls, run.sensors, run.torques))
@@ -346,6 +357,8 @@ def _gravity(fit: TorqueFit) -> Iterator[tuple[str, Correction]]:
 
 def _left_by_model_errors(fit: TorqueFit) -> float:
     """Share of the torque's variance that the best single error of the model leaves [1]."""
+    from scipy.optimize import lsq_linear  # a second, and most recordings need none
+
     right, best = fit.beyond((fit.rows.torque - fit.needed)[:, :, None])[:, 0], np.inf
     for torque, low, high in (*_masses(fit), *_at_joints(fit)):
         if np.isfinite(torque).all():

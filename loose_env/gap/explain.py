@@ -45,7 +45,7 @@ from loose_env.gap.output.result import (
     how_to_separate,
 )
 from loose_env.gap.runs import measured_runs
-from loose_env.recording import Recording, Run
+from loose_env.recording import CommandTiming, Recording, Run
 from loose_env.typing import Array
 
 PULLED = 2.0
@@ -162,6 +162,8 @@ def solve_gap(
             held_out_runs=tuple(r.name for r in answer.held_out.runs) if answer.held_out else (),
             ranking=tuple(ranking[:_RANKED]), code=correction_code(corrected),
             residual_tests=tests, identifiability=identifiability(selection),
+            commands={n: t for run in recording.runs for n, t in run.commands.items()
+                      if t != CommandTiming()},
             warnings=_warnings(answer, recording), preflight=tuple(preflight),
             settings=asdict(answer.settings),
         )  # fmt: skip

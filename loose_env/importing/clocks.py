@@ -61,19 +61,13 @@ class _Clock:
 def samples_of(table: Table, channel: str, time: TimeSource) -> Samples:
     """Samples of a channel on its table's times; refused where there is no order to them."""
     values = np.asarray(_numbers(table, channel, "number"), dtype=np.float64)
-    there = ~np.isnan(values)
-    infinite = np.flatnonzero(np.isinf(values))
     place = f"{table.place}: {table.column_word} {channel!r}"
-    clock = _clock(table, time)
-    done: tuple[str, ...] = ()
-    keep = np.flatnonzero(there) if not there.all() else None
-    if clock is None:
-        at = np.arange(len(values)) / (time.rate_hz or table.rate_hz or 1.0)
-        at, origin = (at if keep is None else at[keep]), 0
+    if np.isfinite(values).all():
+        at, origin, keep, done = _times(table, time)
     else:
-        at, origin, keep, done = _ordered(table, clock, keep)
-    if infinite.size:
-        raise InvalidData(f"{table.row(int(infinite[0]))}: the value is infinite, {channel!r}")
+        at, origin, keep, done = _times_of(table, time, np.flatnonzero(~np.isnan(values)))
+        if (infinite := np.flatnonzero(np.isinf(values))).size:
+            raise InvalidData(f"{table.row(int(infinite[0]))}: the value is infinite, {channel!r}")
     count = len(values) if keep is None else len(keep)
     if count < 2:
         raise InvalidData(f"{place}: it has {count} samples; at least 2 needed")
@@ -229,9 +223,25 @@ def _clock(table: Table, time: TimeSource) -> _Clock | None:
     return _Clock(f"{own!r} [{unit}]", raw, unit_named(unit, f"{place}: time.unit").factor)
 
 
-def _ordered(
-    table: Table, clock: _Clock, keep: NDArray[np.int64] | None
-) -> tuple[Array, int, NDArray[np.int64] | None, tuple[str, ...]]:
+_Ordered = tuple[Array, int, NDArray[np.int64] | None, tuple[str, ...]]
+
+
+def _times_of(table: Table, time: TimeSource, keep: NDArray[np.int64] | None) -> _Ordered:
+    """Times of all rows or of some, as `_ordered`, or by the rate."""
+    clock = _clock(table, time)
+    if clock is not None:
+        return _ordered(table, clock, keep)
+    at = np.arange(len(table)) / (time.rate_hz or table.rate_hz or 1.0)
+    return (at if keep is None else at[keep]), 0, keep, ()
+
+
+@lru_cache(maxsize=8)
+def _times(table: Table, time: TimeSource) -> _Ordered:
+    """Times of all rows, which channels without missing samples share."""
+    return _times_of(table, time, None)
+
+
+def _ordered(table: Table, clock: _Clock, keep: NDArray[np.int64] | None) -> _Ordered:
     """Times [s] after an origin [ns], the rows in their order, and what was done."""
     raw = clock.raw if keep is None else clock.raw[keep]
     rows = np.arange(len(clock.raw)) if keep is None else keep

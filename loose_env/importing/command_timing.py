@@ -16,11 +16,10 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy import ndimage
 
-from loose_env.importing.resampling import median_step
+from loose_env.importing.resampling import median_step, smoothed
 from loose_env.importing.targets import SMOOTHED, Drive, drives_of, joint_targets, needed_torques
-from loose_env.recording import CommandTiming, Run
+from loose_env.recording import CommandTiming, Run, last_known
 from loose_env.typing import Array
 
 _LINEAR = 0.25
@@ -85,7 +84,7 @@ def command_delays(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, Comm
             parts = [
                 (needed[each.name][k], positions[each.name][k], grid, run.time, held)
                 for k, (run, grid) in enumerate(zip(runs, grids, strict=True))
-                if drive in run.controls and np.ptp(held := _held(run, drive)) > 0
+                if drive in run.controls and np.ptp(held := last_known(run.controls[drive])) > 0
             ]
             if parts:
                 found[drive] = _delay(own, step, parts)
@@ -112,11 +111,6 @@ def _read(run: Run, values: Array, grid: Array) -> Array:
     return np.interp(grid, run.time[there], values[there]) if there.any() else np.zeros(len(grid))
 
 
-def _held(run: Run, drive: str) -> Array:
-    """Command of a run at its samples, with missing ones filled."""
-    return CommandTiming().acting(run.time, run.controls[drive], run.time)
-
-
 def _delay(drive: Drive, step: float, parts: Sequence[_Part]) -> CommandDelay:
     interval = float(np.median([interval_of(time, held) for *_, time, held in parts]))
     lines = [(*part[:4], lines_of(*part[3:], interval)) for part in parts]
@@ -140,7 +134,7 @@ def _terms(drive: Drive, step: float, parts: Sequence[_Part], late: float) -> tu
     left, columns = [], []
     for needed, position, grid, time, lines in parts:
         asked = np.interp(grid - late, time, lines)
-        command, q = (np.asarray(ndimage.uniform_filter1d(x, SMOOTHED)) for x in (asked, position))
+        command, q = (smoothed(x, SMOOTHED) for x in (asked, position))
         speed, inner = np.gradient(q, step), slice(SMOOTHED, -SMOOTHED)
         given = gear * (gain * command + bias + gear * (stiff * q + damped * speed))
         dry = np.tanh(speed / (_DRY * np.std(speed) + 1e-12))
@@ -214,7 +208,7 @@ def timed(
         replace(
             run,
             controls={
-                name: lines_of(run.time, _held(run, name), usual.interval) if name in free else own
+                name: lines_of(run.time, last_known(own), usual.interval) if name in free else own
                 for name, own in run.controls.items()
             },
             commands={**run.commands, **{name: timing for name in run.controls if name in free}},

@@ -9,10 +9,9 @@ from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from scipy import fft, ndimage
 
 from loose_env.importing.names import Meaning
-from loose_env.importing.resampling import median_step
+from loose_env.importing.resampling import median_step, smoothed
 from loose_env.importing.samples import ChannelKey, Samples
 from loose_env.typing import Array
 
@@ -67,9 +66,7 @@ class Signal:
     def averaged(self, seconds: float) -> Array:
         """Values of all runs in a row, each a mean over so long about it."""
         width = max(1, round(seconds / self.step))
-        return np.concatenate(
-            [ndimage.uniform_filter1d(run, min(width, len(run))) for run in self.runs if len(run)]
-        )
+        return np.concatenate([smoothed(v, min(width, len(v))) for v in self.runs if len(v)])
 
     @cached_property
     def moves(self) -> bool:
@@ -96,6 +93,11 @@ class Signal:
     def rates(self) -> list[Array]:
         """Derivatives of the runs."""
         return [derivative(v, self.step) for v in self.runs]
+
+    @cached_property
+    def compared(self) -> tuple[list[Array], list[Array]]:
+        """The same and the averages, about the means of their runs."""
+        return _centred(self.rates), _centred(self.smooth)
 
 
 @dataclass(frozen=True)
@@ -158,28 +160,22 @@ def derivative(values: Array, step: float) -> Array:
 
 def _averaged(values: Array, step: float) -> Array:
     width = max(_WIDTH, round(_SMOOTHED_S / step))
-    return np.asarray(ndimage.uniform_filter1d(values, width)) if len(values) else values
-
-
-def correlation(first: Sequence[Array], second: Sequence[Array]) -> float:
-    """Correlation of two signals at no delay, the mean of each run apart; 0 where one is still."""
-    product, one, two = _products(first, second)
-    return product / math.sqrt(one * two) if one * two > 0 else 0.0
+    return smoothed(values, width) if len(values) else values
 
 
 def slope(first: Sequence[Array], second: Sequence[Array]) -> float:
     """Signed ratio of the spread of a second signal to that of the first."""
-    product, one, two = _products(first, second)
+    product, one, two = _products(_centred(first), _centred(second))
     return math.copysign(math.sqrt(two / one), product) if one > 0 else 0.0
 
 
+def _centred(runs: Sequence[Array]) -> list[Array]:
+    return [v - v.mean() if len(v) else v for v in runs]
+
+
 def _products(first: Sequence[Array], second: Sequence[Array]) -> tuple[float, float, float]:
-    """Product of two signals, and square of each, about the means of their runs."""
-    pairs = [
-        (a - a.mean(), b - b.mean())
-        for a, b in zip(first, second, strict=True)
-        if len(a) and len(a) == len(b)
-    ]
+    """Product of two signals, and square of each, over the runs that both have."""
+    pairs = [(a, b) for a, b in zip(first, second, strict=True) if len(a) == len(b)]
     return tuple(float(sum(x @ y for x, y in each)) for each in (  # type: ignore[return-value]
         pairs, [(a, a) for a, _ in pairs], [(b, b) for _, b in pairs]))  # fmt: skip
 
@@ -194,8 +190,8 @@ def likeness(first: Sequence[Array], second: Sequence[Array], step: float) -> Li
         if not len(a) or len(a) != len(b):
             continue
         one, two = a - a.mean(), b - b.mean()
-        size = fft.next_fast_len(len(a) + most + 1, real=True)
-        whole = fft.irfft(np.conj(fft.rfft(one, size)) * fft.rfft(two, size), size)
+        size = 1 << (len(a) + most).bit_length()
+        whole = np.fft.irfft(np.conj(np.fft.rfft(one, size)) * np.fft.rfft(two, size), size)
         total += np.concatenate([whole[size - most :], whole[: most + 1]])
         powers += (one @ one, two @ two)
     scale = float(np.sqrt(powers[0] * powers[1]))
@@ -222,8 +218,9 @@ class Speed(NamedTuple):
 
 def speed_in(position: Signal, s: Signal) -> Speed:
     """Compare a channel with the derivative of a position."""
-    value = correlation(position.rates, s.smooth)
-    ratio = max(abs(slope(position.rates, s.smooth)), 1e-12)
+    product, one, two = _products(position.compared[0], s.compared[1])
+    value = product / math.sqrt(one * two) if one * two > 0 else 0.0
+    ratio = max(math.sqrt(two / one), 1e-12) if one > 0 else 1e-12
     off = 0.0 if s.unit else min(abs(math.log(ratio / each)) for each in SIZES)
     return Speed(math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value), value)
 
@@ -273,7 +270,8 @@ def coding_of(values: Array) -> tuple[float | None, int | None]:
 
 
 def _jump(values: Array) -> float:
-    return float(np.max(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
+    steps = np.diff(values)
+    return float(max(steps.max(), -steps.min())) if steps.size else 0.0
 
 
 def on_one_base(samples: Mapping[K, Samples]) -> tuple[float, dict[K, Array]]:
@@ -281,7 +279,10 @@ def on_one_base(samples: Mapping[K, Samples]) -> tuple[float, dict[K, Array]]:
     if not samples:
         return 1.0, {}
     origin = min(each.origin_ns for each in samples.values())
-    times = {key: each.since(origin) for key, each in samples.items()}
+    shared = {(id(s.time), s.origin_ns): s for s in samples.values()}
+    clocks = {key: (s.since(origin), median_step(s.time)) for key, s in shared.items()}
+    own = {key: clocks[id(s.time), s.origin_ns] for key, s in samples.items()}
+    times = {key: time for key, (time, _) in own.items()}
     ends = np.array([[t[0], t[-1]] for t in times.values()])
     # A channel that speaks of less than half of the others' time is no part of the motion.
     longest = np.median(ends[:, 1] - ends[:, 0])
@@ -293,18 +294,20 @@ def on_one_base(samples: Mapping[K, Samples]) -> tuple[float, dict[K, Array]]:
     if not kept:
         return 1.0, {}
     start, stop = max(t[0] for t in kept.values()), min(t[-1] for t in kept.values())
-    step = min(median_step(samples[key].time) for key in kept)
+    step = min(own[key][1] for key in kept)
     rows = int((stop - start) / step + 1e-6) + 1 if stop > start else 0
     if rows < 10:
         return step, {}
     base = start + step * np.arange(rows)
-    found = {k: np.interp(base, t, samples[k].values) for k, t in kept.items()}
-    if rows > MOST_ROWS:
-        effort = sum(
-            (np.abs(np.diff(v)) / np.ptp(v) for v in found.values() if np.ptp(v) > 0),
-            start=np.zeros(rows - 1),
-        )
-        total = np.concatenate([[0.0], np.cumsum(effort)])
-        at = int(np.argmax(total[MOST_ROWS - 1 :] - total[: rows - MOST_ROWS + 1]))
-        found = {k: v[at : at + MOST_ROWS] for k, v in found.items()}
-    return step, found
+    if rows > MOST_ROWS:  # the piece is looked for by every so many rows
+        few = base[:: -(-rows // MOST_ROWS)]
+        width = MOST_ROWS * len(few) // rows
+        effort = np.zeros(len(few))
+        for k, t in kept.items():
+            v = np.interp(few, t, samples[k].values)
+            effort[1:] += np.abs(np.diff(v)) / (np.ptp(v) or 1.0)
+        total = np.cumsum(effort)
+        at = int(np.argmax(total[width - 1 :] - total[: len(few) - width + 1]))
+        first = int(min(np.searchsorted(base, few[at]), rows - MOST_ROWS))
+        base = base[first : first + MOST_ROWS]
+    return step, {k: np.interp(base, t, samples[k].values) for k, t in kept.items()}

@@ -183,7 +183,7 @@ class _MappingFile:
 
     format: Literal["loose-mapping/1"]
     model: str = ""
-    """MJCF file, from the mapping's folder; may be empty."""
+    """Path of the MJCF file from the mapping's folder; may be empty."""
     sources: Annotated[Mapping[_Text, SourceEntry], MinLen(1)]
     columns: Annotated[Mapping[_Text, ColumnKeys], MinLen(1)]
     runs: Annotated[tuple[RunPlan, ...], MinLen(1), MaxLen(10_000)]

@@ -149,13 +149,16 @@ def _model_file(plan: ImportMapping, mapping: Path, model: str | Path | None) ->
         return path
     if not plan.model:
         raise InvalidData(
-            f"{plan.name}: a recording needs a model: name an MJCF file beside the mapping by "
-            "model = '...', or give --model"
+            f"{plan.name}: a recording needs a model: name an MJCF file by model = '...', from the "
+            "mapping's folder, or give --model"
         )
-    try:
-        return existing_file(mapping.resolve().parent, plan.model, f"{plan.name}: model")
-    except InvalidData as error:
-        raise InvalidData(f"{error}; a model from elsewhere is given by --model") from None
+    path = mapping.resolve().parent / plan.model
+    if not path.is_file():
+        raise InvalidData(
+            f"{plan.name}: model: there is no file {plan.model!r:.200} from the mapping's folder; "
+            "another one is given by --model"
+        )
+    return path
 
 
 def _check_names(plan: ImportMapping, model: mujoco.MjModel) -> None:
@@ -260,6 +263,8 @@ def _columns(
             origin = samples.origin_ns - start + round((time.offset_s - c.delay_s) * 1e9)
             found[c.column] = replace(samples, origin_ns=origin)
     origin = min(samples.origin_ns for samples in found.values())
+    times = {(id(s.time), s.origin_ns): s.since(origin) for s in found.values()}
+    pauses: dict[tuple[int, float | None], float] = {}
     columns = []
     for entry in plan.columns.values():
         samples = found[entry.column]
@@ -267,8 +272,10 @@ def _columns(
         values = values * _factor(entry, samples, model) + entry.offset
         if not np.isfinite(values).all():
             raise InvalidData(f"{entry.place}: scaled, its values are too large for a number")
-        longest = bridged(samples.time, entry.gap_s)
-        columns.append(_Column(entry, samples.place, samples.since(origin), values, longest))
+        at, paused = times[id(samples.time), samples.origin_ns], (id(samples.time), entry.gap_s)
+        if paused not in pauses:
+            pauses[paused] = bridged(samples.time, entry.gap_s)
+        columns.append(_Column(entry, samples.place, at, values, pauses[paused]))
     return columns
 
 

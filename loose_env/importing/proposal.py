@@ -29,6 +29,7 @@ from loose_env.importing.sources import given_files, open_log
 from loose_env.importing.targets import joint_targets
 from loose_env.importing.units import quantity_of
 from loose_env.recording import ModelColumns
+from loose_env.typing import Array
 
 _MOST_RUNS = 4
 """Runs of which signals are compared; more tell hardly more."""
@@ -279,7 +280,7 @@ def _signals(
                 step=bases[0][0],
                 period=coded[key][0],
                 sign_bit=coded[key][1],
-                whole=all(bool(np.all(own[key].values == np.round(own[key].values)))
+                whole=all(_whole(own[key].values[::97]) and _whole(own[key].values)
                           for own in read if key in own),
                 sort=i,
                 defined=bool(file.log.angle),
@@ -293,6 +294,10 @@ def _signals(
             f"{names}: no channels of numbers that have 10 samples in common; {reason}"
         )
     return signals
+
+
+def _whole(values: Array) -> bool:
+    return bool(np.all(values == np.round(values)))
 
 
 def _chosen(count: int, most: int = _MOST_RUNS) -> list[int]:
@@ -310,8 +315,7 @@ def proposal_text(proposal: Proposal, model: str) -> str:
     proposal : Proposal
         The proposal.
     model : str
-        Path of the model from the folder of the mapping; "" where it lies elsewhere, so that it
-        is given on the command line.
+        Path of the model from the folder of the mapping.
 
     Returns
     -------
@@ -319,8 +323,7 @@ def proposal_text(proposal: Proposal, model: str) -> str:
         TOML; a line that lacks something, and one of each channel without a column, is a comment.
     """
     several = len(proposal.logs) > 1
-    lines = [f"format = {quoted(MAPPING_FORMAT)}"]
-    lines.append(f"model = {quoted(model)}" if model else "# model: give it by --model")
+    lines = [f"format = {quoted(MAPPING_FORMAT)}", f"model = {quoted(model)}"]
     if proposal.unused:
         names = ", ".join(map(quoted, proposal.unused))
         lines.append(f"unused = [{names}]  # none of their signals is used")

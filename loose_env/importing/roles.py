@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from loose_env.importing.evidence import (
     SIZES,
@@ -371,6 +370,9 @@ class Roles:
 
     def _take_rest(self) -> None:
         """Velocity, torque and command of every joint, by the largest scores in sum."""
+        from scipy.sparse import csr_array  # half a second, and only a guess needs them
+        from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+
         candidates = self._free()
         places: list[tuple[str, Role]] = [
             (t.name, role)
@@ -384,7 +386,8 @@ class Roles:
         open_to = np.array([[not m.why for m in row] for row in table]).reshape(scores.shape)
         order = _ORDER * np.outer(np.arange(len(places)), np.arange(len(candidates)))
         chosen: dict[int, Match] = {}
-        for i, k in np.transpose(linear_sum_assignment(-scores * open_to - order)):
+        costs = csr_array(10.0 - scores * open_to - order)  # all above 0: none is left out
+        for i, k in np.transpose(min_weight_full_bipartite_matching(costs)) if scores.size else ():
             if scores[i, k] >= ALIKE and open_to[i, k]:
                 chosen[k] = table[i][k]
         per: dict[object, list[float]] = {}

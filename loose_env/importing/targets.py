@@ -19,10 +19,10 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from scipy import ndimage
 
 from loose_env.importing.evidence import Signal
 from loose_env.importing.names import Role
+from loose_env.importing.resampling import smoothed
 from loose_env.importing.units import quantity_of, unit_named
 from loose_env.recording import ModelColumns, joint_sensors
 from loose_env.sensors import STANDARD_GRAVITY
@@ -337,7 +337,7 @@ def needed_torques(
                 position[:, names.index(name)] = np.polynomial.polynomial.polyval(x, poly)
         torque = np.zeros((len(position[::every]), model.nv))
         if length > 2:
-            position = np.asarray(ndimage.uniform_filter1d(position, SMOOTHED, axis=0))
+            position = smoothed(position, SMOOTHED)
             velocity = np.gradient(position, step, axis=0)
             motion = (position, velocity, np.gradient(velocity, step, axis=0))
             torque = inverse_dynamics(model, *(each[::every] for each in motion))

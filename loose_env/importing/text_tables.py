@@ -60,7 +60,7 @@ def open_text_table(path: Path, name: str) -> Log:
         raw = raw.decode("utf-16", "replace").encode()
     raw = raw.removeprefix(b"\xef\xbb\xbf")
     try:
-        raw.decode()
+        raw.isascii() or raw.decode()
     except UnicodeDecodeError:
         raw = raw.decode("latin-1").encode()
     raw = raw if b"\n" in raw else raw.replace(b"\r", b"\n")
@@ -109,18 +109,16 @@ def _cells(
     import pyarrow as pa
     from pyarrow import csv as pacsv
 
-    start = 0
+    start, end = 0, len(raw)
     for _ in range(head.first):
         start = raw.find(b"\n", start) + 1
-    body = raw[start:].rstrip(b"\r\n")
+    while end > start and raw[end - 1] in b"\r\n":
+        end -= 1
+    body = raw[start:end]
     if head.separator == " ":
         body = re.sub(rb"[ \t]*(\r?\n)[ \t]*", rb"\1", re.sub(rb"[ \t]+", b" ", body.strip(b" \t")))
-    blank = np.array([], int) if b"\n\n" not in body and b"\n\r\n" not in body else np.flatnonzero(
-        [not line.strip() for line in body.split(b"\n")])  # fmt: skip
-    body = re.sub(rb"\n(\r?\n)+", b"\n", body) if blank.size else body
-    count = body.count(b"\n") + 1
-    lines = np.delete(np.arange(count + blank.size), blank) + head.first + 1
-    if count * len(head.names) > MOST_VALUES:
+    lines = np.arange(body.count(b"\n") + 1) + head.first + 1
+    if len(lines) * len(head.names) > MOST_VALUES:
         raise InvalidData(f"{name}: more than {MOST_VALUES} values; split the file")
     cut: list[Any] = []
 
@@ -133,8 +131,9 @@ def _cells(
             pa.BufferReader(body),
             pacsv.ReadOptions(column_names=names, use_threads=False,
                               block_size=max(len(body), 1)),
-            pacsv.ParseOptions(delimiter=head.separator, invalid_row_handler=noted),
-            pacsv.ConvertOptions(column_types=kinds, null_values=_MISSING,
+            pacsv.ParseOptions(delimiter=head.separator, invalid_row_handler=noted,
+                               quote_char='"' if b'"' in body else False),
+            pacsv.ConvertOptions(column_types=kinds, null_values=_MISSING, check_utf8=False,
                                  decimal_point=head.decimal, strings_can_be_null=False),
         )  # fmt: skip
 
@@ -152,6 +151,8 @@ def _cells(
             found = read(dict.fromkeys(names, pa.string()))
     except pa.ArrowInvalid as error:
         raise InvalidData(f"{name}: not a table: {' '.join(str(error).split())[:200]}") from None
+    if found.num_rows + len(cut) != len(lines):  # blank lines
+        lines = lines[[bool(line.strip()) for line in body.split(b"\n")]]
     if cut:
         line = lines[cut[0].number - 1] if cut[0].number else head.first + 1
         raise InvalidData(
@@ -252,8 +253,8 @@ def _split(lines: list[str], separator: str, decimal: str) -> _Head | None:
             if _count(lines[skip].split(separator)[:1], decimal):
                 return None  # a row of the table, and no words
     for i, (_, row) in enumerate(rows):
-        width, numbers = len(row), _count(row, decimal)
-        if width < 2 or numbers < 1 or 2 * numbers < width - 1:
+        width = len(row)
+        if width < 2 or (numbers := _count(row, decimal)) < 1 or 2 * numbers < width - 1:
             continue
         alike = [r for _, r in rows[i : i + 5]]
         if any(len(r) != width or 2 * _count(r, decimal) < numbers for r in alike):

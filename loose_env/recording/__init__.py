@@ -20,7 +20,14 @@ from loose_env.recording.recording import (
     read_description,
     read_recording,
 )
-from loose_env.recording.run import CommandTiming, Comparison, Condition, Run, table_of
+from loose_env.recording.run import (
+    CommandTiming,
+    Comparison,
+    Condition,
+    Run,
+    last_known,
+    table_of,
+)
 from loose_env.recording.tables import (
     FEWEST_SAMPLES,
     MOST_MISSING,
@@ -56,6 +63,7 @@ __all__ = [
     "corrupt_mask",
     "existing_file",
     "joint_sensors",
+    "last_known",
     "load_model",
     "nearest",
     "planned_recording",

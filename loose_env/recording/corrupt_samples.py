@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from loose_env.errors import InvalidData
 from loose_env.recording.run import Run
@@ -111,15 +111,16 @@ def corrupt_mask(values: Array, multiple: float = IMPULSIVE_MULTIPLE) -> NDArray
     if len(good) < _WINDOW:
         return absurd
     kept = values[good]
-    middle = float(np.median(kept))
-    low, high = np.quantile(kept, (0.05, 0.95))
-    jumps = np.abs(kept - median_filter(kept, _WINDOW, mode="mirror"))
+    low, middle, high = np.quantile(kept, (0.05, 0.5, 0.95))
     shown = float(high - low)
     if shown < STANDSTILL:
         shown = max(abs(middle), 1.0)  # a column that stands still shows no range
-    usual = max(shown, float(np.quantile(jumps, 0.99)))
-    found = (np.abs(kept - middle) > multiple * shown) & (jumps > multiple * usual)
-    absurd[good[found]] = True
+    far = np.abs(kept - middle) > multiple * shown
+    if far.any():
+        around = np.pad(kept, _WINDOW // 2, mode="reflect")
+        jumps = np.abs(kept - np.median(sliding_window_view(around, _WINDOW), axis=1))
+        usual = max(shown, float(np.quantile(jumps, 0.99)))
+        absurd[good[far & (jumps > multiple * usual)]] = True
     return absurd
 
 

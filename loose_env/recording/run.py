@@ -51,7 +51,7 @@ class CommandTiming:
 
     def acting(self, time: Array, values: Array, at: Array) -> Array:
         """Command at some times (N,) by samples (T,); a missing one is as the last before it."""
-        values, at = _filled(values), at - self.shift_s
+        values, at = last_known(values), at - self.shift_s
         if self.mode == "linear":
             return np.asarray(np.interp(at, time, values))
         return np.asarray(values[np.maximum(np.searchsorted(time, at, side="right") - 1, 0)])
@@ -67,12 +67,14 @@ class CommandTiming:
         return self.shift_s + (0.0 if self.mode == "linear" else 0.5 * step)
 
 
-def _filled(values: Array) -> Array:
+def last_known(values: Array) -> Array:
     """Commands with each missing one as the last before it: a drive keeps its set point.
 
     Those at the start take the first one; zeros where none is known.
     """
     known = np.flatnonzero(np.isfinite(values))
+    if len(known) == len(values):
+        return values
     if not len(known):
         return np.zeros_like(values)
     at = np.clip(np.searchsorted(known, np.arange(len(values)), "right") - 1, 0, None)

@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_ndtr, logsumexp
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics._checks import as_floats, require_finite
@@ -115,6 +114,8 @@ class GaussianMixture:
         others = beside.log_densities(found[:, 1:])
         share = others - np.logaddexp.reduce(others, axis=1, keepdims=True)
         ahead = ((found[:, None, 1:] - beside.means) * slopes).sum(2)
+        from scipy.special import log_ndtr
+
         tails = log_ndtr((self.means[:, 0] + ahead - found[:, :1]) / deviations)
         return np.asarray(np.logaddexp.reduce(share + tails, axis=1))
 
@@ -186,6 +187,8 @@ def fit_gaussian_mixture(
     mixture, before = _from_shares(found, share, ridge), -math.inf
     for _ in range(steps):
         logs = mixture.log_densities(found)
+        from scipy.special import logsumexp
+
         total = logsumexp(logs, axis=1)
         gain, before = float(total.mean()) - before, float(total.mean())
         if gain < tolerance:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from loose_env.typing import Array
 
@@ -52,6 +51,8 @@ def knocks(load: Array, mass: Array, gap: Array, friction: Array, period: float)
 def rung(energy: Array, decay_s: float, period: float) -> Array:
     """Energy (H, GRID) that rings down after each knock, around the period."""
     keep = np.exp(-period / energy.shape[-1] / decay_s)
+    from scipy.signal import lfilter  # two seconds of processor, which importers seldom need
+
     twice = lfilter([1.0], [1.0, -keep], np.concatenate([energy, energy], -1), axis=-1)
     found: Array = twice[..., energy.shape[-1] :]
     return found

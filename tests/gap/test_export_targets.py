@@ -30,6 +30,7 @@ from loose_env.gap import (
     write_export,
 )
 from loose_env.gap.model.effects.joints import CoulombFriction, StribeckFriction
+from loose_env.recording import CommandTiming
 from tests.gap.cases.exported_result import ARM, LAG, write_result
 
 SERVO = ExportSettings(servo="xl330")
@@ -429,6 +430,17 @@ def test_every_target_carries_or_lists_every_effect(folder: Path, target: str) -
         in_files |= any(f'"{effect.kind}"' in t for t in made.files.values())
         in_files |= target == "sysid" and effect.where == "all"
         assert effect.kind in listed or in_files or effect.kind.startswith(carried), effect
+
+
+@pytest.mark.parametrize("target", sorted(TARGETS))
+def test_how_commands_act_is_told_in_every_export(tmp_path: Path, target: str) -> None:
+    timing = CommandTiming(mode="linear", shift_s=-0.002)
+    replace(write_result(tmp_path), commands={"servo1": timing}).write(tmp_path / "result.json")
+    made = export_result(tmp_path, target, SERVO)
+    (words,) = [each for each in made.not_expressed if "servo1 act along straight lines" in each]
+    assert "-2 ms after" in words
+    if target not in ("bam", "urdf"):
+        assert any("servo1 act along" in text for text in made.files.values())
 
 
 def test_results_that_cannot_be_exported_are_refused(tmp_path: Path, folder: Path) -> None:

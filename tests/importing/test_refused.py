@@ -125,13 +125,14 @@ def test_only_files_of_the_command_line_are_read(home: Path, mapping: Mapped) ->
     log, secret = log_of(home), log_of(home, "secret.csv")
     inner = home / "maps"
     inner.mkdir()
-    for model in ("../arm.xml", str(home / "arm.xml")):
+    for model in ("../other.xml", "../arm.xml"):
         text = f'format = "loose-mapping/1"\nmodel = "{model}"\n'
         (inner / "map.toml").write_text(text + one('channel = "q"', source=CLOCK))
-        assert "given by --model" in refused(home, log, inner / "map.toml")
-    stated = import_recording([log], inner / "map.toml", home / "out", model=home / "arm.xml")
-    assert stated.runs
-    shutil.rmtree(home / "out")
+        if model == "../other.xml":
+            assert "given by --model" in refused(home, log, inner / "map.toml")
+    for own in (None, home / "arm.xml"):
+        assert import_recording([log], inner / "map.toml", home / "out", model=own).runs
+        shutil.rmtree(home / "out")
     named = (
         one('channel = "q"', source=f'{CLOCK}\nfile = "{secret}"')
         .replace("[columns]", "[sources.other]\n[columns]")

@@ -26,6 +26,7 @@ from loose_env.gap.model.effects.catalogue import CATALOGUE
 from loose_env.gap.model.nominal_model import AT_JOINT, MOVING, affine_actuators
 from loose_env.gap.output.result import NamedEffect, read_result
 from loose_env.io import Checked, Positive, json_text, plain, write_text
+from loose_env.recording import CommandTiming
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +99,10 @@ def export_result(
     folder = place if place.is_dir() else place.parent
     model = folder / (result.model or "model.xml")
     given = settings or ExportSettings()
-    return TARGETS[target](_Source(effects=result.effects, path=model, settings=given, urdf=urdf))
+    source = _Source(
+        effects=result.effects, commands=result.commands, path=model, settings=given, urdf=urdf
+    )
+    return TARGETS[target](source)
 
 
 def write_export(folder: str | Path, export: Export) -> list[Path]:
@@ -122,6 +126,7 @@ class _Source:
     """The named effects of a result, and the corrected model beside it."""
 
     effects: tuple[NamedEffect, ...]
+    commands: Mapping[str, CommandTiming]
     path: Path
     settings: ExportSettings
     urdf: Path | None
@@ -168,7 +173,18 @@ class _Source:
                 where = "model.xml" if effect.in_model else "the code in result.json"
                 part = _PARTLY.get(effect.kind, "") if len(lost) == len(effect.parameters) else ""
                 found.append(f"{_words(effect, lost)}{part}; {remedy or f'{where} carries it'}")
-        return tuple(found)
+        return (*found, *self.timings())
+
+    def timings(self) -> Iterator[str]:
+        """How commands act that are not held: no target has it, and delays are beyond it."""
+        for timing in dict.fromkeys(self.commands.values()):
+            names = " and ".join(n for n, each in self.commands.items() if each == timing)
+            way = "held" if timing.mode == "held" else "along straight lines"
+            late = f", {1e3 * timing.shift_s:.3g} ms after their stamps" if timing.shift_s else ""
+            yield (
+                f"commands of {names} act {way} from sample to sample of the log{late}, and delays "
+                "count from there; give the simulation references that are timed so"
+            )
 
 
 _ALL: tuple[str, ...] = ("*",)  # stands for all parameters of an effect
@@ -351,7 +367,7 @@ def _sysid(source: _Source) -> Export:
     Classes and their arguments are those of MuJoCo 4.0: ``Parameter(name, nominal, min_value,
     max_value, frozen, modifier)``, whose modifier is called with the spec and the parameter.
     """
-    left, states, added = list[str](), dict[str, dict[str, Any]](), ""
+    left, states, added = [*source.timings()], dict[str, dict[str, Any]](), ""
     for p in _parameters(source):
         nominal = p.nominal if isfinite(p.nominal) else p.value
         state = {
@@ -391,7 +407,7 @@ def _ranges(source: _Source) -> Export:
     Each has the parameter's effect, location, unit and interval; where the parameter is one
     attribute of MJCF, also that attribute with its absolute range.
     """
-    ranges, left = [], []
+    ranges, left = [], [*source.timings()]
     for p in _parameters(source):
         if not p.low < p.high:
             left.append(f"{p.words}: the result has no interval for it")
@@ -677,7 +693,8 @@ def _usd(source: _Source) -> Export:
     carried = {k: _ALL for k in _CARRIED if k not in ("command_delay", "voltage_limit")}
     left = [*source.not_carried(carried), *left]
     notes = (f"joints are sought at /{name}/joints, where Isaac Sim's importers put them",)
-    text = "\n".join([*lines, "    }", "}", ""])
+    told = [f"# not expressed: {words}" for words in left]
+    text = "\n".join([lines[0], *told, *lines[1:], "    }", "}", ""])
     return Export(files={"joints.usda": text}, not_expressed=tuple(left), notes=notes)
 
 

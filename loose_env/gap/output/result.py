@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from loose_env.doctor import Finding, graded_findings
 from loose_env.io import JsonFile, read_result_file
+from loose_env.recording import CommandTiming
 
 FORMAT = "loose-gap/1"
 UNIT = "RMS over held-out data, in noise standard deviations"
@@ -263,6 +264,8 @@ class GapResult(JsonFile):
     """Residual tests on held-out data."""
     identifiability: Identifiability = field(default_factory=Identifiability)
     """What the recorded motions could show."""
+    commands: Mapping[str, CommandTiming] = field(default_factory=dict)
+    """Commands that act otherwise than held from sample to sample, by actuator."""
     warnings: tuple[str, ...] = ()
     """Cautions for the reader."""
     preflight: tuple[Finding, ...] = ()
