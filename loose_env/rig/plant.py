@@ -153,11 +153,6 @@ class PlantShop:
             found = self._templates[links, kinds] = self._compile(links, kinds)
         return found
 
-    def spare(self, parts: int) -> mujoco.MjModel:
-        """Compiled model of any seat with a given number of parts."""
-        slide: SeatKind = "slide"
-        return self.template(tuple(range(1, parts + 1)), (slide,) * parts)
-
     def build(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
         """Build the true arm with the seat of its fault; as `build_all`."""
         return self.build_all([fault], [mismatch])[0]

@@ -540,7 +540,7 @@ class SimulatedRig(SlotRig):
         template of its own, which is never simulated: nobody else's number changes what it does.
         """
         for parts in {plant.parts for plant in self.plants}:
-            spare = self.shop.spare(parts)
+            spare = next(p.indices.template for p in self.plants if p.parts == parts)
             if parts not in self._engines:
                 self._engines[parts] = Batch(spare, self.slots, self._threads)
             self._engines[parts].set_models(
