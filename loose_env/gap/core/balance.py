@@ -23,7 +23,7 @@ from loose_env.gap.core.readings import Readings
 from loose_env.gap.model.effect import DrivenEffect, Effect
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.gap.model.effects.inertia import MountedPayload
-from loose_env.gap.model.effects.sensors import column_of
+from loose_env.gap.model.effects.sensors import EncoderOffset, column_of
 from loose_env.gap.model.hypothesis import compiled
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array, ComplexArray
@@ -683,7 +683,8 @@ def with_effects(machine: NominalModel, found: Found) -> mujoco.MjSpec:
 
 def is_rigid(effect: Effect) -> bool:
     """Whether an effect edits rigid bodies or where they stand, in all runs alike."""
-    edits = effect.part in ("link", "arm") and effect.overrides("edit")
+    stands = effect.part in ("link", "arm") or isinstance(effect, EncoderOffset)
+    edits = stands and effect.overrides("edit")
     return edits and not (effect.adds_motion or effect.mountings)
 
 

@@ -18,6 +18,7 @@ from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change, Forces
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
+from loose_env.gap.model.effects.sensors import SensorBias
 from loose_env.typing import Array
 
 _MOVING = 2.0
@@ -123,6 +124,9 @@ def shows(balance: Balance, effect: Effect) -> bool:
     Sensors show where their readings are compared; stops are the business of the exact fit.
     """
     if effect.part == "sensor":
+        if isinstance(effect, SensorBias) and effect.where in balance.encoders:
+            # where no drive uses the reading, it is the zero of the joint, another effect
+            return not balance.released.all()
         return effect.where in balance.encoders or balance.readings.has(effect.where)
     if isinstance(effect, CommandInterpolation):  # the commands may be known to be lines
         motion = balance.motion

@@ -241,7 +241,7 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
     for joint, name in enumerate(machine.joints):
         offset = EncoderOffset(machine, name)
         shifted, unit = _sized(offset, tolerances.zero), offset.angle_unit
-        yield _edited(f"zero of {name}", shifted, tolerances.zero, unit, balance)
+        yield _edited(f"zero of {name}", shifted, tolerances.zero, unit, balance, balance.found)
         for part, width in (
             ("armature", tolerances.armature),
             ("damping", tolerances.damping),
