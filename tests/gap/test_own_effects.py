@@ -173,7 +173,15 @@ def test_what_is_no_effect_is_refused() -> None:
     class Nameless(CubicSpring):
         kind = ""
 
+    class Pathwise(CubicSpring):
+        kind = "pathwise_spring"
+
+        def torque_along(self, position: Array, speed: Array, values: Array) -> Array:
+            return self.torque(position, speed, values)
+
     own = machine()
+    with pytest.raises(InvalidSetting, match=r"Pathwise has a torque_along, .* give it an edit"):
+        register(Pathwise)
     with pytest.raises(InvalidData, match=r"short_spring@joint2: torque .* each joint"):
         Simulator(own, [trial()], CHANNELS, threads=1).predict([of(Short(own, "joint2"), 1.0)])
     with pytest.raises(InvalidSetting, match=r"LinearSpring .* torque_code"):

@@ -50,8 +50,8 @@ def register(effect: Kind) -> Kind:
     Raises
     ------
     InvalidSetting
-        If it has no identifier, or one that another effect has, or a term on the torque without
-        anything that applies it to the written model.
+        If it has no identifier, or one that another effect has, or a term on the torque, at once or
+        along a path, without anything that applies it to the written model.
 
     Examples
     --------
@@ -70,6 +70,11 @@ def register(effect: Kind) -> Kind:
         raise InvalidSetting(
             f"{effect.__name__} is a term on the torque: give it in_model = False and a "
             "torque_code that applies it, or an export where MJCF has means for it"
+        )
+    if effect.torque_along is not Effect.torque_along and effect.edit is Effect.edit:
+        raise InvalidSetting(
+            f"{effect.__name__} has a torque_along, which only a force balance uses: give it an "
+            "edit, by which simulations and the written model have the same torque"
         )
     known = CATALOGUE.get(effect.kind, effect)
     # a notebook reruns a cell: the new version of a class replaces the old one
