@@ -20,13 +20,13 @@ from scipy.special import expit
 
 from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import USUAL, Balance
-from loose_env.gap.core.catalogue import Term
+from loose_env.gap.core.catalogue import Term, neighbours
 from loose_env.gap.core.evidence import grid_of
 from loose_env.gap.core.find import Answer, Say, silent
 from loose_env.gap.core.identifiability import unexplained
 from loose_env.gap.core.motion import Motion as Measured
 from loose_env.gap.core.motion import smooth
-from loose_env.gap.core.selection import Form, Set, SetFit, neighbours
+from loose_env.gap.core.selection import Form, Set, SetFit
 from loose_env.gap.core.tolerances import nuisances
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, addresses

@@ -19,6 +19,7 @@ from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.gap.model.effects.sensors import SensorBias
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
 _MOVING = 2.0
@@ -233,6 +234,22 @@ def _is_linear(balance: Balance, effect: Effect, starts: list[tuple[float, ...]]
 
 def _null(effect: Effect) -> Array:
     return np.array(effect.null_values if effect.null_values is not None else (0.0,))
+
+
+def neighbours(machine: NominalModel, where: str) -> set[str]:
+    """Joint, link, drive and encoder of one place; "all", the tool and the base are beside any."""
+    found = {where, "all", "tool", "base"}
+    for joint in machine.joints:
+        own = at_joint(machine, joint)
+        if where in own:
+            found |= own
+    return found
+
+
+def at_joint(machine: NominalModel, joint: str) -> set[str]:
+    """Joint, its link, its drives and its encoders."""
+    parts = (*machine.actuated_joint.items(), *machine.encoders.items())
+    return {joint, machine.body_of(joint), *(name for name, own in parts if own == joint)}
 
 
 def terms_of(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.gap.core.balance import USUAL, Balance
-from loose_env.gap.core.catalogue import Term, terms_of
+from loose_env.gap.core.catalogue import Term, at_joint, neighbours, terms_of
 from loose_env.gap.core.evidence import append, stretches_of
 from loose_env.gap.core.exact import LARGE, Exact, ExactFit
 from loose_env.gap.core.selection import (
@@ -26,9 +26,7 @@ from loose_env.gap.core.selection import (
     Selection,
     Set,
     SetFit,
-    at_joint,
     kinds_of,
-    neighbours,
     stepped,
 )
 from loose_env.gap.model.effect import Mountings, free_of, values_of

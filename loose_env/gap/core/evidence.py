@@ -6,9 +6,10 @@ part and every question of identifiability is then a small linear problem in the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,19 @@ class Channel:
         self.square = self.by_cell(self.rows**2)
         self.power = self.by_cell(self.residual**2)
         self.tolerances = self.by_products(self.rows, self.rows)
+
+    def add(self, columns: NDArray[np.intp], rows: Array, noise: Mapping[str, Array]) -> None:
+        """Add columns behind its own, with what they change of its noise."""
+        self.columns = np.concatenate([self.columns, columns])
+        self.rows = _widened(self.rows, rows)
+        self.slope = _widened(self.slope, self.by_cell(rows * self.residual[:, None]))
+        self.square = _widened(self.square, self.by_cell(rows**2))
+        for name, part in noise.items():
+            setattr(self, name, np.concatenate([getattr(self, name), part], axis=-1))
+
+    def noise(self, columns: slice) -> dict[str, Any]:
+        """What some of its columns change of its noise."""
+        return {name: getattr(self, name)[..., columns] for name in ("growth", "held", "beside")}
 
     def by_cell(self, values: Array) -> Array:
         """Sums of rows over each cell."""
@@ -200,6 +214,44 @@ def whiten(
     return evidence
 
 
+def with_tolerances(evidence: Evidence, more: Sequence[Nuisance]) -> Evidence:
+    """The same with more tolerances behind its own."""
+    if not more:
+        return evidence
+    first, count, balance = evidence.tolerances, len(more), evidence.balance
+    at = np.full(count, first)
+
+    def opened(known: Array, new: Array | float = 0.0) -> Array:
+        return np.insert(known, at, new, axis=0)
+
+    operators = np.stack([n.operator for n in more])
+    delays = _delays(balance, [n.read_late for n in more], by_rate=True)
+    channels = []
+    for known in evidence.channels:
+        joint = known.joint
+        rows = _rows(balance, joint, _at([n.change for n in more], joint)).whitened
+        noise = _noise_of(balance, joint, known.turn, rows, operators, delays)
+        own = known.noise(slice(first))
+        changed = {name: np.concatenate([own[name], noise[name]], axis=-1) for name in own}
+        rows = np.hstack([known.rows[:, :first], rows])
+        channel = replace(known, columns=np.arange(first + count), rows=rows, **changed)
+        rest = slice(first, None)
+        channel.add(known.columns[rest] + count, known.rows[:, rest], known.noise(rest))
+        channels.append(channel)
+    mixed = evidence.mixed
+    wide = np.zeros((mixed.shape[0] + count, mixed.shape[1] + count))
+    wide[: len(mixed), :first], wide[len(mixed) :, first:] = mixed, np.eye(count)
+    return replace(
+        evidence, channels=channels, terms=list(evidence.terms),
+        places={key: tuple(k + count for k in own) for key, own in evidence.places.items()},
+        centre=opened(evidence.centre), precision=opened(evidence.precision, 1.0),
+        low=opened(evidence.low, -np.inf), high=opened(evidence.high, np.inf),
+        inexact=opened(evidence.inexact), operators=opened(evidence.operators, operators),
+        delays=opened(evidence.delays, delays), tolerances=first + count, mixed=wide,
+        nuisances=(*evidence.nuisances, *more),
+    )  # fmt: skip
+
+
 def _inexact(term: Term, law: float) -> Array:
     """What the law of each column of a term misses; rigid bodies and sensors are as they are."""
     effect = term.effect
@@ -235,17 +287,11 @@ def append(evidence: Evidence, *terms: Term) -> None:
             continue
         wide = [columns[k].change for k in own]
         new = _rows(balance, channel.joint, _at(wide, channel.joint)).whitened
-        slope = channel.by_cell(new * channel.residual[:, None])
-        channel.columns = np.concatenate([channel.columns, first + np.array(own)])
-        channel.rows = _widened(channel.rows, new)
-        channel.slope = _widened(channel.slope, slope)
-        channel.square = _widened(channel.square, channel.by_cell(new**2))
         noise = _noise_of(
             balance, channel.joint, channel.turn, new, changes[own], delays[own],
             [columns[k].eased for k in own],
         )  # fmt: skip
-        for name, part in noise.items():
-            setattr(channel, name, np.concatenate([getattr(channel, name), part], axis=-1))
+        channel.add(first + np.array(own), new, noise)
     for name in ("centre", "low", "high"):
         more = [getattr(c, name) for c in columns]
         setattr(evidence, name, np.concatenate([getattr(evidence, name), more]))

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from loose_env.gap.core.balance import Balance
-from loose_env.gap.core.catalogue import Term
+from loose_env.gap.core.catalogue import Term, at_joint
 from loose_env.gap.core.selection import (
     EXPLAINED,
     LEAST_VALUES,
@@ -26,7 +26,6 @@ from loose_env.gap.core.selection import (
     Selection,
     Set,
     SetFit,
-    at_joint,
 )
 from loose_env.gap.core.tolerances import Nuisance
 from loose_env.gap.model.effect import free_of, values_of

@@ -21,11 +21,11 @@ from loose_env.gap.core.decision import (
     left_open,
     pruned,
 )
-from loose_env.gap.core.evidence import whiten
+from loose_env.gap.core.evidence import whiten, with_tolerances
 from loose_env.gap.core.exact import LARGE, Exact, ExactFit, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, motions_of_model, servo_share, servoed, smooth
 from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
-from loose_env.gap.core.tolerances import GapSettings, nuisances
+from loose_env.gap.core.tolerances import GapSettings, missed_by_laws, nuisances
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import measured_runs
@@ -244,13 +244,13 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
 
 
 def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection, list[SetFit]]:
-    """The leading sets, searched for again beside the rigid bodies that the best one found.
+    """The leading sets, searched for again beside what the best one found, till it stays.
 
-    Till it stays, with what the effects found change together. Of a link whose weight is half
-    borne, a centre that is off has half the moment.
+    Beside its rigid bodies, with what they change together: of a link whose weight is half borne, a
+    centre that is off has half the moment. And with what the laws of its effects miss.
     """
     best, *others = selection.leading
-    sets = [fit.terms for fit in others]
+    sets, rigid = [fit.terms for fit in others], selection.evidence
     for _ in range(_AGAIN):
         evidence = selection.evidence
         beside = [
@@ -258,15 +258,17 @@ def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection
             for term in best.terms
             if is_rigid(term.effect)
         ]
-        if not beside:
+        missed = missed_by_laws(evidence.balance, selection.inexact(best))
+        if not beside and not selection.feels(missed, best):
             break
-        balance = evidence.balance.beside(beside)
-        selection.say("search beside the rigid bodies that were found")
-        again = {id(term): _again(balance, term) for term in evidence.terms}
-        rigid = nuisances(balance, settings.tolerances)
-        law = settings.tolerances.law
-        evidence = whiten(balance, list(again.values()), rigid, law=law)
-        selection = Selection(evidence, selection.say)
+        selection.say("search beside what was found")
+        again = {id(term): term for term in evidence.terms}
+        if beside or rigid.balance.found:
+            balance = evidence.balance.beside(beside)
+            again = {key: _again(balance, term) for key, term in again.items()}
+            found = nuisances(balance, settings.tolerances)
+            rigid = whiten(balance, list(again.values()), found, law=settings.tolerances.law)
+        selection = Selection(with_tolerances(rigid, missed), selection.say)
         sets = [tuple(again[id(term)] for term in own) for own in sets]
         before, best = best, selection.search([again[id(term)] for term in best.terms])
         if abs(best.total - before.total) < LEAST_GAIN:

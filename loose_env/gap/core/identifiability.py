@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from loose_env.gap.core.balance import USUAL
-from loose_env.gap.core.catalogue import Term
-from loose_env.gap.core.selection import Form, Selection, neighbours
+from loose_env.gap.core.catalogue import Term, neighbours
+from loose_env.gap.core.selection import Form, Selection
 from loose_env.gap.output.result import (
     EffectLocation,
     Identifiability,

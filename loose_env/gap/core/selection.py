@@ -20,10 +20,10 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from loose_env.gap.core.balance import USUAL
-from loose_env.gap.core.catalogue import Claim, Term, terms_of
+from loose_env.gap.core.catalogue import Claim, Term, neighbours, terms_of
 from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers, operator_noise
+from loose_env.gap.core.tolerances import Nuisance
 from loose_env.gap.model.effect import Parameter
-from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.inference import log_determinant
 from loose_env.typing import Array
 
@@ -447,6 +447,30 @@ class Selection:
         cells = self._off[key].items()
         return float(sum(self.weights(k, powers[k]) @ own for k, own in cells)) > _BENT
 
+    def inexact(self, fit: SetFit) -> dict[str, Array]:
+        """What the law of each effect of a set misses of its force (T, channels)."""
+        found = {}
+        for term in fit.terms:
+            at = list(self.evidence.columns_of(term))
+            shares = self.evidence.inexact[at] * fit.values[fit.places(at)]
+            if shares.any():
+                parts = zip(shares, term.columns, strict=True)
+                name = "{} at {}".format(*term.name)
+                found[name] = np.asarray(sum(x * column.change.whole() for x, column in parts))
+        return found
+
+    def feels(self, missed: Iterable[Nuisance], fit: SetFit) -> bool:
+        """Whether any of some tolerances is more than the data's doubt of it beside a set."""
+        balance = self.evidence.balance
+        return any(
+            sum(
+                float(self.weights(k, fit.powers[k]) @ cell_powers(balance, channel.joint, whole))
+                for k, channel in enumerate(self.evidence.channels)
+                if np.any(whole[:, channel.joint])
+            ) > _BENT
+            for whole in (nuisance.change.whole() for nuisance in missed)
+        )  # fmt: skip
+
     def replaced(
         self,
         state: SetFit,
@@ -633,22 +657,6 @@ def stepped(parameter: Parameter, value: float, step: float) -> float:
     """Value of a shape parameter a relative step away; of either sign, by shares of its scale."""
     sized = parameter.low >= 0 and value > 0
     return parameter.clipped(value * exp(step) if sized else value + step * parameter.scale)
-
-
-def neighbours(machine: NominalModel, where: str) -> set[str]:
-    """Joint, link, drive and encoder of one place; "all", the tool and the base are beside any."""
-    found = {where, "all", "tool", "base"}
-    for joint in machine.joints:
-        own = at_joint(machine, joint)
-        if where in own:
-            found |= own
-    return found
-
-
-def at_joint(machine: NominalModel, joint: str) -> set[str]:
-    """Joint, its link, its drives and its encoders."""
-    parts = (*machine.actuated_joint.items(), *machine.encoders.items())
-    return {joint, machine.body_of(joint), *(name for name, own in parts if own == joint)}
 
 
 def few(count: Array) -> Array:

@@ -6,9 +6,9 @@ here, and are never reported. An effect is named only where the data pull it cle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from math import nan
+from math import nan, sqrt
 from typing import Annotated, Any
 
 import mujoco
@@ -148,6 +148,31 @@ def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
         *_drives(balance, tolerances),
         *_sensors(balance, tolerances),
     ]
+
+
+def missed_by_laws(balance: Balance, forces: Mapping[str, Array]) -> list[Nuisance]:
+    """What the laws of effects miss, such forces (T, channels) in turn with the motion.
+
+    Springs stiffen, friction differs from place to place, oil thins with speed, gears warm.
+    """
+    time = np.arange(len(balance.position))[:, None] + 0 * balance.position
+    place, found = _even(balance.position), list[Nuisance]()
+    shapes = {"slope": place, "bend": _even(place**2), "thinning": _even(np.abs(balance.speed))}
+    shapes["drift"] = _even(time)
+    for name, force in forces.items():
+        for what, shape in shapes.items():
+            change = np.zeros_like(force)
+            change[:, : shape.shape[1]] = force[:, : shape.shape[1]] * shape / sqrt(len(shapes))
+            nothing = np.zeros_like(balance.operator)
+            found.append(
+                Nuisance(name=f"{what} of {name}", change=Change(change), operator=nothing)
+            )
+    return found
+
+
+def _even(values: Array) -> Array:
+    """Values of mean zero and unit variance, joint by joint."""
+    return np.asarray((values - values.mean(0)) / np.maximum(values.std(0), 1e-12))
 
 
 def together(balance: Balance) -> Array | float:
