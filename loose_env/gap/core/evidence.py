@@ -232,7 +232,9 @@ def with_tolerances(evidence: Evidence, more: Sequence[Nuisance]) -> Evidence:
         rows = _rows(balance, joint, _at([n.change for n in more], joint)).whitened
         noise = _noise_of(balance, joint, known.turn, rows, operators, delays)
         own = known.noise(slice(first))
-        changed = {name: np.concatenate([own[name], noise[name]], axis=-1) for name in own}
+        changed: dict[str, Any] = {
+            name: np.concatenate([own[name], noise[name]], axis=-1) for name in own
+        }
         rows = np.hstack([known.rows[:, :first], rows])
         channel = replace(known, columns=np.arange(first + count), rows=rows, **changed)
         rest = slice(first, None)
