@@ -487,34 +487,15 @@ def _covariance(selection: Selection, fit: SetFit) -> Array:
     return np.asarray(laplace * np.outer(wider, wider) + _missed(selection, fit))
 
 
-def _mistaken(selection: Selection, fit: SetFit, missed: Array) -> Array:
-    """Variance of each law's coefficients by what the laws of other effects miss (K,)."""
-    sizes = np.zeros((len(selection.evidence.channels), len(missed)))
-    for k, channel in enumerate(selection.evidence.channels):
-        _, at, local = np.intersect1d(fit.numbers, channel.columns, return_indices=True)
-        sizes[k, at] = np.sqrt(selection.weights(k, fit.powers[k]) @ channel.square[:, local])
-    like = sizes.T @ sizes
-    other = np.zeros(like.shape, bool)
-    for term in fit.terms:
-        own = fit.places(selection.evidence.columns_of(term))
-        other[own] = True
-        other[np.ix_(own, own)] = False
-    laws = selection.evidence.inexact[fit.numbers] > 0
-    other &= laws[:, None] & laws
-    share = np.where(other, like, 0.0) / np.maximum(np.diag(like), 1e-300)[:, None]
-    return np.asarray(share**2 @ missed**2)
-
-
 def _missed(selection: Selection, fit: SetFit) -> Array:
     """Covariance by what the columns of tolerances and laws miss.
 
-    Of what a law misses about half looks like more or less of the effect, or like that of another
-    law in its channels; and a torque constant scales what the effects take, not only what the
-    nominal model needs.
+    Of what a law misses about half looks like more or less of the effect; and a torque constant
+    scales what the effects take, not only what the nominal model needs.
     """
     evidence = selection.evidence
     missed = 0.5 * evidence.inexact[fit.numbers] * fit.values
-    found = np.diag(missed**2 + _mistaken(selection, fit, missed))
+    found = np.diag(missed**2)
     effects = np.where(fit.numbers < evidence.tolerances, 0.0, fit.values)
     widths = dict(n.scaled for n in evidence.nuisances if n.scaled)
     for k, channel in enumerate(evidence.channels):
