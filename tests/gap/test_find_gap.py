@@ -20,11 +20,12 @@ from loose_env.gap import (
     try_effect,
 )
 from loose_env.gap.core.balance import Balance
-from loose_env.gap.core.evidence import grid_of, operator_noise
+from loose_env.gap.core.evidence import grid_of, operator_noise, with_tolerances
 from loose_env.gap.core.find import evidence_of, readable, relinearised, silent
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.residual import overlays
-from loose_env.gap.core.tolerances import nuisances
+from loose_env.gap.core.selection import Selection
+from loose_env.gap.core.tolerances import missed_by_laws, nuisances
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Recording, Run, read_recording, write_recording
 from loose_env.typing import Array
@@ -272,6 +273,44 @@ def test_rivals_are_made_again_beside_what_the_best_set_found(tmp_path: Path) ->
         again, (first, second) = relinearised(selection, own)
     assert again is not selection and [t.name for t in first.terms] == [t.name for t in best.terms]
     assert [t.name for t in second.terms] == [rival.name] and second.terms[0] is not rival
+
+
+def test_a_spring_that_stiffens_is_one_spring(tmp_path: Path) -> None:
+    """What its law misses turns with the position: nothing of it is left."""
+    log, runs = torque_log(tmp_path / "log"), []
+    for run in log.runs:
+        way = run.sensors["encoder2"] - 0.2
+        spring = 5.0 * way * (1 + 0.1 * (way / 0.8) ** 2)
+        runs.append(replace(run, torques={**run.torques, "elbow": run.torques["elbow"] + spring}))
+    kinds = ("joint_spring", "link_com", "link_mass", "gravity_compensation", "quadratic_drag")
+    stiffening = replace(log, runs=tuple(runs))
+    decision = find_gap(stiffening, replace(ONE, kinds=kinds)).decision
+    (found,) = (each for each in decision.findings if each.named)
+    assert found.term.name == ("joint_spring", "elbow")
+    assert found.low[0] < 5.0 < found.high[0] and found.low[1] < 0.2 < found.high[1]
+    assert decision.channels[1].channel == "elbow" and decision.channels[1].after < 5.0
+
+
+def test_more_tolerances_leave_the_columns_of_effects(recording: Recording) -> None:
+    selection = evidence_of(recording, DRY, lambda _: None)
+    known, fit = selection.evidence, selection.search()
+    missed = missed_by_laws(known.balance, selection.inexact(fit))
+    assert {n.name.partition(" of ")[2] for n in missed} == {"coulomb_friction at elbow"}
+    wide = with_tolerances(known, missed)
+    assert wide.tolerances == known.tolerances + len(missed)
+    pull = np.zeros(wide.tolerances)
+    pull[known.tolerances :] = [1.5, 0.0, -0.7, 0.0]
+    for one, other in zip(known.channels, wide.channels, strict=True):
+        for term in known.terms:
+            pairs = zip(known.columns_of(term), wide.columns_of(term), strict=True)
+            for k, n in pairs:
+                here, there = one.rows[:, one.columns == k], other.rows[:, other.columns == n]
+                assert np.array_equal(here, there)
+        other.residual = other.residual + other.rows[:, : len(pull)] @ pull
+        other.power = other.by_cell(other.residual**2)
+    again = Selection(wide).fit(fit.terms)
+    found = (wide.mixed @ again.values[: len(pull)])[len(known.nuisances) :]
+    assert found == pytest.approx(pull[known.tolerances :], abs=0.25)
 
 
 LIFT = """<mujoco><worldbody><body><joint name="lift" type="slide" axis="0 0 1" damping="58"

@@ -474,7 +474,7 @@ def _covariance(selection: Selection, fit: SetFit) -> Array:
     channels = selection.evidence.channels
     stretches = sorted({int(s) for c in channels for s in c.stretch})
     if len(stretches) < 3:
-        return np.asarray(laplace)
+        return np.asarray(laplace + _missed(selection, fit))
     left_out = np.stack(
         [
             selection.on([c.stretch != s for c in channels]).fit(fit.terms, fit, 2).values
