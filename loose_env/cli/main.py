@@ -7,6 +7,7 @@ used, said in one line; 2 for a command line that cannot be understood; 130 when
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
@@ -113,11 +114,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     if words[:1] in ([], ["-h"], ["--help"]):
         listed = "\n".join(f"  {name:<10}{about}" for name, about in COMMANDS.items())
-        print((_HELP + _EXIT_CODES).format(commands=listed, shells=", ".join(SHELLS)))
-        return 0
+        return _shown((_HELP + _EXIT_CODES).format(commands=listed, shells=", ".join(SHELLS)))
     if words[0] == "--version":
-        print(f"loose-env {__version__}")
-        return 0
+        return _shown(f"loose-env {__version__}")
     from loose_env.cli import command
 
     if words[0] == "--print-completion":
@@ -129,6 +128,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[0] not in COMMANDS:
         command.refuse("loose", f"{words[0]!r} is no command; there are {', '.join(COMMANDS)}")
     return _run(words)
+
+
+def _shown(text: str) -> int:
+    """Print a text, also to a reader who has gone, as `head` does; return the exit code."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
 
 
 def _run(words: Sequence[str]) -> int:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -134,3 +137,15 @@ def test_the_first_word_names_a_subcommand(capsys: pytest.CaptureFixture[str]) -
         commands("study", "Two things.", actions, ["ran"])
     assert end.value.code == 2
     assert "'ran' is no command; there are run, show" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("word", ["--help", "--version"])
+def test_a_reader_who_has_gone_is_no_error(word: str) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    code = f"from loose_env.cli.main import main; raise SystemExit(main(['{word}']))"
+    done = subprocess.run(
+        [sys.executable, "-u", "-c", code], stdout=write, stderr=subprocess.PIPE, check=False
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, b"")
