@@ -351,8 +351,15 @@ class Simulated:
         sample, dt = 0, 1 / control
         reference = target.copy()
         m.opt.gravity[:] = GRAVITY
+        qpos, qvel, bias, applied, ctrl = d.qpos, d.qvel, d.qfrc_bias, d.qfrc_applied, d.ctrl
+        shown, pushed = d.sensordata[address : address + 3], d.xfrc_applied[body, :3]
+        friction, low = m.dof_frictionloss, -self._limit
+
+        def clipped(values: Array) -> Array:  # np.clip takes thrice as long
+            return np.asarray(np.minimum(np.maximum(values, low), self._limit))
+
         for k in range(-settle, ticks):
-            q = np.round(d.qpos[self._q] / fine) * fine
+            q = np.rint(qpos[self._q] / fine) * fine
             slow = 0.5 * slow + 0.5 * (q - last) / dt
             last = q
             asked, way = (wanted[k], slope[k]) if k >= 0 else (before, np.zeros(n))
@@ -361,42 +368,42 @@ class Simulated:
                 reference = asked
             elif self.sheet.command == "velocity":
                 reference, way = reference + asked * dt, asked
-            weight = d.qfrc_bias[self._v] * self._weight
+            weight = bias[self._v] * self._weight
             if design.control == "cascade":
                 error = self._kp * (reference - q) + design.forward * way - slow
-                integral = np.clip(integral + self._ki * error * dt, -self._limit, self._limit)
+                integral = clipped(integral + self._ki * error * dt)
                 tau = self._kv * error + integral + weight
             else:
                 error = reference - q
                 if position:
-                    integral = np.clip(integral + self._ki * error * dt, -self._limit, self._limit)
+                    integral = clipped(integral + self._ki * error * dt)
                 tau = self._kp * error + self._kv * (0.8 * way - slow) + integral + weight + add
-            tau = np.clip(tau, -self._limit, self._limit)
-            gear = self._k * d.qpos[self._fq]
-            speed = np.abs(d.qvel[self._v]) / self._vs
-            m.dof_frictionloss[self._v] = (
+            tau = clipped(tau)
+            gear = self._k * qpos[self._fq]
+            speed = np.abs(qvel[self._v]) / self._vs
+            friction[self._v] = (
                 self._fc + design.load_friction * np.abs(gear) + self._fs * np.exp(-(speed**2))
             )
-            turn = self._teeth * d.qpos[self._q]
-            d.qfrc_applied[self._fv] = self._mesh * (
+            turn = self._teeth * qpos[self._q]
+            applied[self._fv] = self._mesh * (
                 np.sin(turn + self._phase[0]) + 0.4 * np.sin(2 * turn + self._phase[1])
-            ) + self._rough * d.qvel[self._v] * rng.standard_normal(n)
-            d.ctrl[:] = tau
+            ) + self._rough * qvel[self._v] * rng.standard_normal(n)
+            ctrl[:] = tau
             if k >= 0:
-                path[k] = d.qpos[places]
+                path[k] = qpos[places]
                 if k % keep == 0:
                     row = k // keep
-                    motor[row] = d.qpos[self._q]
-                    link[row] = [d.qpos[a].sum() for a in behind]
+                    motor[row] = qpos[self._q]
+                    link[row] = [qpos[a].sum() for a in behind]
                     torque[row] = tau * self._gain if self.sheet.torques == "current" else -gear
             for _ in range(steps):
                 if k >= 0 and force is not None:
-                    d.xfrc_applied[body, :3] = force[sample]
+                    pushed[:] = force[sample]
                 if k >= 0 and ground is not None:
                     m.opt.gravity[:] = GRAVITY - ground[sample]
                 mujoco.mj_step(m, d)
                 if k >= 0:
-                    acceleration[sample] = d.sensordata[address : address + 3]
+                    acceleration[sample] = shown
                     sample += 1
         if not np.isfinite(acceleration).all() or np.abs(d.qvel).max() > 60:
             raise InvalidData(f"{self.sheet.name}: the simulation of run {run} diverged")
