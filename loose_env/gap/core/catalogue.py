@@ -15,7 +15,7 @@ from math import log
 import numpy as np
 
 from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change, Forces
-from loose_env.gap.model.effect import Effect
+from loose_env.gap.model.effect import Effect, WeightedEffect
 from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.gap.model.effects.sensors import SensorBias
@@ -329,7 +329,8 @@ def _column(
     if effect.proportional is not None and not effect.axes:
         low = 0.0
     elif (
-        not effect.mountings
+        # sizes at several places add up to one: none of them has bounds of its own
+        not (isinstance(effect, WeightedEffect) and len(effect.axes) > 1)
         and len(effect.parameters) == len(values)
         and effect.null_values is not None
     ):

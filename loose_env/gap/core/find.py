@@ -244,14 +244,26 @@ def evidence_of(recording: Recording, settings: GapSettings, say: Say) -> Select
 
 
 def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection, list[SetFit]]:
-    """The leading sets, searched for again beside what the best one found, till it stays.
+    """The leading sets, each searched for again beside what it found; those where one is best."""
+    leading = selection.leading
+    orders = ((own, *(fit for fit in leading if fit is not own)) for own in leading)
+    again = (_beside_itself(selection, order, settings) for order in orders)
+    return min(again, key=lambda pair: pair[1][0].total)
+
+
+def _beside_itself(
+    selection: Selection, leading: Sequence[SetFit], settings: GapSettings
+) -> tuple[Selection, list[SetFit]]:
+    """Some sets, the first searched for again beside what it found, till it stays.
 
     Beside its rigid bodies, with what they change together: of a link whose weight is half borne, a
-    centre that is off has half the moment. And with what the laws of its effects miss.
+    centre that is off has half the moment. And with what the laws of its effects miss. A set counts
+    by its evidence beside itself: what seemed better from elsewhere may not be.
     """
-    best, *others = selection.leading
-    sets, rigid = [fit.terms for fit in others], selection.evidence
-    for _ in range(_AGAIN):
+    rigid, searching = selection.evidence, True
+    now = found = selection, leading[0], [own.terms for own in leading[1:]]
+    for number in range(_AGAIN):
+        selection, best, sets = now
         evidence = selection.evidence
         beside = [
             (term.effect, term.values(best.values[best.places(evidence.columns_of(term))]))
@@ -266,13 +278,19 @@ def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection
         if beside or rigid.balance.found:
             balance = evidence.balance.beside(beside)
             again = {key: _again(balance, term) for key, term in again.items()}
-            found = nuisances(balance, settings.tolerances)
-            rigid = whiten(balance, list(again.values()), found, law=settings.tolerances.law)
+            known = nuisances(balance, settings.tolerances)
+            rigid = whiten(balance, list(again.values()), known, law=settings.tolerances.law)
         selection = Selection(with_tolerances(rigid, missed), selection.say)
-        sets = [tuple(again[id(term)] for term in own) for own in sets]
-        before, best = best, selection.search([again[id(term)] for term in best.terms])
-        if abs(best.total - before.total) < LEAST_GAIN:
+        own = selection.solve([again[id(term)] for term in best.terms])
+        if searching and number and own.total > found[1].total:
+            now, searching = found, False  # back, and on beside that one
+            continue
+        found = selection, own, [tuple(again[id(term)] for term in each) for each in sets]
+        better = selection.search(own.terms) if searching else own
+        if abs(own.total - best.total) < LEAST_GAIN and own.total < better.total + LEAST_GAIN:
             break
+        now = selection, better, found[2]
+    selection, best, sets = found
     return selection, [best, *map(selection.solve, sets)]
 
 
