@@ -195,6 +195,13 @@ def _simulated(
     # an impact is felt at the tool while all joints stay on their ways
     loose = any(selection.evidence.balance.feels(channel) for channel in left)
     exact = exact.beside(selection, best)
+    if not (joints or loose):
+        say("decision on held-out data")
+        decision = decide(selection, best, fits[0])
+        open_ = {each.channel for each in decision.channels if each.verdict == "unexplained"}
+        if not open_:
+            return decision, tuple(fits)
+        joints = open_.intersection(selection.evidence.balance.machine.joints)
     if joints or loose:
         say(f"search in simulation: {', '.join(sorted(joints)) or 'loose parts'}")
         kinds = settings.kinds or EFFECTS
@@ -208,11 +215,6 @@ def _simulated(
 
         fits += exact.searched(selection, start, pool, max(len(joints), 1), leaves_open, say)
         fits.sort(key=lambda f: f.total)
-    else:
-        say("decision on held-out data")
-        decision = decide(selection, best, fits[0])
-        if all(each.verdict != "unexplained" for each in decision.channels):
-            return decision, tuple(fits)
     say("decision on held-out runs in simulation")
     return decide_simulated(selection, exact, fits, nominal), tuple(fits)
 
