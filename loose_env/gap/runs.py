@@ -119,6 +119,10 @@ class Channel:
         return self.column if self.axis is None else f"{self.column}.{'xyz'[self.axis]}"
 
 
+BEFORE_S = 10.0
+"""Longest time before a window in which commands are known [s]: a drive follows none for longer."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
     """One run, aligned for comparison with a simulation."""
@@ -130,6 +134,7 @@ class Trial:
     step: float  # Simulation step [s]
     steps: int  # Number of simulation steps from the first to the last sample, both included
     controls: Array  # Commands at every step (steps, actuators); zero without commands
+    before: Array  # Commands before them, which a drive may still follow (steps, actuators)
     position: Array  # Joint positions at the first sample [rad, m] (joints,)
     speed: Array  # Joint speeds at the first sample [rad/s, m/s] (joints,)
     resting: bool  # Whether the arm is at rest at the first samples, held by its commands
@@ -146,8 +151,9 @@ class Trial:
         begun = round(float(self.time[first]) / self.step)
         time = self.time[first:last] - begun * self.step
         controls = self.controls[begun : begun + ceil(float(time[-1]) / self.step - 1e-6) + 1]
+        earlier = self.controls[max(begun - round(BEFORE_S / self.step), 0) : begun]
         part = replace(self, time=time, measured=self.measured[first:last])
-        return replace(part, controls=controls, steps=len(controls))
+        return replace(part, controls=controls, before=earlier, steps=len(controls))
 
     def at_samples(self, values: Array) -> Array:
         """Interpolate values at the steps (..., steps, C) to the samples (..., T, C)."""
@@ -208,8 +214,8 @@ def align_run(
             controls[:, k] = run.timing(name).acting(time, run.controls[name], middle)
     return Trial(
         name=run.name, form=run.comparison, time=time, measured=measured, step=step, steps=steps,
-        controls=controls, position=machine.model.qpos0.copy(), speed=np.zeros(machine.model.nv),
-        resting=False,
+        controls=controls, before=controls[:0], position=machine.model.qpos0.copy(),
+        speed=np.zeros(machine.model.nv), resting=False,
     )  # fmt: skip
 
 

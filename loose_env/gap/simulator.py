@@ -265,18 +265,18 @@ class Simulator:
         first = max((slot.trial for slot in slots), key=lambda trial: trial.steps)
         steps, settle = first.steps, round(SETTLE / first.step)
         controls = np.zeros((len(slots), steps, slots[0].model.nu))
-        clock: Array = np.arange(steps, dtype=float) * first.step
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         qpos, qvel, act = batch.qpos, batch.qvel, batch.act
         for k, slot in enumerate(slots):
             places, dofs = addresses(slot.model, self.machine.joints)
             qpos[k] = slot.model.qpos0
             qpos[k, places], qvel[k, dofs] = slot.trial.position, slot.trial.speed
-            values = slot.trial.controls
-            count = len(values)
+            values = np.concatenate([slot.trial.before, slot.trial.controls])
+            clock = np.arange(len(values), dtype=np.float64) * first.step
             for effect, own in slot.hypothesis.pairs:
-                values = effect.command(clock[:count], values, own)
-            controls[k, :count, : values.shape[1]] = values
+                values = effect.command(clock, values, own)
+            count = len(slot.trial.controls)
+            controls[k, :count, : values.shape[1]] = values[len(slot.trial.before) :]
             controls[k, count:] = controls[k, count - 1]  # a shorter run ends there
             act[k] = steady_activations(slot.model, controls[k, 0])
         diverged = np.zeros(len(slots), dtype=bool)

@@ -80,6 +80,18 @@ def test_a_payload_is_named_in_a_torque_log(tmp_path: Path) -> None:
     assert set(result.gap.by_quantity) == {"joint torque [N·m]"}
 
 
+def test_a_payload_far_beside_the_tool_is_named_with_its_centre(tmp_path: Path) -> None:
+    def edit(spec: mujoco.MjSpec) -> None:
+        load = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [1e-3, 0, 0], "mass": 0.5}
+        spec.body("lower").add_body(pos=[0.25, 0, 0.15]).add_geom(**load)
+
+    own = replace(ONE, kinds=("payload", "link_mass", "link_com", "coulomb_friction"))
+    result = solve_gap(torque_log(tmp_path / "log", edit), own).result
+    assert [(e.kind, e.where) for e in result.effects] == [("payload", "tool")]
+    mass, z = (result.effects[0].parameters[name] for name in ("mass", "z"))
+    assert mass == pytest.approx(0.5, rel=0.15) and z == pytest.approx(0.15, rel=0.15)
+
+
 def test_commands_that_a_torque_log_lacks_put_no_drive_at_its_limit(tmp_path: Path) -> None:
     limited = MODEL.replace("<position ", '<position forcerange="-5 5" ')
     plain, own = (

@@ -117,7 +117,8 @@ def trial(**given: object) -> Trial:
     whole: dict[str, object] = {
         "name": "run-01.csv", "form": "forward", "time": np.arange(COUNT) * STEP,
         "measured": np.zeros((COUNT, len(CHANNELS))), "step": STEP, "steps": COUNT,
-        "controls": commands(), "position": np.zeros(3), "speed": np.zeros(3), "resting": True,
+        "controls": commands(), "before": np.empty((0, 3)), "position": np.zeros(3),
+        "speed": np.zeros(3), "resting": True,
     }  # fmt: skip
     return Trial(**(whole | given))  # type: ignore[arg-type]
 

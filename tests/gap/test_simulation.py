@@ -181,7 +181,8 @@ def test_forces_of_tendons_count_as_torque_on_the_joints_they_pull() -> None:
     controls = np.sin(np.outer(time, [9.0, 13.0]))
     trial = Trial(
         name="run", form="forward", time=time, measured=np.zeros((200, 2)), step=0.001, steps=200,
-        controls=controls, position=np.zeros(2), speed=np.zeros(2), resting=False,
+        controls=controls, before=controls[:0], position=np.zeros(2), speed=np.zeros(2),
+        resting=False,
     )  # fmt: skip
     channels = tuple(Channel(f"torque.{name}") for name in ("shoulder", "elbow"))
     found = Simulator(machine, [trial], channels, threads=1).predict([NOTHING])[0][0]
@@ -205,3 +206,20 @@ def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
         shown.append(abs(data.actuator_force[1]) > 100.0)
     assert shown.index(True) == pytest.approx(80, abs=1)
     assert corrected_spec(machine, NOTHING, step=0.00025).actuators[1].nsample >= 40
+
+
+def test_a_late_drive_follows_the_commands_before_a_window() -> None:
+    machine, time = NominalModel(mujoco.MjSpec.from_string(GEARED)), np.arange(200) * 0.001
+    controls = np.sin(np.outer(time, [9.0, 13.0]))
+    whole = Trial(
+        name="run", form="forward", time=time, measured=np.zeros((200, 2)), step=0.001, steps=200,
+        controls=controls, before=controls[:0], position=np.zeros(2), speed=np.zeros(2),
+        resting=False,
+    )  # fmt: skip
+    late = Hypothesis(
+        effects=(CATALOGUE["command_delay"](machine, "all"),), values=(np.array([0.03]),)
+    )
+    channels = tuple(Channel(f"torque.{name}") for name in ("shoulder", "elbow"))
+    simulator = Simulator(machine, [whole, whole.between(100, 180)], channels, threads=1)
+    found, part = simulator.predict([late])[0]
+    assert np.allclose(part, found[100:180], atol=1e-9) and np.ptp(part[:, 0]) > 0.1

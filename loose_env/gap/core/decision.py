@@ -14,6 +14,7 @@ from math import log
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc, ndtri
 
 from loose_env.gap.core.balance import USUAL, Balance
 from loose_env.gap.core.catalogue import Term, at_joint, neighbours, terms_of
@@ -104,16 +105,16 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
     findings = []
     for number, term in enumerate(fit.terms):
         own = fit.places(selection.evidence.columns_of(term))
-        x, sd = sized.values[own], np.sqrt(np.diag(covariance)[own])
+        x, spread = sized.values[own], covariance[np.ix_(own, own)]
         values = term.values(x)
-        ends = _ends(term, x, covariance[np.ix_(own, own)])
+        ends = _ends(term, x, spread)
         ends = _with_shapes(selection, fit, term, ends)
         if exact is not None:
             # the values of the simulation, as uncertain as there or as the cells disagree
             wide = (ends.max(axis=0) - ends.min(axis=0)) / 2
             values = exact.values[number]
             ends = np.stack([*_simulated_ends(exact, number), values - wide, values + wide])
-        z = float(np.max(np.abs(x) / sd))
+        z = _deviation(x, spread)
         by_run, by_stretch = (float(g[number]) for g in gains)
         alike = _confusable(selection, term, chances)
         chance = sum(weight for names, weight in near if names & alike)
@@ -149,6 +150,14 @@ def _decision(
     rivals = tuple(sorted(likely, reverse=True))
     channels = tuple(_verdicts(selection, findings, rivals, before, after))
     return Decision(findings=tuple(findings), channels=channels, fit=fit, rivals=rivals)
+
+
+def _deviation(x: Array, covariance: Array) -> float:
+    """Standard deviations by which coefficients together differ from zero: Wald's test.
+
+    Axes may be nearly parallel: none of their coefficients is known then, while their sum is.
+    """
+    return float(-ndtri(chdtrc(len(x), x @ np.linalg.solve(covariance, x)) / 2))
 
 
 def _at_end(term: Term, values: Array, ends: Array) -> bool:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.catalogue import Late, Term, moves_at
 from loose_env.gap.core.tolerances import Nuisance, together
+from loose_env.gap.model.effect import Effect
 from loose_env.typing import Array, ComplexArray
 
 BANDS = 7
@@ -254,11 +255,9 @@ def with_tolerances(evidence: Evidence, more: Sequence[Nuisance]) -> Evidence:
     )  # fmt: skip
 
 
-def _inexact(term: Term, law: float) -> Array:
-    """What the law of each column of a term misses; rigid bodies and sensors are as they are."""
-    effect = term.effect
-    exact = effect.exact_law or effect.is_time_shift or effect.part not in ("joint", "actuator")
-    return np.full(len(term.columns), 0.0 if exact else law)
+def is_exact(effect: Effect) -> bool:
+    """Whether the law of an effect misses nothing: rigid bodies and sensors are as they are."""
+    return effect.exact_law or effect.is_time_shift or effect.part not in ("joint", "actuator")
 
 
 def _compared(balance: Balance, channel: int) -> bool:
@@ -299,7 +298,7 @@ def append(evidence: Evidence, *terms: Term) -> None:
         setattr(evidence, name, np.concatenate([getattr(evidence, name), more]))
     spreads = np.array([c.spread for c in columns])
     evidence.precision = np.concatenate([evidence.precision, spreads**-2])
-    laws = (_inexact(term, evidence.law) for term in terms)
+    laws = (np.full(len(t.columns), 0.0 if is_exact(t.effect) else evidence.law) for t in terms)
     evidence.inexact = np.concatenate([evidence.inexact, *laws])
     evidence.operators = np.concatenate([evidence.operators, changes])
     evidence.delays = np.concatenate([evidence.delays, delays])

@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 
 from loose_env.gap.core.balance import Balance
 from loose_env.gap.core.catalogue import Term, at_joint
+from loose_env.gap.core.evidence import is_exact
 from loose_env.gap.core.selection import (
     EXPLAINED,
     LEAST_VALUES,
@@ -75,7 +76,13 @@ class Exact:
     """Windows of the runs with commands, or free, for exact fits."""
 
     def __init__(
-        self, recording: Recording, balance: Balance, *, threads: int = 1, between: bool = False
+        self,
+        recording: Recording,
+        balance: Balance,
+        *,
+        law: float = 0.0,  # What the law of an effect misses, as a share of what it changes
+        threads: int = 1,
+        between: bool = False,
     ) -> None:
         self.balance, machine = balance, balance.machine
         pieces, _ = measured_runs(recording.runs, machine.model)
@@ -89,6 +96,8 @@ class Exact:
         windows = [w for t in trials for w in _windows(t, balance, len(trials), between=between)]
         self.simulator = self._nominal = Simulator(machine, windows, self.channels, threads=threads)
         self.steps = [0]  # of all simulations, also of those on some windows
+        self.law = law
+        self._known: dict[object, Array] = {}
 
     def fit(self, selection: Selection, fit: SetFit) -> ExactFit:
         """Fit the effects of a set in simulation, from what the cells say of them."""
@@ -108,6 +117,7 @@ class Exact:
         trials = [_shifted(trial, late) for trial in own.trials]
         machine = replace(own.machine, spec=spec)
         found.simulator = Simulator(machine, trials, self.channels, threads=own.threads)
+        found._known = {}
         return found
 
     def refit(
@@ -153,13 +163,13 @@ class Exact:
             # that values lie anywhere between their bounds is known, too
             normal += np.diag(12 / np.diff(bounds)[:, 0] ** 2)
             spread = np.sqrt(np.diag(np.linalg.inv(normal)))
-        parts = np.split(found, cuts) if terms else []
+        values = tuple(map(values_of, groups, np.split(found, cuts) if terms else []))
         return ExactFit(
             terms=terms,
-            values=tuple(map(values_of, groups, parts)),
+            values=values,
             spreads=tuple(np.split(spread, cuts)) if terms else (),
             rms=_by_channel(rows, channel),
-            total=self._score(rows, channel) + selection.prior(terms),
+            total=self._score(terms, values, rows, channel) + selection.prior(terms),
         )
 
     def searched(
@@ -241,21 +251,21 @@ class Exact:
         found, own = copy(self), self.simulator
         trials = [own.trials[k] for k in windows]
         found.simulator = Simulator(own.machine, trials, self.channels, threads=own.threads)
+        found._known = {}
         return found
 
     def score(self, fit: ExactFit) -> tuple[float, Array]:
         """Minus twice the log likelihood of the windows for a fit, and its residuals (C,)."""
         rows, channel = self._residuals([self._hypothesis(fit.terms, fit.values)])[0]
-        return self._score(rows, channel), _by_channel(rows, channel)
+        return self._score(fit.terms, fit.values, rows, channel), _by_channel(rows, channel)
 
     def _totals(
         self, selection: Selection, sets: Sequence[Set], values: Sequence[Sequence[Array]]
     ) -> list[float]:
         """Totals of sets at some values."""
         found = self._residuals(list(map(self._hypothesis, sets, values)))
-        return [
-            self._score(*each) + selection.prior(own) for each, own in zip(found, sets, strict=True)
-        ]
+        each = zip(sets, values, found, strict=True)
+        return [self._score(own, at, *rows) + selection.prior(own) for own, at, rows in each]
 
     def _hypothesis(self, terms: Set, values: Sequence[Array]) -> Hypothesis:
         return Hypothesis(effects=tuple(term.effect for term in terms), values=tuple(values))
@@ -275,11 +285,28 @@ class Exact:
             found.append((np.concatenate(rows), np.concatenate(channels)))
         return found
 
-    def _score(self, rows: Array, channel: IndexArray) -> float:
-        """Minus twice the log likelihood with a discrepancy in each channel."""
+    def _score(
+        self, terms: Set, values: Sequence[Array], rows: Array, channel: IndexArray
+    ) -> float:
+        """Minus twice the log likelihood with a discrepancy in each channel.
+
+        What the laws of the effects may miss is no evidence for other effects.
+        """
         count, power = np.bincount(channel), np.bincount(channel, rows**2)
-        values = self._values(count)
-        return float(values @ np.log1p(np.maximum(power - count, 0.0) / values))
+        level, missed = self._values(count), 0.0 * power
+        if not all(is_exact(term.effect) for term in terms):
+            changed = rows - self._as_by_exact(terms, values)
+            missed = self.law**2 * np.bincount(channel, changed**2)
+        return float(level @ np.log1p((np.maximum(power - count, 0.0) + missed) / level))
+
+    def _as_by_exact(self, terms: Set, values: Sequence[Array]) -> Array:
+        """Residuals with those of some effects whose laws miss nothing."""
+        own = [(t, v) for t, v in zip(terms, values, strict=True) if is_exact(t.effect)]
+        key = tuple((*term.effect.key, *at) for term, at in own)
+        if key not in self._known:
+            known = tuple(term for term, _ in own)
+            self._known[key] = self._residuals([self._hypothesis(known, [v for _, v in own])])[0][0]
+        return self._known[key]
 
     def _values(self, count: IndexArray) -> Array:
         """Values of the discrepancy of each channel, of so many rows (C,)."""
@@ -308,11 +335,12 @@ def _pulls(selection: Selection, fit: SetFit) -> list[tuple[Nuisance, float]]:
 
 def _shifted(trial: Trial, late: Iterable[tuple[int, float, float]]) -> Trial:
     """A run with commands of some actuators later by so many delays, linearly between steps."""
-    controls, time = trial.controls.copy(), np.arange(len(trial.controls)) * trial.step
+    controls, count = np.concatenate([trial.before, trial.controls]), len(trial.before)
+    time = np.arange(len(controls)) * trial.step
     for number, delay, deviations in late:
         at = time - deviations * delay
         controls[:, number] = np.interp(at, time, controls[:, number])
-    return replace(trial, controls=controls)
+    return replace(trial, before=controls[:count], controls=controls[count:])
 
 
 def _windows(trial: Trial, balance: Balance, trials: int, *, between: bool) -> list[Trial]:

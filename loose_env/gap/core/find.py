@@ -186,14 +186,15 @@ def _simulated(
 ) -> tuple[Decision, tuple[ExactFit, ...]]:
     """Decide in simulation among sets that leave channels open in the cells; the best first."""
     say("exact fit in full simulation")
-    exact = Exact(recording, selection.evidence.balance, threads=settings.threads)
+    balance, law = selection.evidence.balance, selection.evidence.law
+    exact = Exact(recording, balance, law=law, threads=settings.threads)
     pairs = [(exact.fit(selection, own), own) for own in sets]
     pairs.sort(key=lambda pair: pair[0].total)
     fits, best = [fit for fit, _ in pairs], pairs[0][1]
     nominal = exact.fit(selection, selection.solve(()))
     joints = open_joints(exact, nominal, fits[0], left)
     # an impact is felt at the tool while all joints stay on their ways
-    loose = any(selection.evidence.balance.feels(channel) for channel in left)
+    loose = any(balance.feels(channel) for channel in left)
     exact = exact.beside(selection, best)
     if not (joints or loose):
         say("decision on held-out data")
@@ -201,7 +202,7 @@ def _simulated(
         open_ = {each.channel for each in decision.channels if each.verdict == "unexplained"}
         if not open_:
             return decision, tuple(fits)
-        joints = open_.intersection(selection.evidence.balance.machine.joints)
+        joints = open_.intersection(balance.machine.joints)
     if joints or loose:
         say(f"search in simulation: {', '.join(sorted(joints)) or 'loose parts'}")
         kinds = settings.kinds or EFFECTS
