@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,11 +21,12 @@ from loose_env.gap import (
     try_effect,
 )
 from loose_env.gap.core.balance import Balance
+from loose_env.gap.core.catalogue import Term
 from loose_env.gap.core.evidence import grid_of, operator_noise, with_tolerances
 from loose_env.gap.core.find import evidence_of, readable, relinearised, silent
 from loose_env.gap.core.motion import smooth
 from loose_env.gap.core.residual import overlays
-from loose_env.gap.core.selection import Selection
+from loose_env.gap.core.selection import Selection, SetFit
 from loose_env.gap.core.tolerances import missed_by_laws, nuisances
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.recording import Recording, Run, read_recording, write_recording
@@ -301,6 +303,24 @@ def test_a_spring_that_stiffens_is_one_spring(tmp_path: Path) -> None:
     assert found.term.name == ("joint_spring", "elbow")
     assert found.low[0] < 5.0 < found.high[0] and found.low[1] < 0.2 < found.high[1]
     assert decision.channels[1].channel == "elbow" and decision.channels[1].after < 5.0
+
+
+def test_a_shape_that_a_search_adds_is_kept_beside_what_laws_miss(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, search = replace(ONE, kinds=("viscous_friction", "coulomb_friction")), Selection.search
+    selection = evidence_of(recording, own, lambda _: None)
+    assert selection.leading
+
+    def adding(self: Selection, start: Sequence[Term] = ()) -> SetFit:
+        fit = search(self, start)
+        moved = tuple((2 * row[0], *row[1:]) for row in fit.terms[0].axes)
+        return self.replaced(fit, fit.terms[0], moved, (fit.terms[0].contact,)) or fit
+
+    monkeypatch.setattr(Selection, "search", adding)
+    again, (best, *_) = relinearised(selection, own)
+    assert [t.name for t in best.terms] == [("coulomb_friction", "elbow")]
+    assert all(id(term) in again.evidence.places for term in best.terms)
 
 
 def test_more_tolerances_leave_the_columns_of_effects(recording: Recording) -> None:

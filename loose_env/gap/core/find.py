@@ -21,7 +21,7 @@ from loose_env.gap.core.decision import (
     left_open,
     pruned,
 )
-from loose_env.gap.core.evidence import whiten, with_tolerances
+from loose_env.gap.core.evidence import append, whiten, with_tolerances
 from loose_env.gap.core.exact import LARGE, Exact, ExactFit, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, motions_of_model, servo_share, servoed, smooth
 from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
@@ -283,6 +283,8 @@ def _beside_itself(
             again = {key: _again(balance, term) for key, term in again.items()}
             known = nuisances(balance, settings.tolerances)
             rigid = whiten(balance, list(again.values()), known, law=settings.tolerances.law)
+        else:  # shapes and secants that a search added beside other tolerances
+            append(rigid, *(term for term in again.values() if id(term) not in rigid.places))
         selection = Selection(with_tolerances(rigid, missed), selection.say)
         own = selection.solve([again[id(term)] for term in best.terms])
         if searching and number and own.total > found[1].total:
