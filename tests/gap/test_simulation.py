@@ -174,21 +174,25 @@ GEARED = """
 """
 
 
-def test_forces_of_tendons_count_as_torque_on_the_joints_they_pull() -> None:
-    machine = NominalModel(mujoco.MjSpec.from_string(GEARED))
-    assert machine.actuated_joint == {"outer": "shoulder"}
+def geared_trial() -> Trial:
     time = np.arange(200) * 0.001
     controls = np.sin(np.outer(time, [9.0, 13.0]))
-    trial = Trial(
+    return Trial(
         name="run", form="forward", time=time, measured=np.zeros((200, 2)), step=0.001, steps=200,
         controls=controls, before=controls[:0], position=np.zeros(2), speed=np.zeros(2),
         resting=False,
     )  # fmt: skip
+
+
+def test_forces_of_tendons_count_as_torque_on_the_joints_they_pull() -> None:
+    machine = NominalModel(mujoco.MjSpec.from_string(GEARED))
+    assert machine.actuated_joint == {"outer": "shoulder"}
+    trial = geared_trial()
     channels = tuple(Channel(f"torque.{name}") for name in ("shoulder", "elbow"))
     found = Simulator(machine, [trial], channels, threads=1).predict([NOTHING])[0][0]
     data = mujoco.MjData(machine.model)
     for k in range(200):
-        data.ctrl[:] = controls[k]
+        data.ctrl[:] = trial.controls[k]
         mujoco.mj_forward(machine.model, data)
         assert np.allclose(found[k], data.qfrc_actuator)
         mujoco.mj_step(machine.model, data)
@@ -209,13 +213,7 @@ def test_a_delay_of_the_model_stays_at_a_finer_step() -> None:
 
 
 def test_a_late_drive_follows_the_commands_before_a_window() -> None:
-    machine, time = NominalModel(mujoco.MjSpec.from_string(GEARED)), np.arange(200) * 0.001
-    controls = np.sin(np.outer(time, [9.0, 13.0]))
-    whole = Trial(
-        name="run", form="forward", time=time, measured=np.zeros((200, 2)), step=0.001, steps=200,
-        controls=controls, before=controls[:0], position=np.zeros(2), speed=np.zeros(2),
-        resting=False,
-    )  # fmt: skip
+    machine, whole = NominalModel(mujoco.MjSpec.from_string(GEARED)), geared_trial()
     late = Hypothesis(
         effects=(CATALOGUE["command_delay"](machine, "all"),), values=(np.array([0.03]),)
     )

@@ -33,6 +33,7 @@ from loose_env.gap.model.effect import free_of, values_of
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.drives import DriveLimit
 from loose_env.gap.model.hypothesis import Hypothesis
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import Trial, align_run, channels_of, measured_runs
 from loose_env.gap.simulator import Simulator
 from loose_env.recording import Recording
@@ -107,7 +108,7 @@ class Exact:
 
     def beside(self, selection: Selection, fit: SetFit) -> Exact:
         """The same with the tolerances at what the cells say of them beside a set."""
-        found, own, pulls = copy(self), self._nominal, _pulls(selection, fit)
+        own, pulls = self._nominal, _pulls(selection, fit)
         spec = own.machine.fresh()
         spec.compiler.balanceinertia = True  # an inertia pulled alone may be that of no body
         for nuisance, deviations in pulls:
@@ -116,7 +117,12 @@ class Exact:
         late = [(*n.late, deviations) for n, deviations in pulls if n.late is not None]
         trials = [_shifted(trial, late) for trial in own.trials]
         machine = replace(own.machine, spec=spec)
-        found.simulator = Simulator(machine, trials, self.channels, threads=own.threads)
+        return self._of(machine, trials)
+
+    def _of(self, machine: NominalModel, trials: Sequence[Trial]) -> Exact:
+        """The same with simulations of another model, or of other windows."""
+        found, threads = copy(self), self.simulator.threads
+        found.simulator = Simulator(machine, trials, self.channels, threads=threads)
         found._known = {}
         return found
 
@@ -248,11 +254,8 @@ class Exact:
 
     def on(self, windows: Sequence[int]) -> Exact:
         """The same on some of the windows."""
-        found, own = copy(self), self.simulator
-        trials = [own.trials[k] for k in windows]
-        found.simulator = Simulator(own.machine, trials, self.channels, threads=own.threads)
-        found._known = {}
-        return found
+        own = self.simulator
+        return self._of(own.machine, [own.trials[k] for k in windows])
 
     def score(self, fit: ExactFit) -> tuple[float, Array]:
         """Minus twice the log likelihood of the windows for a fit, and its residuals (C,)."""

@@ -439,13 +439,8 @@ class Selection:
             off = balance.folded(exact) - sum(
                 share * column.change.whole() for share, column in parts
             )
-            self._off[key] = {
-                k: cell_powers(balance, channel.joint, off)
-                for k, channel in enumerate(self.evidence.channels)
-                if np.any(off[:, channel.joint])
-            }
-        cells = self._off[key].items()
-        return float(sum(self.weights(k, powers[k]) @ own for k, own in cells)) > _BENT
+            self._off[key] = self._cells(off)
+        return self._felt(self._off[key], powers)
 
     def inexact(self, fit: SetFit) -> dict[str, Array]:
         """What the law of each effect of a set misses of its force (T, channels)."""
@@ -461,15 +456,20 @@ class Selection:
 
     def feels(self, missed: Iterable[Nuisance], fit: SetFit) -> bool:
         """Whether any of some tolerances is more than the data's doubt of it beside a set."""
-        balance = self.evidence.balance
-        return any(
-            sum(
-                float(self.weights(k, fit.powers[k]) @ cell_powers(balance, channel.joint, whole))
-                for k, channel in enumerate(self.evidence.channels)
-                if np.any(whole[:, channel.joint])
-            ) > _BENT
-            for whole in (nuisance.change.whole() for nuisance in missed)
-        )  # fmt: skip
+        return any(self._felt(self._cells(n.change.whole()), fit.powers) for n in missed)
+
+    def _cells(self, change: Array) -> dict[int, Array]:
+        """Powers of a change of the balance (T, channels) in the cells that it reaches."""
+        return {
+            k: cell_powers(self.evidence.balance, channel.joint, change)
+            for k, channel in enumerate(self.evidence.channels)
+            if np.any(change[:, channel.joint])
+        }
+
+    def _felt(self, cells: Mapping[int, Array], powers: Sequence[Array]) -> bool:
+        """Whether such powers are more than the data's doubt."""
+        felt = sum(self.weights(k, powers[k]) @ own for k, own in cells.items())
+        return float(felt) > _BENT
 
     def replaced(
         self,

@@ -158,12 +158,11 @@ def missed_by_laws(balance: Balance, forces: Mapping[str, Array]) -> list[Nuisan
     time = np.arange(len(balance.position))[:, None] + 0 * balance.position
     place, found = _even(balance.position), list[Nuisance]()
     shapes = {"slope": place, "bend": _even(place**2), "thinning": _even(np.abs(balance.speed))}
-    shapes["drift"] = _even(time)
+    shapes["drift"], nothing = _even(time), np.zeros_like(balance.operator)
     for name, force in forces.items():
         for what, shape in shapes.items():
             change = np.zeros_like(force)
             change[:, : shape.shape[1]] = force[:, : shape.shape[1]] * shape / sqrt(len(shapes))
-            nothing = np.zeros_like(balance.operator)
             found.append(
                 Nuisance(name=f"{what} of {name}", change=Change(change), operator=nothing)
             )
