@@ -114,6 +114,8 @@ class Alarm:
     louder: bool = False
     """True if it rings louder than on the healthy day, but nothing knocks: the sensor's mount, a
     cable or a payload changed."""
+    mount: str = ""
+    """How the accelerometer's mount shows in what is louder; "" where it does not."""
     masked: bool = False
     """True if what rings agrees with some place at any time: strikes of something else hide the
     rhythm."""
@@ -172,8 +174,13 @@ def detect(
             f"the tool rings {change.top:.1f} dB louder than on the healthy day, in the rhythm "
             f"of {'a knock' if loose else 'no place'}: {words}"
         )
-    louder = change is not None and rose and not loose and not masked
-    return Alarm(loose=loose, reasons=(words,), evidence=evidence, louder=louder, masked=masked)
+    louder, mount = change is not None and rose and not loose and not masked, ""
+    if change is not None and louder and change.mount[2] > numbers.top_db:
+        axis, hertz, rise = change.mount
+        mount = f"its {axis} axis rings {rise:.0f} dB louder at {hertz:.0f} Hz in every pose"
+    return Alarm(
+        loose=loose, reasons=(words,), evidence=evidence, louder=louder, mount=mount, masked=masked
+    )
 
 
 _TENTH = 1.28

@@ -105,10 +105,10 @@ def trains(
         slide [mm].
     """
     carried = [_carried(own, directions, gap_mm, slides) for own in loads]
-    load, mass, gap, friction = (np.concatenate([own[k] for own in carried]) for k in range(4))
-    energy = knocks(load, mass, gap, friction, period)
-    parts = zip(np.split(energy, len(loads)), carried, strict=True)
-    return [rung(own * louds[:, None], _RING_S, period) for own, (*_, louds) in parts]
+    mass, gap, friction, louds = (np.concatenate([own[k] for own in carried]) for k in range(1, 5))
+    load = np.concatenate([own[0].T for own in carried], axis=1).T  # time first, as knocks has it
+    energy = rung(knocks(load, mass, gap, friction, period), _RING_S, period) * louds[:, None]
+    return np.split(energy, len(loads))
 
 
 def _carried(
@@ -117,7 +117,7 @@ def _carried(
     """Load (H, GRID), mass, clearance, friction and loudness of each hypothesis (H,)."""
     n, each = len(loads.seats), _of_each(loads, directions)
     parts = [loads.along(link, own) for link, own in enumerate(each)]
-    load = np.concatenate([p[0] for p in parts] + [loads.turning])
+    load = np.concatenate([p[0].T for p in parts] + [loads.turning.T], axis=1).T
     mass = np.concatenate([p[1] for p in parts] + [loads.inertia])
     count = n * each.shape[1]
     gap = np.full(len(load), gap_mm * 1e-3)

@@ -277,44 +277,37 @@ def correlation(
         Highest correlation of any hypothesis with the shifted amplitudes; 0 without shifts.
     """
     own = np.array(sensors or [""] * len(heard))
-    groups = [np.flatnonzero(own == name) for name in dict.fromkeys(own.tolist())]
-
-    def together(parts: Sequence[Array], group: IndexArray) -> Array:
-        return np.concatenate([parts[k] for k in group], 1)
-
-    spans, units = [], []
-    for group in groups:
-        base = together(friction, group)
+    times = np.zeros((1, len(heard)), np.intp)  # in time first, then shifted
+    times = times if shifts is None else np.vstack([times, shifts])
+    unexplained, shares = np.ones(1), []
+    names = dict.fromkeys(own.tolist())
+    for name in names:
+        group = np.flatnonzero(own == name).tolist()
+        base = np.hstack([friction[k] for k in group])
         base = np.vstack([np.ones(base.shape[1]), base])
         base = base / np.maximum(np.linalg.norm(base, axis=1, keepdims=True), 1e-12)
         span = np.linalg.svd(base, full_matrices=False)[2]
-        x = together(told, group)
-        before = np.linalg.norm(x - x.mean(1, keepdims=True), axis=1)
-        x = x - (x @ span.T) @ span
-        size = np.linalg.norm(x, axis=1)
-        spans.append(span)
-        units.append(np.where(size > 0.1 * before, 1 / np.maximum(size, 1e-30), 0.0)[:, None] * x)
-
-    def agreement(heard: Sequence[Array]) -> tuple[Array, float]:
-        """Of every hypothesis, and the share of the first sensor's that friction leaves."""
-        unexplained, shares = np.ones(len(units[0])), []
-        for group, span, x in zip(groups, spans, units, strict=True):
-            y = together(heard, group)
-            left = y - (y @ span.T) @ span
-            norm = np.linalg.norm(left, axis=1)
-            each = x @ left.T / np.maximum(norm, 1e-30)
-            # Bands are unlike witnesses of the same knocks: what they leave unexplained multiplies.
-            # Another sensor in their midst hears the same again: its mean with the others counts.
-            unexplained *= np.prod(1 - np.clip(each, 0, 1) ** 2, axis=1) ** (1 / len(groups))
-            shares.append(norm[0] ** 2 / max(float(((y[0] - y[0].mean()) ** 2).sum()), 1e-30))
-        return np.sqrt(1 - unexplained), float(shares[0])
-
-    found, left = agreement(heard)
-    chance = 0.0
-    for shift in () if shifts is None else shifts:
-        moved = [np.roll(a, int(k), -1) for a, k in zip(heard, shift, strict=True)]
-        chance = max(chance, float(agreement(moved)[0].max()))
-    return found, 1 - left, chance
+        moved = [[np.roll(heard[k], t, -1) for k, t in zip(group, at[group], strict=True)]
+                 for at in times]  # fmt: skip
+        y = np.array([np.hstack(each) for each in moved])
+        left = y - (y @ span.T) @ span
+        norm = np.linalg.norm(left, axis=-1)
+        shares.append(norm[0, 0] ** 2 / max(float(((y[0, 0] - y[0, 0].mean()) ** 2).sum()), 1e-30))
+        # what is left is free of the span, so that hypotheses need not be projected themselves
+        against = np.vstack([base[:1], span, left.reshape(-1, left.shape[-1])])
+        parts = np.split(against, len(group), axis=1)
+        products = np.sum([told[k] @ part.T for k, part in zip(group, parts, strict=True)], 0)
+        power = np.sum([np.einsum("ht,ht->h", told[k], told[k]) for k in group], 0)
+        before = power - products[:, 0] ** 2
+        size = power - (products[:, 1 : 1 + len(span)] ** 2).sum(1)
+        unit = np.where(size > 0.01 * before, 1 / np.sqrt(np.maximum(size, 1e-30)), 0.0)
+        each = products[:, 1 + len(span) :].reshape(-1, *norm.shape) * unit[:, None, None]
+        # Bands are unlike witnesses of the same knocks: what they leave unexplained multiplies.
+        # Another sensor in their midst hears the same again: its mean with the others counts.
+        alike = np.clip(each / np.maximum(norm, 1e-30), 0, 1)
+        unexplained = unexplained * np.prod(1 - alike**2, axis=2) ** (1 / len(names))
+    found = np.sqrt(1 - unexplained)
+    return found[:, 0], 1 - float(shares[0]), float(found[:, 1:].max(initial=0.0))
 
 
 def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:

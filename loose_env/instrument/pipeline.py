@@ -536,6 +536,11 @@ def _words(places: Sequence[Place], alarm: Alarm, *, settled: bool, hobby: bool)
             "Something strikes, in no rhythm that tells a place of the arm.",
             "Tie cables down, keep hands and neighbours away, and repeat the session.",
         )
+    if alarm.mount:
+        return (
+            f"Nothing knocks, but the accelerometer's mount is loose: {alarm.mount}.",
+            "Screw or glue the accelerometer to bare metal, and repeat the session.",
+        )
     if alarm.louder:
         return (
             "Nothing knocks, but the arm rings louder than on the healthy day.",

@@ -22,6 +22,9 @@ _AGREES = 0.7
 """Mean agreement of the columns with their own commands from which they are theirs [1]."""
 _SHORT = 0.02
 """Share of a period by which the last one may be cut [1]: lines are fitted at the true times."""
+_CLOCK_OFF, _CLOCK_STEP_S, _CLOCK_ROUNDS = 0.03, 1e-3, 2
+"""Largest difference of two clocks [1], that of the worst resonators without a crystal; step in
+which it is searched for over a period; rounds, for lines of a clock that is far off are dim."""
 FEWEST_PERIODS = 2
 """Whole periods that a record needs: with one nothing can be seen to repeat."""
 
@@ -70,7 +73,7 @@ class Motion:
     """Motion of the joints in a run of periodic commands."""
 
     time: Array
-    """Of the run, from its first sample (T,) [s]."""
+    """Of the run, from its first sample, by the clock of the commands (T,) [s]."""
     first: float
     """Time of the first whole period [s]."""
     periods: int
@@ -78,6 +81,8 @@ class Motion:
     """Lines of joint acceleration (L, n) [rad/s², m/s²]."""
     pose: Array
     """Mean joint positions (n,) [rad, m]."""
+    fast: float
+    """Share by which the run's clock was fast against the commands' [1]; set right."""
 
 
 def read_motion(arm: SuspectArm, run: Run, signal: Multisine) -> Motion | Unusable:
@@ -108,12 +113,13 @@ def read_motion(arm: SuspectArm, run: Run, signal: Multisine) -> Motion | Unusab
             f"the joints move for {end - start:.2g} s; the signal lasts {signal.seconds:.2g} s",
             "the machine stopped: see its log, lower --levels, and run again",
         )
-    inside = (t >= first) & (t < first + periods * signal.period_s)
     omega = 2 * np.pi * np.arange(top + 1) / signal.period_s
-    lines, _ = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)
+    t, each, fast = _by_clock(t - first, q, periods, top, signal, order=2)
+    lines = each.mean(0)
     return Motion(
-        time=t, first=first, periods=periods, lines=-lines * omega[:, None] ** 2, pose=lines[0].real
-    )
+        time=t + first, first=first, periods=periods, lines=-lines * omega[:, None] ** 2,
+        pose=lines[0].real, fast=fast,
+    )  # fmt: skip
 
 
 _NO_NUMBER = "a channel holds no number", "check the logger's columns"
@@ -177,14 +183,18 @@ def read_run(
     remarks, top = [], len(motion.lines) - 1
     if periods < signal.periods:
         remarks.append(f"{periods} of {signal.periods} periods are whole")
-    inside = (t >= first) & (t < first + periods * signal.period_s)
-    read, read_noise = _lines(t[inside] - first, tool[inside], periods, top, signal.period_s)
-    scale = 1.0
+    own, several, fast = _by_clock(t - first, tool, periods, top, signal)
+    read, scale = several.mean(0), 1.0
+    for whose, share in (("log's clock is", motion.fast), ("accelerometer's clock is", fast)):
+        if abs(share) * periods * signal.period_s > 1 / rate:
+            remarks.append(
+                f"the {whose} {100 * abs(share):.2g} % {'fast' if share > 0 else 'slow'}: set right"
+            )
     gravity = read[0].real
     if 0.8 < np.linalg.norm(gravity) < 1.2 and np.any(arm.model.opt.gravity):
         scale = _STANDARD_GRAVITY
         remarks.append("the accelerometer is logged in g: taken as such")
-    ring = ringing(t, tool * scale, first, periods, signal.period_s, top=passes, highest=highest)
+    ring = ringing(own, tool * scale, 0.0, periods, signal.period_s, top=passes, highest=highest)
     repeats, foreign = ring.struck()
     if foreign:
         remarks.append(
@@ -200,7 +210,7 @@ def read_run(
         pose=motion.pose,
         joints=motion.lines,
         tool=read * scale,
-        tool_noise=read_noise * scale**2,
+        tool_noise=_scatter(several) * scale**2,
         gravity=gravity * scale,
         motion=float(np.sqrt(0.5 * (np.abs(excited) ** 2).sum())),
         ring=ring,
@@ -246,27 +256,58 @@ def _clipped(tool: Array) -> float:
     return float(max(shares))
 
 
-def _lines(t: Array, y: Array, periods: int, top: int, period: float) -> tuple[ComplexArray, Array]:
-    """Lines (top+1, c) of y by least squares at the true times, and their variance."""
+def _lines(t: Array, y: Array, periods: int, top: int, period: float) -> ComplexArray:
+    """Lines of each period (P, top+1, c) of y by least squares at the true times."""
     angle = 2 * np.pi * np.outer(t / period, np.arange(top + 1))
     basis = np.hstack([np.cos(angle), -np.sin(angle[:, 1:])])
     each = []
     for p in range(periods):
         own = (t >= p * period) & (t < (p + 1) * period)
-        found = np.linalg.lstsq(basis[own], y[own], rcond=None)[0]
+        part = basis[own]  # nearly orthogonal, so that its products are as good as itself
+        found = np.linalg.solve(part.T @ part, part.T @ y[own])
         lines = found[: top + 1].astype(complex)
         lines[1:] += 1j * found[top + 1 :]
         each.append(lines)
-    several = np.array(each)
-    return several.mean(0), (np.abs(several - several.mean(0)) ** 2).sum(0) / max(
-        (periods - 1) * periods, 1
-    )
+    return np.array(each)
+
+
+def _scatter(several: ComplexArray) -> Array:
+    """Variance of the mean of lines of several periods."""
+    periods = len(several)
+    off = (np.abs(several - several.mean(0)) ** 2).sum(0)
+    return np.asarray(off / max((periods - 1) * periods, 1))
+
+
+def _by_clock(
+    t: Array, y: Array, periods: int, top: int, signal: Multisine, *, order: int = 0
+) -> tuple[Array, ComplexArray, float]:
+    """Times by the clock of the commands, lines of each period, and how fast y's own clock was.
+
+    Lines turn from one period to the next by what the period lasts too long. The signal is flat in
+    accelerations: those are y's derivative of an order.
+    """
+    omega, turned = 2 * np.pi * signal.hertz, t
+    shifts = np.arange(-_CLOCK_OFF, _CLOCK_OFF, _CLOCK_STEP_S / signal.period_s) * signal.period_s
+    waves = np.exp(1j * np.outer(shifts, omega))
+    for _ in range(_CLOCK_ROUNDS):
+        several = _lines(turned, y, periods, top, signal.period_s)
+        excited = several[:, signal.excited] * signal.excited[:, None] ** order
+        turns = np.einsum("pkc,pkc->k", excited[:-1].conj(), excited[1:])
+        late = float(shifts[(waves @ turns).real.argmax()])
+        angle = np.angle(turns * np.exp(1j * omega * late))
+        weight = np.abs(turns) * omega
+        late -= float(weight @ angle / max(weight @ omega, 1e-300))
+        turned = turned / (1 + late / signal.period_s)
+        if abs(late) < _CLOCK_STEP_S:
+            break
+    fast = float((t[-1] - t[0]) / (turned[-1] - turned[0]) - 1)
+    return turned, _lines(turned, y, periods, top, signal.period_s), fast
 
 
 def _in_phase(t: Array, q: Array, first: float, periods: int, top: int, signal: Multisine) -> float:
     """Start of the first whole period, moved to where the lines have the commands' phases."""
     inside = (t >= first) & (t < first + periods * signal.period_s)
-    lines = _lines(t[inside] - first, q[inside], periods, top, signal.period_s)[0]
+    lines = _lines(t[inside] - first, q[inside], periods, top, signal.period_s).mean(0)
     own = -lines[signal.excited] * signal.excited[:, None] ** 2  # accelerations: there it is flat
     own = own / np.maximum(np.linalg.norm(own, axis=0), 1e-12) / np.sqrt(len(own))
     shift = np.arange(-0.5, 0.5, 1e-3) * signal.period_s

@@ -85,6 +85,10 @@ class Change:
     """Tool motion left with the healthy gears, over what they left on the healthy day [1]."""
     payload_kg: float
     """Mass at the tool that explains it better than any softer joint; 0 where a joint does [kg]."""
+    mount: tuple[str, float, float]
+    """Axis of the accelerometer whose ringing rose most beside others of its frequencies in every
+    pose, at which frequency [Hz], and by how much [dB]: modes of an arm move with the pose, a loose
+    mount's do not."""
 
 
 def change(
@@ -105,4 +109,19 @@ def change(
         softer=np.log(left.none / np.maximum(left.joints, 1e-12)),
         stiff=left.none / max(known.left, 1e-12),
         payload_kg=left.payload_kg if left.payload < left.joints.min() else 0.0,
+        mount=_mount(records, healthy),
     )
+
+
+def _mount(records: Sequence[Record], healthy: Sequence[Record]) -> tuple[str, float, float]:
+    """Axis, frequency and rise of what rings louder in every pose at that frequency alone."""
+    spectra = [[r.ring.spectrum / r.motion**2 for r in own] for own in (records, healthy)]
+    count = min(len(each) for own in spectra for each in own)
+    now, then = (decibels(np.array([each[:count] for each in own])) for own in spectra)
+    bands = records[0].ring.bands_hz
+    hertz = np.arange(count) / records[0].ring.period_s
+    inside = (hertz >= bands[-1][0]) & (hertz <= bands[0][1])
+    rise = (now - then)[:, inside]
+    alone = (rise - np.median(rise, axis=1, keepdims=True)).min(0)
+    where, axis = np.unravel_index(alone.argmax(), alone.shape)
+    return "xyz"[axis], float(hertz[inside][where]), float(alone[where, axis])

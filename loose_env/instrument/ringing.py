@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from loose_env.typing import Array, ComplexArray
@@ -44,7 +45,7 @@ class Ringing:
     bands_hz: tuple[tuple[float, float], ...]
     """Lowest and highest frequency of each band, the highest band first [Hz]."""
     spectrum: Array
-    """Power of each line of a period, smoothed (F // 2 + 1,) [m²/s⁴]."""
+    """Power of each line of a period, smoothed, sensor frame (F // 2 + 1, 3) [m²/s⁴]."""
 
     def repeating(self, band: int, *, spectrum: Array | None = None) -> Array:
         """Energy that repeats in a band over a period (GRID,): products of unlike periods.
@@ -101,7 +102,8 @@ class Ringing:
         hertz = np.arange(self.waves.shape[1] // 2 + 1) / self.period_s
         share = ((hertz >= low) & (hertz <= high)).astype(float)
         if spectrum is not None:
-            share /= np.sqrt(np.maximum(spectrum, 1e-9 * spectrum.max()))
+            power = spectrum.sum(-1)
+            share /= np.sqrt(np.maximum(power, 1e-9 * power.max()))
         lines = self._lines * share[None, :, None]
         found: Array = np.fft.irfft(lines, self.waves.shape[1], axis=1)
         return found
@@ -135,14 +137,13 @@ def ringing(
     samples = GRID * max(1, int(np.ceil(4 * bands[0][1] * period_s / GRID)))
     at = first + (np.arange(periods)[:, None] + np.arange(samples) / samples) * period_s
     waves = CubicSpline(t, h)(at)
-    power = (np.abs(np.fft.rfft(waves, axis=1) / samples) ** 2).mean(0).sum(-1)
+    power = (np.abs(np.fft.rfft(waves, axis=1) / samples) ** 2).mean(0)
     wide = 2 * max(1, round(_SMOOTH_HZ * period_s)) + 1
-    padded = np.pad(power, wide // 2, mode="edge")
     return Ringing(
         waves=waves,
         period_s=period_s,
         bands_hz=tuple(bands),
-        spectrum=np.convolve(padded, np.ones(wide) / wide, "valid"),
+        spectrum=uniform_filter1d(power, wide, axis=0, mode="nearest"),
     )
 
 

@@ -51,8 +51,12 @@ def knocks(load: Array, mass: Array, gap: Array, friction: Array, period: float)
 def rung(energy: Array, decay_s: float, period: float) -> Array:
     """Energy (H, GRID) that rings down after each knock, around the period."""
     keep = np.exp(-period / energy.shape[-1] / decay_s)
-    from scipy.signal import lfilter  # two seconds of processor, which importers seldom need
-
-    twice = lfilter([1.0], [1.0, -keep], np.concatenate([energy, energy], -1), axis=-1)
-    found: Array = twice[..., energy.shape[-1] :]
-    return found
+    found = np.array(np.moveaxis(energy, -1, 0), order="C")  # time first: a step is one row
+    last = np.zeros(energy.shape[:-1])
+    for each in found:
+        last = keep * last + each
+    last = last / (1 - keep ** len(found))  # of all periods before
+    for each in found:
+        each += keep * last
+        last = each
+    return np.moveaxis(found, 0, -1)

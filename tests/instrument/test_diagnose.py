@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import bilinear, lfilter
 
 from loose_env.arms import SIX_AXIS_SERVO_ARM
 from loose_env.errors import InvalidData, InvalidSetting
@@ -148,6 +149,37 @@ def test_a_result_is_read_back_and_comes_again(
     sweep = replace(healthy.runs[0], name="sweep.csv")  # planned beside the runs, and no run of it
     again = diagnose(replace(healthy, runs=(sweep, *healthy.runs)))
     assert replace(again, seconds=0.0) == replace(quiet, seconds=0.0)
+
+
+@pytest.mark.parametrize(("fast", "whose"), [(0.006, "accelerometer"), (-0.02, "log")])
+def test_a_clock_that_is_fast_is_set_right(
+    loose: Recording, found: Diagnosis, fast: float, whose: str
+) -> None:
+    def drifted(run: Run) -> Run:
+        if whose == "log":
+            return replace(run, time=run.time * (1 + fast))
+        late = run.time[0] + (run.time - run.time[0]) / (1 + fast)
+        acc = [np.interp(late, run.time, axis) for axis in run.sensors["acc"].T]
+        return with_sensors(run, acc=np.column_stack(acc))
+
+    told = diagnose(changed(loose, drifted), DiagnoseSettings(reference=False))
+    words = f"the {whose}'s clock is {100 * abs(fast):g} % {'fast' if fast > 0 else 'slow'}"
+    assert sum(words in remark for remark in told.remarks) == len(told.runs)
+    assert told.verdict == "loose" and told.places[0].name == found.places[0].name
+    assert not any("clock" in remark for remark in found.remarks)
+
+
+def test_a_loose_mount_of_the_accelerometer_is_named(play: Play) -> None:
+    def rides(run: Run) -> Run:
+        omega = 2 * np.pi * 240.0
+        way = bilinear([2 * 0.06 * omega, omega**2], [1, 2 * 0.06 * omega, omega**2], fs=RATE)
+        acc = run.sensors["acc"].copy()
+        acc[:, 1] = acc[0, 1] + lfilter(*way, acc[:, 1] - acc[0, 1])
+        return with_sensors(run, acc=acc)
+
+    told = diagnose(changed(play(Truth(mode_hz=40), reference=True), rides))
+    assert told.verdict == "open" and "mount is loose: its y axis" in told.headline
+    assert "accelerometer" in told.remedy
 
 
 def test_an_accelerometer_that_was_started_later_is_set_right(
