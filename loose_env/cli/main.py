@@ -44,6 +44,8 @@ _MODULES = {
 }
 """Subcommand -> module with its options, a class of its name."""
 
+_NO_PICTURES = ("doctor", "import")
+"""Commands that draw no arms: MuJoCo need not start a display's library for them, 0.2 s."""
 _M_MMAP_THRESHOLD = -3
 """Number of this option of glibc's mallopt."""
 _BLOCK_BYTES = 256 * 1024
@@ -112,6 +114,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments is None and words[:1] and words[0] in _NO_PICTURES:
+        os.environ.setdefault("MUJOCO_GL", "disable")
     if words[:1] in ([], ["-h"], ["--help"]):
         listed = "\n".join(f"  {name:<10}{about}" for name, about in COMMANDS.items())
         return _shown((_HELP + _EXIT_CODES).format(commands=listed, shells=", ".join(SHELLS)))

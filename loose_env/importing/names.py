@@ -22,7 +22,7 @@ other: fraction scaling sin cos image reward done index task frame next orientat
 other: error err seq count counter id status state_machine enable kp kd gain mass
 command: target target command commands cmd action actions desired des ref reference setpoint goal
 command: ctrl control controls soll sollwert demand tgt sp set cmds
-acceleration: qdd ddq acc accel acceleration accelerometer qacc gyro gyroscope imu
+acceleration: qdd ddq acc accel acceleration accelerometer qacc gyro gyr gyroscope imu
 velocity: velocity velocities vel qd dq qvel speed rate omega
 torque: effort torque torques tau moment force forces frc load
 current: current currents amps

@@ -71,8 +71,9 @@ _UNIT = 0.2
 _BY_NAME = "by its name"
 _ROWS = 2000
 """Rows of which torques are computed where several motions are tried."""
-_CLEARER = 0.1
-"""Score of explained torques by which exchanged states have to do better than named ones [1]."""
+_CLEARER = 0.5
+"""What exchanged states leave of the torques of their joints over what they leave as named, from
+which the names are wrong [1]: half is more than friction makes of it."""
 _ORDER = 1e-6
 """Score by which equal channels go to the joints in the file's order [1]."""
 _MOST = 80
@@ -176,7 +177,7 @@ class Roles:
             if s.meaning.joint or len(names) == 1:
                 of = s.meaning.vector if s.meaning.joint else s.sort
                 groups.setdefault(("label", s.source, of), []).append(s)
-            elif s.meaning.index is not None and (s.meaning.array or s.meaning.role):
+            elif s.meaning.index is not None:
                 groups.setdefault(("index", s.source, s.meaning.vector), []).append(s)
             else:
                 rest.append(s)
@@ -597,7 +598,7 @@ class Roles:
             other, why, turn = {a: b, b: a}, "the torques do not tell", False
             torques = {
                 j: self.lines[t.torque].candidate
-                for j, t in self.joints.items() if t.torque in self.lines
+                for j, t in self.joints.items() if j in (a, b) and t.torque in self.lines
             }  # fmt: skip
             if torques and self.needed:
                 motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
@@ -606,7 +607,7 @@ class Roles:
                 exchanged = self._told_by({other.get(j, j): own for j, own in torques.items()})
                 self._move(motion)
                 why = f"torques are explained by {as_named:.2f}, exchanged by {exchanged:.2f}"
-                turn = exchanged > as_named + _CLEARER
+                turn = 1 - exchanged < _CLEARER * (1 - as_named)
             if turn:
                 self._exchange(a, b)
             self.notes.append(
@@ -617,9 +618,9 @@ class Roles:
             )  # fmt: skip
 
     def _told_by(self, torques: Mapping[str, Signal]) -> float:
-        """How well the model explains torques: correlation, less what their size is off."""
+        """Share of torques' variance that the model explains, less what their size is off."""
         told = [self._explained(j, s) for j, s in torques.items()]
-        return float(np.mean([abs(t.alone) - _off_size(t) for t in told]))
+        return float(np.mean([t.alone**2 - _off_size(t) for t in told]))
 
     def _exchange(self, a: str, b: str) -> None:
         """Exchange all columns of two joints, commands included."""

@@ -212,7 +212,7 @@ def vector_orders(model: mujoco.MjModel) -> list[list[str]]:
     return orders
 
 
-_TURNING = {"gyro", "gyroscope", "angular"}
+_TURNING = {"gyro", "gyr", "gyroscope", "angular"}
 _GRAVITY = 0.2
 """Share by which the mean over a second of an accelerometer that no name tells may be
 off 1 g [1]."""
