@@ -16,9 +16,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from loose_env.doctor.findings import Defect, DoctorSettings, Finding
-from loose_env.doctor.machine import Machine, Motion, filled, forces_of, positions_of, servos_of
+from loose_env.doctor.machine import Machine, Motion, forces_of, positions_of, servos_of
 from loose_env.doctor.signals import implied_readings
-from loose_env.importing import early_by
+from loose_env.importing import early_by, filled
 from loose_env.statistics import phase_delay
 from loose_env.typing import Array, ComplexArray
 

@@ -10,7 +10,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.importing import Drive, drives_of, inverse_dynamics, joint_targets, median_step
+from loose_env.importing import (
+    Drive,
+    drives_of,
+    filled,
+    inverse_dynamics,
+    joint_targets,
+    median_step,
+)
 from loose_env.kinematics import carried_bodies
 from loose_env.recording import Run, table_of
 from loose_env.typing import Array
@@ -225,13 +232,3 @@ def forces_of(
         for joint, values in run.torques.items():
             found[joint] = f"torque.{joint}", filled(run.time, values)
     return found
-
-
-def filled(time: Array, values: Array) -> Array:
-    """Column with missing samples interpolated; zeros where none is there."""
-    there = np.isfinite(values)
-    if there.all():
-        return values
-    if not there.any():
-        return np.zeros_like(values)
-    return np.interp(time, time[there], values[there])

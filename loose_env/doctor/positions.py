@@ -17,11 +17,11 @@ from loose_env.doctor.machine import (
     Channel,
     Machine,
     channels_of,
-    filled,
     positions_of,
     servos_of,
 )
 from loose_env.doctor.units import ANGLE, LENGTH, UNIT_MATCH, grouped, named_unit
+from loose_env.importing import coding_of, filled
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -41,11 +41,6 @@ m]: ten times a wrong zero."""
 POSE_SPREAD = 0.2
 """Rms motion of a joint in a run with a noted pose, above which it is a finding, and a diagnosis
 refuses the run [rad or m]: shaking about a pose stays within 0.1."""
-TURN_MATCH = 0.1
-"""Relative distance of a jump from a turn, up to which it is one: the joint moves meanwhile."""
-LARGEST_STEP_RAD = 1.5
-"""Largest other step between two samples, up to which jumps by a turn are the encoder's [rad]:
-recorders that lose rows make larger ones of any size."""
 LEAST_TICKS = 50.0
 """Range of a position of whole numbers, from which they are encoder ticks: as radians they would
 be eight turns."""
@@ -107,10 +102,9 @@ def check_turns(machine: Machine, runs: Sequence[Run]) -> Iterator[Finding]:
 
 
 def _wraps(values: Array) -> int:
-    """Jumps by a turn; none where other steps are large too."""
-    steps = np.abs(np.diff(values))
-    turn = np.abs(steps / (2 * np.pi) - 1) <= TURN_MATCH
-    return int(turn.sum()) if steps[~turn].max(initial=0.0) <= LARGEST_STEP_RAD else 0
+    """Jumps by a turn, as an import would find them; none where other steps are large too."""
+    wrapped = coding_of(values)[0] == 2 * np.pi
+    return int(np.count_nonzero(np.abs(np.diff(values)) > np.pi)) if wrapped else 0
 
 
 def check_positions(

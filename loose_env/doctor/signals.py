@@ -22,7 +22,6 @@ from loose_env.doctor.machine import (
     Motion,
     carried,
     channels_of,
-    filled,
     forces_of,
     motion_of,
     positions_of,
@@ -41,7 +40,7 @@ from loose_env.doctor.units import (
     grouped,
     named_unit,
 )
-from loose_env.importing import inverse_dynamics
+from loose_env.importing import filled, inverse_dynamics
 from loose_env.recording import Run
 from loose_env.typing import Array
 

@@ -28,13 +28,8 @@ import numpy as np
 
 from loose_env.doctor.corrections import Correction, corrected
 from loose_env.doctor.findings import Defect, Finding
-from loose_env.doctor.machine import (
-    Machine,
-    filled,
-    forces_of,
-    positions_of,
-)
-from loose_env.importing import inverse_dynamics, median_step
+from loose_env.doctor.machine import Machine, forces_of, positions_of
+from loose_env.importing import filled, inverse_dynamics, median_step
 from loose_env.recording import Run
 from loose_env.typing import Array
 

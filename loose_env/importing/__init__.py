@@ -5,10 +5,11 @@ sources -> evidence -> targets -> roles -> proposal; pipeline.
 """
 
 from loose_env.importing.command_timing import command_delays, early_by
+from loose_env.importing.evidence import coding_of
 from loose_env.importing.mapping import ImportMapping, read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
 from loose_env.importing.proposal import Proposal, proposal_text, propose
-from loose_env.importing.resampling import median_step
+from loose_env.importing.resampling import filled, median_step
 from loose_env.importing.targets import (
     Drive,
     drives_of,
@@ -22,9 +23,11 @@ __all__ = [
     "ImportMapping",
     "ImportSettings",
     "Proposal",
+    "coding_of",
     "command_delays",
     "drives_of",
     "early_by",
+    "filled",
     "followers",
     "import_recording",
     "inverse_dynamics",

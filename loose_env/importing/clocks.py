@@ -110,8 +110,9 @@ def chosen_time(tables: Sequence[Table]) -> tuple[TimeSource, str]:
         more = "" if len(refused) == 1 else f"; nor can the next, {_short(refused[1])}"
         raise InvalidData(f"{refused[0]}; no other column orders the rows{more}")
     raise InvalidData(
-        f"{first.place}: its times are not known: no column advances in even steps; give the "
-        "sampling rate by --rate-hz, or a mapping with time = { column = ... }"
+        f"{first.place}: its times are not known: none of its columns "
+        f"({', '.join(map(repr, [*first.columns][:6]))[:200]}) advances in even steps; where it is "
+        "a log, give its rate by --rate-hz, or a mapping with time = { column = ... }"
     )
 
 

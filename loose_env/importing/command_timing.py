@@ -17,7 +17,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from loose_env.importing.resampling import median_step, smoothed
+from loose_env.importing.resampling import filled, median_step, smoothed
 from loose_env.importing.targets import SMOOTHED, Drive, drives_of, joint_targets, needed_torques
 from loose_env.recording import CommandTiming, Run, last_known
 from loose_env.typing import Array
@@ -70,7 +70,7 @@ def command_delays(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, Comm
     runs, grids = [piece for piece, _ in pieces], [grid for _, grid in pieces]
     positions = {
         each.name: [
-            _read(run, run.sensors[each.position[7:]], grid)
+            np.interp(grid, run.time, filled(run.time, run.sensors[each.position[7:]]))
             for run, grid in zip(runs, grids, strict=True)
         ]
         for each in targets
@@ -104,11 +104,6 @@ def _middle(run: Run, step: float) -> tuple[Run, Array]:
         torques={name: values[own] for name, values in run.torques.items()},
     )  # fmt: skip
     return piece, grid
-
-
-def _read(run: Run, values: Array, grid: Array) -> Array:
-    there = np.isfinite(values)
-    return np.interp(grid, run.time[there], values[there]) if there.any() else np.zeros(len(grid))
 
 
 def _delay(drive: Drive, step: float, parts: Sequence[_Part]) -> CommandDelay:

@@ -22,6 +22,14 @@ def median_step(time: Array) -> float:
     return float(np.median(np.diff(time)))
 
 
+def filled(time: Array, values: Array) -> Array:
+    """Column with missing samples interpolated; zeros where none is there."""
+    there = np.isfinite(values)
+    if there.all():
+        return values
+    return np.interp(time, time[there], values[there]) if there.any() else np.zeros_like(values)
+
+
 def smoothed(values: Array, width: int) -> Array:
     """Mean of each sample and its neighbours along the first axis; the ends are mirrored."""
     ends = [(width // 2, (width - 1) // 2), *[(0, 0)] * (values.ndim - 1)]

@@ -35,6 +35,7 @@ from loose_env.importing.targets import (
     JointTarget,
     Scaling,
     admits,
+    counted,
     is_rate,
     joint_targets,
     needed_torques,
@@ -43,7 +44,7 @@ from loose_env.importing.targets import (
     tool_sensors,
     vector_orders,
 )
-from loose_env.importing.units import quantity_of, unit_named
+from loose_env.importing.units import nearest_unit, quantity_of, unit_named
 from loose_env.typing import Array
 
 ALIKE = 0.8
@@ -63,6 +64,8 @@ _NAME = 0.3
 _PRIOR = {"position": 3.0, "": 0.0, "command": -3.0, "velocity": -4.0, "acceleration": -4.0,
           "torque": -4.0, "current": -4.0, "other": -6.0}  # fmt: skip
 """What a name is worth for a position, where leading or following a channel is worth 2."""
+_SLOW_S = 2.0
+"""Time over which positions and commands are averaged to be compared in size [s]."""
 _RATE = 0.95
 """Least correlation with a derivative at which a channel without a name tells a position [1]: dry
 friction's torque has 0.8 and more."""
@@ -347,7 +350,9 @@ class Roles:
                 factor = unit_named(s.unit, "").factor
                 speeds[joint] = 1 / (abs(slope(p.rates, s.smooth)) * factor)
         defined = all(s.defined for _, s in pairs.values())
-        for joint, scaling in position_scalings(pairs, speeds, defined).items():
+        scalings = position_scalings(pairs, speeds, defined)
+        scalings |= self._by_commands([j for j, scaling in scalings.items() if scaling is None])
+        for joint, scaling in scalings.items():
             s, _, reason = self.positions[joint]
             target = self.joints[joint]
             if scaling is None:
@@ -366,6 +371,29 @@ class Roles:
                     f'<jointpos name="{joint}_position" joint="{joint}"/> to its <sensor>'
                 )
         self._move({j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()})
+
+    def _by_commands(self, joints: Sequence[str]) -> dict[str, Scaling]:
+        """Scalings of positions that no unit fits, by the commands that they follow together."""
+        found: dict[str, tuple[Array, Array, Signal]] = {}
+        for joint in (j for j in joints if self.joints[j].drive == "position"):
+            s, target = self.positions[joint][0], self.joints[joint]
+            own = [
+                c
+                for c in self._free()
+                if self._label(c) in ("", joint) and c.meaning.role in ("", "command")
+            ]
+            c = max(own, key=lambda c: self._alike(c, s).correlation, default=s)
+            told = position_scalings({joint: (target, c)}, {}, defined=False)[joint]
+            if not s.unit and c is not s and told and self._alike(c, s).correlation >= ALIKE:
+                # A servo follows slow commands as they are.
+                found[joint] = s.averaged(_SLOW_S), told.si([c.averaged(_SLOW_S)])[0], c
+        slides = any(self.joints[joint].slide for joint in found)
+        words, per = counted([slope([x], [y]) for x, y, _ in found.values()], slides)
+        return {
+            joint: Scaling("m" if slides else "rad", per, float(np.median(y) - per * np.median(x)),
+                           f"{words} and a zero by {c.key}, which it follows")
+            for joint, (x, y, c) in found.items() if words and self.joints[joint].slide == slides
+        }  # fmt: skip
 
     # --------------------------------------------------------------------- the other roles
 
@@ -568,12 +596,11 @@ class Roles:
         units = ("m", "mm") if target.slide else ("rad", "deg")
         ratio = abs(slope(own.si(p.runs), s.runs))
         like = abs(math.log(max(abs(slope(p.runs, s.runs)), 1e-9)))
-        away = {u: abs(math.log(max(ratio, 1e-9) * unit_named(u, "").factor)) for u in units}
-        best = min(units, key=lambda u: away[u])
+        best, off = nearest_unit(ratio, units)
         plain = own.scale == 1.0 and own.offset == 0.0
         if s.unit and s.unit != "%":
             scaling = Scaling(s.unit, reason="as stated")
-        elif like <= (away[best] if plain else away[best] + 0.5):
+        elif like <= (off if plain else off + 0.5):
             scaling = replace(own, reason="scaled as the position")
         else:
             scaling = Scaling(best, reason=f"{ratio:.3g} times the position [{units[0]}]")

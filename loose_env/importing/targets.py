@@ -23,7 +23,7 @@ import numpy as np
 from loose_env.importing.evidence import Signal
 from loose_env.importing.names import Role
 from loose_env.importing.resampling import smoothed
-from loose_env.importing.units import quantity_of, unit_named
+from loose_env.importing.units import nearest_unit, quantity_of, unit_named
 from loose_env.recording import ModelColumns, joint_sensors
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.typing import Array
@@ -226,7 +226,6 @@ def tool_sensors(
     An accelerometer's unit is the one in which its mean over a second is 1 g; a gyro's the one in
     which it is not much faster than the fastest joint.
     """
-    at_rest = {"g": 1.0, "m/s^2": STANDARD_GRAVITY, "mg": 1e3}
     kinds = (
         (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration",
          {"acc", "accel", "acceleration", "accelerometer"}),
@@ -249,8 +248,8 @@ def tool_sensors(
         if quantity == "acceleration":
             still = [own[axis].averaged(1.0) for axis in "xyz"]
             norm = float(np.median(np.linalg.norm(still, axis=0)))
-            unit = min(at_rest, key=lambda u: abs(np.log(max(norm, 1e-9) / at_rest[u])))
-            if not told and abs(norm / at_rest[unit] - 1) > _GRAVITY:
+            unit, off = nearest_unit(norm / STANDARD_GRAVITY, ("g", "m/s^2", "mg"))
+            if not told and off > _GRAVITY:
                 continue
         else:
             joint = max((float(np.std(np.concatenate(v))) for v in rates.values()), default=0.0)
@@ -362,12 +361,14 @@ NEAR = 1.5
 _AGAINST = {"rad": 0.0, "m": 0.0, "deg": 0.5, "mm": 0.5, "ticks": 0.5, "normalised": 2.0}
 """What speaks against a unit where values fit: the rarer one."""
 _LENGTHS, _ANY = ("m", "mm"), ("normalised", "ticks")
+_COUNTS, _DENIED = 0.03, 0.15
+"""Logarithms by which counts may be off those of a usual encoder at one joint and at all [1]: a
+servo follows slow commands so closely, and where gravity pulls it less."""
 _UNFIT = 4.0
 """What a joint whose values no unit of a kind can be speaks against it."""
 _DEFINED = 2.0
 """What the definition of a format speaks for radians: less than values far outside the limits."""
-_RATES = {"rad/s": 1.0, "deg/s": 180 / math.pi, "rpm": 30 / math.pi, "rev/s": 0.5 / math.pi}
-_SPEEDS = {"m/s": 1.0, "mm/s": 1e3, "cm/s": 1e2, "mm/min": 6e4}
+_RATES, _SPEEDS = ("rad/s", "deg/s", "rpm", "rev/s"), ("m/s", "mm/s", "cm/s", "mm/min")
 _ALLOWED: dict[str, tuple[str, ...]] = {
     "position": ("angle", "length", "number"),
     "velocity": ("angular speed", "speed"),
@@ -526,6 +527,27 @@ def _chosen(
     return replace(scaling, reason=f"{seen}: {why}{_exceeds(within)}{more}")
 
 
+def counted(pers: Sequence[float], slide: bool) -> tuple[str, float]:
+    """Usual counts of encoders, and one of them [rad or m], as one tells and none denies.
+
+    Examples
+    --------
+    >>> counted([9.4e-5, 1.02e-4], False)[0], counted([1.02e-3], True)[0], counted([5e-4], True)[0]
+    ('65536 counts a turn', '1000 counts a metre', '')
+    """
+    known = {f"{10**k} counts a {'metre' if slide else 'radian'}": 0.1**k for k in range(1, 7)}
+    if not slide:
+        known |= {f"{10**k} counts a degree": math.pi / 180 * 0.1**k for k in range(5)}
+        known |= {f"{2**k} counts a turn": 2 * math.pi / 2**k for k in range(8, 25)}
+    off = {
+        words: sorted(abs(math.log(max(per, 1e-12) / each)) for per in pers)
+        for words, each in known.items()
+    }
+    best = min(off, key=lambda words: sum(off[words]))
+    told = bool(pers) and off[best][0] < _COUNTS and off[best][-1] < _DENIED
+    return (best, known[best]) if told else ("", 0.0)
+
+
 def _exceeds(within: bool) -> str:
     return "" if within else ", which they exceed"
 
@@ -538,9 +560,5 @@ def rate_unit(ratio: float, slide: bool) -> str:
     >>> rate_unit(-57.0, slide=False)
     'deg/s'
     """
-    units = _SPEEDS if slide else _RATES
-    if ratio == 0:
-        return ""
-    away = {unit: abs(math.log(abs(ratio) / each)) for unit, each in units.items()}
-    best = min(away, key=lambda each: away[each])
-    return best if away[best] < math.log(NEAR) else ""
+    best, off = nearest_unit(ratio, _SPEEDS if slide else _RATES)
+    return best if off < math.log(NEAR) else ""

@@ -200,10 +200,12 @@ def _labelled(
     names = [key for key in order if key in texts and all(texts[key])]
     rest = [key for key in order[order.index(names[-1]) + 1 :] if key in columns] if names else []
     before = [key for key in order[: order.index(names[0])] if key in columns] if names else []
-    count = len(names)
-    if not count or len(rest) not in (count, 2 * count, 3 * count) or len(before) < 2:
+    # A frame may stand before the names, each of which has one to three values.
+    counts = (n for n in range(len(names), 0, -1) if len(rest) in (n, 2 * n, 3 * n))
+    count = next(counts, 0)
+    if not count or len(before) < 2:
         return columns, texts
-    label = np.array([texts[key] for key in names])
+    label = np.array([texts[key] for key in names[-count:]])
     found: dict[str, NDArray[Any]] = {"sec": columns[before[0]], "nanosec": columns[before[1]]}
     for block, role in zip(range(0, len(rest), count), ("position", "velocity", "effort"),
                            strict=False):  # fmt: skip

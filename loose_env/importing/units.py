@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -106,6 +106,19 @@ def quantity_of(unit: str) -> str:
         return unit_named(unit, "").quantity if unit else ""
     except InvalidData:
         return ""
+
+
+def nearest_unit(size: float, units: Iterable[str]) -> tuple[str, float]:
+    """Unit whose values are so many times those in SI units, and the logarithm it is off by.
+
+    Examples
+    --------
+    >>> nearest_unit(55.0, ("rad/s", "deg/s"))[0]
+    'deg/s'
+    """
+    away = {unit: abs(math.log(max(abs(size), 1e-9) * UNITS[unit].factor)) for unit in units}
+    best = min(away, key=lambda unit: away[unit])
+    return best, away[best]
 
 
 def known_units() -> str:

@@ -20,6 +20,7 @@ from loose_env.recording import Recording, read_recording
 from tests.importing.arm_log import (
     ARM,
     JOINTS,
+    START_NS,
     Motion,
     moved,
     write_bag,
@@ -323,6 +324,46 @@ def test_a_channel_may_have_the_name_of_a_drive_and_a_tendon_one_command(
     for joint, name in zip(JOINTS, names, strict=True):
         assert found[f"sensor.{joint}_pos"].candidate.key.channel == f"{name} actual"
         assert found[f"ctrl.{name}"].candidate.key.channel == f"{name} cmd"
+
+
+def test_counts_of_an_encoder_are_scaled_by_the_command_that_they_follow(
+    home: Path, motion: Motion
+) -> None:
+    words = np.round(motion.position * 2**16 / (2 * np.pi)).astype(int) % 2**16
+    columns = {f"enc {i}": words[:, i] for i in range(3)}
+    columns |= {f"cmd {i}": motion.command[:, i] for i in range(3)}
+    found = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL).columns
+    scales = {e.column: e.scaling.scale * 2**16 / (2 * np.pi) for e in found if e.candidate.period}
+    assert scales == pytest.approx(dict.fromkeys([f"sensor.{j}_pos" for j in JOINTS], 1), rel=0.05)
+
+
+def test_numbered_channels_are_a_vector_beside_a_sensor_of_another_file(
+    home: Path, motion: Motion
+) -> None:
+    slow = slice(None, None, 4)
+    columns = {"elapsed": motion.time[slow]}
+    columns |= {f"ax{i}_tgt": motion.command[slow, i] for i in range(3)}
+    columns |= {f"ax{i}_deg": np.degrees(motion.position[slow, i]) for i in range(3)}
+    columns |= {f"ax{i}_temp": 30 + motion.position[slow, i] ** 2 for i in range(3)}
+    imu = {
+        "elapsed": motion.time,
+        **dict(zip(("accX", "accY", "accZ"), motion.torque.T, strict=True)),
+    }
+    files = [written(home / "arm.csv", columns), written(home / "imu.csv", imu)]
+    found = {e.column: e.candidate.key.channel for e in propose(files, MODEL).columns}
+    assert found == {f"sensor.{j}_pos": f"ax{i}_deg" for i, j in enumerate(JOINTS)} | {
+        f"ctrl.{c}": f"ax{i}_tgt" for i, c in enumerate(COMMANDS)
+    }
+
+
+def test_names_in_cells_may_stand_behind_a_frame(home: Path, motion: Motion) -> None:
+    stamps = START_NS + np.round(motion.time * 1e9).astype(np.int64)
+    rows = zip(stamps, np.hstack([motion.position, motion.velocity]), strict=True)
+    (home / "echo.csv").write_text("".join(
+        f"{ns // 10**9},{ns % 10**9},base_link,{','.join([*JOINTS, *map(str, values)])}\n"
+        for ns, values in rows
+    ))  # fmt: skip
+    assert guessed(home, [home / "echo.csv"]).keys() == RATES | {f"sensor.{j}_pos" for j in JOINTS}
 
 
 def test_values_in_no_known_unit_are_named_where_nothing_else_is(
