@@ -34,7 +34,6 @@ from loose_env.doctor.units import (
     LEAST_BLOCKS,
     LENGTH,
     SCALE_NOTED,
-    Comparison,
     Pair,
     contradictions,
     grouped,
@@ -149,14 +148,12 @@ def check_commands(
     wrong = set()
     for (name, joint), own in pairs.items():
         for found in contradictions(
-            Comparison(
-                channel=f"ctrl.{name}",
-                noun=f"the measured position of joint {joint}",
-                pairs=own,
-                units=_EITHER if machine.hinge(joint) else _LENGTHS,
-                defect=_COMMANDED,
-                least=LEAST_SPREAD_RAD,
-            )
+            f"ctrl.{name}",
+            f"the measured position of joint {joint}",
+            own,
+            _EITHER if machine.hinge(joint) else _LENGTHS,
+            _COMMANDED,
+            least=LEAST_SPREAD_RAD,
         ):
             wrong.add(name)
             yield found
@@ -192,18 +189,12 @@ def check_kinematics(machine: Machine, motions: Sequence[Motion]) -> Iterator[Fi
     for (name, kind, of), own in pairs.items():
         angle = kind == "turning" or (kind == "velocity" and machine.hinge(of))
         units = ACCELERATION if kind == "acceleration" else ANGLE if angle else LENGTH
+        # A rigid arm's dynamics are no judge of an amplitude above a resonance.
+        defect = _REMARK if kind == "acceleration" else _MOTION
         yield from contradictions(
-            Comparison(
-                channel=name,
-                noun="what the motion of the joints implies",
-                pairs=own,
-                units=units,
-                # A rigid arm's dynamics are no judge of an amplitude above a resonance.
-                defect=_REMARK if kind == "acceleration" else _MOTION,
-                odd=np.inf,
-                fixed=kind == "velocity",
-            )
-        )
+            name, "what the motion of the joints implies", own, units, defect,
+            odd=np.inf, fixed=kind == "velocity",
+        )  # fmt: skip
 
 
 def implied_readings(machine: Machine, motion: Motion) -> Iterator[tuple[Channel, Array]]:
@@ -241,27 +232,11 @@ def check_forces(machine: Machine, blocks: Sequence[Motion]) -> Iterator[Finding
                 needed.setdefault((joint, column), {})[run.name] = pair
     for joint, pairs in given.items():
         noun = "the torque that the command means by the model's gain and gear"
-        yield from contradictions(
-            Comparison(
-                channel=f"torque.{joint}",
-                noun=noun,
-                pairs=pairs,
-                units=FORCE,
-                defect=_DISAGREE,
-                odd=SCALE_NOTED,
-            )
-        )
+        yield from contradictions(f"torque.{joint}", noun, pairs, FORCE, _DISAGREE, odd=SCALE_NOTED)
     yield from _weightless(machine, blocks)
     for (_, column), pairs in needed.items():
         yield from contradictions(
-            Comparison(
-                channel=column,
-                noun="the torque that gravity and inertia need",
-                pairs=pairs,
-                units=FORCE,
-                defect=_DRIVEN,
-                friction=True,
-            )
+            column, "the torque that gravity and inertia need", pairs, FORCE, _DRIVEN, friction=True
         )
 
 

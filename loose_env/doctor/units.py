@@ -9,7 +9,6 @@ geometric mean of both regressions is used because noise in either does not pull
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -70,28 +69,6 @@ class Pair(NamedTuple):
     expected: Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
-    """Channel beside its expectation from another source, by run."""
-
-    channel: str
-    noun: str
-    """The expectation, as a reader is told of it."""
-    pairs: Mapping[str, Pair]
-    units: Mapping[str, float]
-    """Wrong units that are looked for, and their factors."""
-    defect: Defect
-    """Severity of a unit or sign, consequence and remedy."""
-    odd: float = SCALE_WRONG
-    """Ratio, or its inverse, from which it is a warning where no unit fits."""
-    least: float = 0.0
-    """Rms of the expectation, below which nothing is told."""
-    friction: bool = False
-    """Whether friction may hide the expectation where that does not change."""
-    fixed: bool = False
-    """Whether the column is scaled by --fix."""
-
-
 class _Reading(NamedTuple):
     ratio: float
     correlation: float
@@ -101,56 +78,71 @@ class _Reading(NamedTuple):
     """Factor that takes it out."""
 
 
-def contradictions(comparison: Comparison) -> Iterator[Finding]:
-    """Findings of a comparison: a wrong unit or sign, or an odd ratio."""
-    pairs, odd = comparison.pairs, comparison.odd
-    alone = {run: _reading(comparison, [pair]) for run, pair in pairs.items()}
+def contradictions(
+    channel: str, noun: str, pairs: Mapping[str, Pair], units: Mapping[str, float], defect: Defect,
+    *, odd: float = SCALE_WRONG, least: float = 0.0, friction: bool = False, fixed: bool = False,
+) -> Iterator[Finding]:  # fmt: skip
+    """Wrong unit or sign of a channel beside its expectation by run, or an odd ratio.
+
+    Units are the wrong ones that are looked for; where none fits, a ratio from ``odd`` on, or its
+    inverse, is a warning. An expectation whose rms is below ``least`` tells nothing; ``friction``
+    may hide one that does not change. ``fixed`` columns are scaled by --fix.
+    """
+    usual = _rms(np.concatenate([pair.expected for pair in pairs.values()])) if friction else 0.0
+
+    def read(parts: list[Pair]) -> _Reading | None:
+        """Reading of runs together where it tells something; "" for words where all is well."""
+        one = _reading(parts, units, least)
+        if one is None or not friction or _varied(parts):
+            return one
+        # In one held pose friction may hide a torque or turn it round, but not multiply it.
+        expected = _rms(np.concatenate([pair.expected for pair in parts]))
+        hidden = one.ratio < 1 / SCALE_WRONG or expected < LEAST_CHANGE * usual
+        return None if hidden else one
+
+    alone = {run: read([pair]) for run, pair in pairs.items()}
     said = {
         run: one.words if one is not None and (one.words or 1 / odd < one.ratio < odd) else None
         for run, one in alone.items()
     }
     for run, parts in grouped(pairs, said):
-        one = _reading(comparison, parts)
+        one = read(parts)
         if one is None or not (one.words or not 1 / odd < one.ratio < odd):
             continue
-        defect, found = comparison.defect, f"{one.ratio:.3g} times {comparison.noun} "
-        found += f"(correlation {one.correlation:.2f}): {one.words or 'another unit, gain or gear'}"
+        found = f"{one.ratio:.3g} times {noun} (correlation {one.correlation:.2f}): "
+        found += one.words or "another unit, gain or gear"
         check = "sign" if one.words == "the opposite sign" else "units"
         severity = (
             defect.severity if one.words else "note" if defect.severity == "note" else "warning"
         )
-        fix = Correction(kind="scale", columns=(comparison.channel,), factor=one.factor).of(run)
+        fix = Correction(kind="scale", columns=(channel,), factor=one.factor).of(run)
         yield defect.at(
-            comparison.channel, found, one.ratio, unit="1", run=run, check=check,
-            severity=severity, fix=fix if comparison.fixed and one.words else None,
+            channel, found, one.ratio, unit="1", run=run, check=check,
+            severity=severity, fix=fix if fixed and one.words else None,
         )  # fmt: skip
 
 
-def _reading(comparison: Comparison, parts: list[Pair]) -> _Reading | None:
+def _reading(parts: list[Pair], units: Mapping[str, float], least: float) -> _Reading | None:
     """Ratio of runs together, and what it means; None where it tells nothing."""
     measured, expected = (np.concatenate(each) for each in zip(*parts, strict=True))
     own, power = float(measured @ measured), float(expected @ expected)
-    if len(expected) < LEAST_BLOCKS or not own or power <= comparison.least**2 * len(expected):
+    if len(expected) < LEAST_BLOCKS or not own or power <= least**2 * len(expected):
         return None
     product = float(measured @ expected)
     correlation = product / np.sqrt(power * own)
     if abs(correlation) < SURE_CORRELATION:
         return None
     ratio = float(np.copysign(np.sqrt(own / power), product))
-    if comparison.friction and not _varied(parts, expected):
-        # In one held pose friction may hide a torque or turn it round, but not multiply it.
-        usual = _rms(np.concatenate([pair.expected for pair in comparison.pairs.values()]))
-        if ratio < 1 / SCALE_WRONG or _rms(expected) < LEAST_CHANGE * usual:
-            return None
-    words = named_unit(ratio, comparison.units) or ""
-    factor = 1 / comparison.units.get(words, 1.0)
+    words = named_unit(ratio, units) or ""
+    factor = 1 / units.get(words, 1.0)
     if ratio < 0 and (words or OPPOSITE[0] <= -ratio <= OPPOSITE[1]):
         words, factor = f"{words}, and the opposite sign" if words else "the opposite sign", -factor
     return _Reading(ratio, correlation, words, factor)
 
 
-def _varied(parts: list[Pair], expected: Array) -> bool:
+def _varied(parts: list[Pair]) -> bool:
     """Return whether friction cannot be the reason: the torque changes, or poses do."""
+    expected = np.concatenate([pair.expected for pair in parts])
     share = float(np.std(expected)) / _rms(expected)
     return share > LEAST_CHANGE * (0.5 if len(parts) >= FEWEST_POSES else 1.0)
 

@@ -40,7 +40,7 @@ _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e9, "s"))
 """Least count of a date since 1970, from the year 2001 on, in each unit."""
 _STEPS = ((1e5, "ns"), (100.0, "us"), (0.9, "ms"), (0.0, "s"))
 """Smallest step of a column of times -> its unit, for rates from 1 Hz to 10 kHz."""
-_NAMES = {"time", "t", "timestamp", "timestamps", "stamp", "zeit", "datetime", "date", "temps",
+_NAMES = {"time", "t", "ts", "timestamp", "timestamps", "stamp", "zeit", "datetime", "date", "temps",
           "tid", "tick", "ticks", "clock", "timer"}  # fmt: skip
 _STEADY = {"monotonic", "mono", "steady", "boot", "uptime", "elapsed", "relative", "since"}
 _SECONDS, _NANOS = {"sec", "secs", "seconds"}, {"nanosec", "nsec", "nsecs", "nanosecs", "nanos",
@@ -88,7 +88,7 @@ def chosen_time(tables: Sequence[Table]) -> tuple[TimeSource, str]:
     if first.rate_hz is not None and not candidates:
         return TimeSource(), "by the format"
     refused: list[str] = []
-    for each in candidates or _nameless(first):
+    for each in [*candidates, *_nameless(first, counts=not candidates)]:
         done: dict[str, None] = {}
         try:
             for table in tables:
@@ -111,8 +111,8 @@ def chosen_time(tables: Sequence[Table]) -> tuple[TimeSource, str]:
         raise InvalidData(f"{refused[0]}; no other column orders the rows{more}")
     raise InvalidData(
         f"{first.place}: its times are not known: none of its columns "
-        f"({', '.join(map(repr, [*first.columns][:6]))[:200]}) advances in even steps; where it is "
-        "a log, give its rate by --rate-hz, or a mapping with time = { column = ... }"
+        f"({', '.join(map(repr, [*first.columns][:6]))[:200]}) advances in even steps; is it a "
+        "log? Then give the sampling rate by --rate-hz, or a mapping with time = { column = ... }"
     )
 
 
@@ -163,16 +163,25 @@ def _named(table: Table) -> list[TimeSource]:
     return [each for _, each in sorted(found, key=lambda pair: pair[0])]
 
 
-def _nameless(table: Table) -> list[TimeSource]:
-    """Column that advances in even steps and is no count of rows."""
-    for name, values in table.columns.items():
-        steps = np.diff(np.asarray(values, dtype=np.float64))
+def _nameless(table: Table, *, counts: bool) -> list[TimeSource]:
+    """Column, or seconds and nanoseconds in two, that advances in even steps and counts no rows.
+
+    Beside a time that is refused a count may have gaps, too.
+    """
+    columns = {name: np.asarray(v, dtype=np.float64) for name, v in table.columns.items()}
+    pairs = zip(columns, [*columns][1:], strict=False)
+    tried = [(TimeSource(column=name), values) for name, values in columns.items()]
+    tried += [(TimeSource(column=a, fine=b), columns[a] - columns[a][:1] + 1e-9 * columns[b])
+              for a, b in pairs if np.ptp(columns[b]) > 1e8 and 0 <= columns[b].min()
+              and columns[b].max() < 1e9]  # fmt: skip
+    for source, values in tried:
+        steps = np.diff(values)
         if len(steps) < 2 or not np.all(steps > 0):
             continue
         step = float(np.median(steps))
         even = np.mean(np.abs(steps - step) <= _JITTER * step) > 0.5
-        if even and not np.all(steps == 1):
-            return [_with_unit(table, name, "")]
+        if even and not (np.all(steps == 1) if counts else step == 1):
+            return [source if source.fine else _with_unit(table, source.column, "")]
     return []
 
 
@@ -346,6 +355,7 @@ def _numbers(table: Table, name: str, word: str) -> NDArray[Any]:
         )
     there = [*table.columns, *table.texts]
     raise InvalidData(
-        f"{table.place}: there is no column {name!r} for the {word}; there are "
-        f"{', '.join(map(repr, there[:30]))[:600]}{nearest(name, there)}"
+        f"{table.place}: there is no {'channel' if table.topic else 'column'} {name[:60]!r}"
+        f"{' for the time' if word == 'time' else ''}; there are "
+        f"{', '.join(map(repr, there[:30]))[:600] or 'none'}{nearest(name, there)}"
     )

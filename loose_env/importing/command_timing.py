@@ -96,14 +96,7 @@ def _middle(run: Run, step: float) -> tuple[Run, Array]:
     first = max(len(run.time) - _ROWS, 0) // 2
     grid = np.arange(run.time[first], run.time[first:][:_ROWS][-1], step)[:_ROWS]
     spare = min(first, _ROWS // 8)  # for commands that act late or early
-    own = slice(first - spare, first + _ROWS + spare)
-    piece = replace(
-        run, time=run.time[own],
-        controls={name: values[own] for name, values in run.controls.items()},
-        sensors={name: values[own] for name, values in run.sensors.items()},
-        torques={name: values[own] for name, values in run.torques.items()},
-    )  # fmt: skip
-    return piece, grid
+    return run.part(slice(first - spare, first + _ROWS + spare)), grid
 
 
 def _delay(drive: Drive, step: float, parts: Sequence[_Part]) -> CommandDelay:

@@ -16,7 +16,7 @@ from loose_env.importing.command_timing import timed
 from loose_env.importing.evidence import decoded
 from loose_env.importing.mapping import ColumnEntry, ImportMapping, RunPlan, read_mapping
 from loose_env.importing.resampling import bridged, held, median_step, resampled, rows_of
-from loose_env.importing.samples import Log, Samples, Table, found_in
+from loose_env.importing.samples import Log, Samples, Table, topic_table
 from loose_env.importing.sources import files_of_runs, given_files, open_log, run_episodes
 from loose_env.importing.units import UNITS, column_quantity, unit_named
 from loose_env.recording import (
@@ -248,7 +248,7 @@ def _columns(
         place = name, log, episode if log.episodes else ""
         if place not in read:
             read[place] = log.tables(place[2], [c.key for c in entries])
-        tables = [found_in(read[place], c.key, log.name) for c in entries]
+        tables = [topic_table(read[place], c.key, log.name) for c in entries]
         own = {
             c.column: samples_of(table, c.channel, source.time_of(c.topic))
             for c, table in zip(entries, tables, strict=True)
@@ -293,7 +293,7 @@ def _factor(entry: ColumnEntry, samples: Samples, model: mujoco.MjModel) -> floa
             f"{entry.place}.unit: {name!r}{told} measures {unit.quantity}, and the column holds "
             f"{wanted}: {fitting}. A sensor's sensitivity goes into scale"
         )
-    return entry.sign * entry.scale * unit.factor
+    return replace(entry, unit=name).factor
 
 
 def _ends(run: RunPlan, columns: Sequence[_Column]) -> tuple[float, float]:

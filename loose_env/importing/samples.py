@@ -106,29 +106,17 @@ class Log:
         return self.tables(self.episodes[0] if self.episodes else "", None)
 
 
-def found_in(tables: Iterable[Table], key: ChannelKey, name: str) -> Table:
-    """Table of a channel that a mapping asks for."""
-    topics: dict[str, None] = {}
-    known: list[str] = []
-    for table in tables:
-        topics[table.topic] = None
-        if table.topic == key.topic:
-            if key.channel in table.columns or key.channel in table.texts:
-                return table
-            known += [*table.columns, *table.texts]
-    if key.topic not in topics:
-        if "" in topics:
-            raise InvalidData(f"{name}: it has no topics; leave out topic = {key.topic!r:.60}")
-        what = f"it has no {key.topic[:60]!r}" if key.topic else "its channels lie in topics"
-        raise InvalidData(
-            f"{name}: channel {key.channel[:60]!r}: {what}; say which by topic, one of "
-            f"{', '.join(map(repr, topics))[:600]}{nearest(key.topic, [*topics])}"
-        )
-    place = f"{name}: topic {key.topic!r}" if key.topic else name
+def topic_table(tables: Iterable[Table], key: ChannelKey, name: str) -> Table:
+    """Table of the topic of a channel that a mapping asks for."""
+    topics = {table.topic: table for table in tables}
+    if key.topic in topics:
+        return topics[key.topic]
+    if "" in topics:
+        raise InvalidData(f"{name}: it has no topics; leave out topic = {key.topic!r:.60}")
+    what = f"it has no {key.topic[:60]!r}" if key.topic else "its channels lie in topics"
     raise InvalidData(
-        f"{place}: there is no {'channel' if key.topic else 'column'} {key.channel[:60]!r}; "
-        f"there are {', '.join(map(repr, known[:30]))[:600] or 'none'}"
-        f"{nearest(key.channel, known)}"
+        f"{name}: channel {key.channel[:60]!r}: {what}; say which by topic, one of "
+        f"{', '.join(map(repr, topics))[:600]}{nearest(key.topic, [*topics])}"
     )
 
 
