@@ -36,8 +36,6 @@ from loose_env.doctor.units import (
     SCALE_NOTED,
     Pair,
     contradictions,
-    grouped,
-    named_unit,
 )
 from loose_env.importing import filled, inverse_dynamics
 from loose_env.recording import Run
@@ -120,10 +118,6 @@ _WEIGHTLESS = Defect(
 _NO_GRAVITY = Defect(
     "gravity", "note", "its axes cannot be checked against gravity",
     "none is needed for vibration; check axes and signs by hand",
-)  # fmt: skip
-_SCALED = Defect(
-    "gravity", "warning", "sensitivity or offset of the sensor is not the one assumed",
-    "correct scale or offset of the column at the import",
 )  # fmt: skip
 _TURNED = Defect(
     "axes", "warning",
@@ -272,15 +266,26 @@ def check_gravity(
             mujoco.mjtSensor.mjSENS_ACCELEROMETER
         ):
             continue
-        pairs = _gravity_pairs(machine, sensor, blocks)
-        said: dict[str, str | None] = {}
-        for name, pair in pairs.items():
-            words = _unit_of([pair])
-            odd = not 1 / SCALE_NOTED < _size(pair.measured) / _size(pair.expected) < SCALE_NOTED
-            said[name] = words if words or odd else ""
-        for run, parts in grouped(pairs, said):
-            own = [m for m in blocks if run in ("", m.run.name)]
-            yield from _judged(machine, sensor, parts, own, run, settings)
+        felt = _gravity_pairs(machine, sensor, blocks)
+        # A small mean that does not point along gravity is no acceleration in g.
+        silent = {
+            run: felt.pop(run)
+            for run, pair in [*felt.items()]
+            if _size(pair.measured) < UNCOUPLED * _size(pair.expected)
+            and _angle([pair]) > WRONG_AXES_DEG
+        }
+        for run, (measured, expected) in [*silent.items()][:1]:
+            found = f"reads {_size(measured):.4g} m/s² at rest, and gravity is "
+            found += f"{_size(expected):.4g} m/s²: piezoelectric, or the mean was removed"
+            own = {"unit": "m/s²", "run": run if felt else ""}
+            yield _NO_GRAVITY.at(f"sensor.{sensor}", found, _size(measured), **own)
+        sizes = {run: Pair(*(np.linalg.norm(x, axis=1) for x in p)) for run, p in felt.items()}
+        if sizes:
+            yield from contradictions(
+                f"sensor.{sensor}", "gravity at rest", sizes, ACCELERATION, _NOT_SI, odd=SCALE_NOTED
+            )
+            own = [m for m in blocks if m.run.name in felt]
+            yield from _turned(machine, sensor, [*felt.values()], own, settings)
 
 
 def _gravity_pairs(machine: Machine, sensor: str, blocks: Sequence[Motion]) -> dict[str, Pair]:
@@ -297,19 +302,6 @@ def _gravity_pairs(machine: Machine, sensor: str, blocks: Sequence[Motion]) -> d
         if len(measured) >= LEAST_BLOCKS and _size(expected) >= LEAST_GRAVITY:
             pairs[motion.run.name] = Pair(measured, expected)
     return pairs
-
-
-def _unit_of(parts: Sequence[Pair]) -> str | None:
-    """Wrong unit of an accelerometer at rest."""
-    ratio = _ratio(parts)
-    # A small mean that does not point along gravity is no acceleration in g.
-    uncoupled = ratio < UNCOUPLED and _angle(parts) > WRONG_AXES_DEG
-    return None if uncoupled else named_unit(ratio, ACCELERATION)
-
-
-def _ratio(parts: Sequence[Pair]) -> float:
-    measured, expected = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return _size(measured) / _size(expected)
 
 
 def _size(values: Array) -> float:
@@ -329,22 +321,12 @@ def _angle(parts: Sequence[Pair]) -> float:
     return float(np.degrees(np.arccos(np.clip(worst, -1.0, 1.0))))
 
 
-def _judged(
-    machine: Machine, sensor: str, parts: Sequence[Pair], blocks: Sequence[Motion], run: str,
+def _turned(
+    machine: Machine, sensor: str, parts: Sequence[Pair], blocks: Sequence[Motion],
     settings: DoctorSettings,
 ) -> Iterator[Finding]:  # fmt: skip
-    ratio, channel, words = _ratio(parts), f"sensor.{sensor}", _unit_of(parts)
-    gravity = _size(np.concatenate([pair.expected for pair in parts]))
-    read, turned = ratio * gravity, _angle(parts)
-    found = f"reads {read:.4g} m/s² at rest, and gravity is {gravity:.4g} m/s²"
-    if words is not None:
-        yield _NOT_SI.at(channel, f"{found}: {words}", ratio, unit="1", run=run)
-    elif ratio < UNCOUPLED:
-        found += ": piezoelectric, or the mean was removed"
-        yield _NO_GRAVITY.at(channel, found, read, unit="m/s²", run=run)
-        return
-    elif not 1 / SCALE_NOTED < ratio < SCALE_NOTED:
-        yield _SCALED.at(channel, found, read, unit="m/s²", run=run)
+    """Judge the direction of gravity, and say which axes or encoders would explain it."""
+    turned = _angle(parts)
     if turned > settings.turned_deg:
         reasons = [*_by_axes(parts), *_by_joints(machine, sensor, blocks)]
         reasons = sorted(each for each in reasons if each[0] <= EXPLAINED_DEG)
@@ -352,7 +334,7 @@ def _judged(
         found = f"gravity is {turned:.0f} degrees from where the model has it in the measured poses"
         found += f"; explained by {' or by '.join(alike)}" if alike else ""
         severity = "error" if turned > WRONG_AXES_DEG else "warning"
-        yield _TURNED.at(channel, found, turned, unit="deg", run=run, severity=severity)
+        yield _TURNED.at(f"sensor.{sensor}", found, turned, unit="deg", severity=severity)
 
 
 def _by_axes(parts: Sequence[Pair]) -> Iterator[tuple[float, str]]:

@@ -8,8 +8,9 @@ is no row that came late: the time that it runs through twice holds twice as man
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -40,8 +41,8 @@ _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e9, "s"))
 """Least count of a date since 1970, from the year 2001 on, in each unit."""
 _STEPS = ((1e5, "ns"), (100.0, "us"), (0.9, "ms"), (0.0, "s"))
 """Smallest step of a column of times -> its unit, for rates from 1 Hz to 10 kHz."""
-_NAMES = {"time", "t", "ts", "timestamp", "timestamps", "stamp", "zeit", "datetime", "date", "temps",
-          "tid", "tick", "ticks", "clock", "timer"}  # fmt: skip
+_NAMES = {"time", "t", "ts", "timestamp", "timestamps", "stamp", "zeit", "datetime", "date",
+          "temps", "tid", "tick", "ticks", "clock", "timer"}  # fmt: skip
 _STEADY = {"monotonic", "mono", "steady", "boot", "uptime", "elapsed", "relative", "since"}
 _SECONDS, _NANOS = {"sec", "secs", "seconds"}, {"nanosec", "nsec", "nsecs", "nanosecs", "nanos",
                                                 "nanoseconds"}  # fmt: skip
@@ -88,7 +89,7 @@ def chosen_time(tables: Sequence[Table]) -> tuple[TimeSource, str]:
     if first.rate_hz is not None and not candidates:
         return TimeSource(), "by the format"
     refused: list[str] = []
-    for each in [*candidates, *_nameless(first, counts=not candidates)]:
+    for each in itertools.chain(candidates, _nameless(first, counts=not candidates)):
         done: dict[str, None] = {}
         try:
             for table in tables:
@@ -163,7 +164,7 @@ def _named(table: Table) -> list[TimeSource]:
     return [each for _, each in sorted(found, key=lambda pair: pair[0])]
 
 
-def _nameless(table: Table, *, counts: bool) -> list[TimeSource]:
+def _nameless(table: Table, *, counts: bool) -> Iterator[TimeSource]:
     """Column, or seconds and nanoseconds in two, that advances in even steps and counts no rows.
 
     Beside a time that is refused a count may have gaps, too.
@@ -172,7 +173,7 @@ def _nameless(table: Table, *, counts: bool) -> list[TimeSource]:
     pairs = zip(columns, [*columns][1:], strict=False)
     tried = [(TimeSource(column=name), values) for name, values in columns.items()]
     tried += [(TimeSource(column=a, fine=b), columns[a] - columns[a][:1] + 1e-9 * columns[b])
-              for a, b in pairs if np.ptp(columns[b]) > 1e8 and 0 <= columns[b].min()
+              for a, b in pairs if np.ptp(columns[b]) > 1e8 and columns[b].min() >= 0
               and columns[b].max() < 1e9]  # fmt: skip
     for source, values in tried:
         steps = np.diff(values)
@@ -181,8 +182,8 @@ def _nameless(table: Table, *, counts: bool) -> list[TimeSource]:
         step = float(np.median(steps))
         even = np.mean(np.abs(steps - step) <= _JITTER * step) > 0.5
         if even and not (np.all(steps == 1) if counts else step == 1):
-            return [source if source.fine else _with_unit(table, source.column, "")]
-    return []
+            yield source if source.fine else _with_unit(table, source.column, "")
+            return
 
 
 def _with_unit(table: Table, name: str, unit: str) -> TimeSource:

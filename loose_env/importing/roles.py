@@ -617,41 +617,52 @@ class Roles:
         return scaling
 
     def _exchanged(self, commands: Mapping[str, Signal]) -> None:
-        """Exchange the states of joints that follow each other's commands if the torques say so."""
+        """Exchange the states of two joints if their torques say so.
+
+        Tried are joints that follow each other's commands, or all where there are no commands.
+        """
         label = {j: self._label(s) for j, s in commands.items()}
-        for a, b in itertools.combinations(label, 2):
-            if (label[a], label[b]) != (b, a):
+        motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
+        for a, b in itertools.combinations(self.positions, 2):
+            asked = (label.get(a), label.get(b)) == (b, a)
+            torques = {
+                j: self.lines[column].candidate
+                for j in (a, b) if (column := self.joints[j].torque) in self.lines
+            }  # fmt: skip
+            if not asked and (commands or len(torques) < 2 or not self.needed):
                 continue
             other, why, turn = {a: b, b: a}, "the torques do not tell", False
-            torques = {
-                j: self.lines[t.torque].candidate
-                for j, t in self.joints.items() if j in (a, b) and t.torque in self.lines
-            }  # fmt: skip
             if torques and self.needed:
-                motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
                 as_named = self._told_by(torques)
                 self._move({other.get(j, j): own for j, own in motion.items()}, _ROWS)
-                exchanged = self._told_by({other.get(j, j): own for j, own in torques.items()})
+                # Where commands tell, the torques have the names of the states.
+                own = {other[j]: s for j, s in torques.items()} if asked else torques
+                exchanged = self._told_by(own)
                 self._move(motion)
                 why = f"torques are explained by {as_named:.2f}, exchanged by {exchanged:.2f}"
                 turn = 1 - exchanged < _CLEARER * (1 - as_named)
             if turn:
-                self._exchange(a, b)
-            self.notes.append(
-                f"the states of {a!r} and {b!r} are exchanged: each follows the other's command, "
-                f"and {why}" if turn else
-                f"{a!r} and {b!r} follow each other's commands: the names of the commands are "
-                f"exchanged, as assumed here, or those of the states; {why}"
-            )  # fmt: skip
+                self._exchange(a, b, whole=asked)
+                motion[a], motion[b] = motion[b], motion[a]
+                self._move(motion)
+            told = "each follows the other's command, and " if asked else ""
+            if turn:
+                self.notes.append(f"the states of {a!r} and {b!r} are exchanged: {told}{why}")
+            elif asked:
+                self.notes.append(
+                    f"{a!r} and {b!r} follow each other's commands: the names of the commands are "
+                    f"exchanged, as assumed here, or those of the states; {why}"
+                )
 
     def _told_by(self, torques: Mapping[str, Signal]) -> float:
         """Share of torques' variance that the model explains, less what their size is off."""
         told = [self._explained(j, s) for j, s in torques.items()]
         return float(np.mean([t.alone**2 - _off_size(t) for t in told]))
 
-    def _exchange(self, a: str, b: str) -> None:
-        """Exchange all columns of two joints, commands included."""
-        for one, other in zip(self.joints[a].columns, self.joints[b].columns, strict=True):
+    def _exchange(self, a: str, b: str, *, whole: bool) -> None:
+        """Exchange the states of two joints, or all of their columns."""
+        pairs = [*zip(self.joints[a].columns, self.joints[b].columns, strict=True)]
+        for one, other in pairs[: None if whole else 2]:
             first, second = self.lines.pop(one, None), self.lines.pop(other, None)
             for column, line in ((other, first), (one, second)):
                 if line is not None and column:

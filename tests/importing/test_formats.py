@@ -356,6 +356,33 @@ def test_numbered_channels_are_a_vector_beside_a_sensor_of_another_file(
     }
 
 
+def test_times_may_be_two_nameless_columns_or_stand_beside_a_duration(
+    home: Path, motion: Motion
+) -> None:
+    stamps = START_NS + np.round(motion.time * 1e9).astype(np.int64)
+    rows = np.hstack([motion.position, motion.velocity])
+    with (home / "bare.csv").open("w") as file:
+        for ns, row in zip(stamps, rows, strict=True):
+            file.write(",".join(map(str, [ns // 10**9, ns % 10**9, *row])) + "\n")
+    proposal = propose([str(home / "bare.csv")], MODEL)
+    assert proposal.logs["bare"].lines == ['time = { column = "1", fine = "2" }']
+    columns = {"loop_us": 800 + 10 * np.sin(9 * motion.time), "cycle": 1e3 * motion.time + 5}
+    columns |= {f"{j}_pos": motion.position[:, i] for i, j in enumerate(JOINTS)}
+    (line,) = propose([written(home / "log.csv", columns)], MODEL).logs["log"].lines
+    assert line.startswith('time = { column = "cycle", unit = "ms" }') and "not log.csv" in line
+
+
+def test_states_that_only_torques_tell_to_be_exchanged(home: Path, motion: Motion) -> None:
+    named = (0, 2, 1)
+    columns = {f"{j}_effort": motion.torque[:, i] for i, j in enumerate(JOINTS)}
+    columns |= {f"{JOINTS[k]}_position": motion.position[:, i] for i, k in enumerate(named)}
+    proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL)
+    found = {each.column: each.candidate.key.channel for each in proposal.columns}
+    assert all(found[f"sensor.{JOINTS[i]}_pos"] == f"{JOINTS[k]}_position"
+               for i, k in enumerate(named))  # fmt: skip
+    assert all(found[f"torque.{joint}"] == f"{joint}_effort" for joint in JOINTS)
+
+
 def test_names_in_cells_may_stand_behind_a_frame(home: Path, motion: Motion) -> None:
     stamps = START_NS + np.round(motion.time * 1e9).astype(np.int64)
     rows = zip(stamps, np.hstack([motion.position, motion.velocity]), strict=True)
