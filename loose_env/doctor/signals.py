@@ -277,8 +277,8 @@ def check_gravity(
         for run, (measured, expected) in [*silent.items()][:1]:
             found = f"reads {_size(measured):.4g} m/s² at rest, and gravity is "
             found += f"{_size(expected):.4g} m/s²: piezoelectric, or the mean was removed"
-            own = {"unit": "m/s²", "run": run if felt else ""}
-            yield _NO_GRAVITY.at(f"sensor.{sensor}", found, _size(measured), **own)
+            of, name = f"sensor.{sensor}", run if felt else ""
+            yield _NO_GRAVITY.at(of, found, _size(measured), unit="m/s²", run=name)
         sizes = {run: Pair(*(np.linalg.norm(x, axis=1) for x in p)) for run, p in felt.items()}
         if sizes:
             yield from contradictions(
