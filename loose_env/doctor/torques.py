@@ -29,7 +29,7 @@ import numpy as np
 from loose_env.doctor.corrections import Correction, corrected
 from loose_env.doctor.findings import Defect, Finding
 from loose_env.doctor.machine import Machine, forces_of, positions_of
-from loose_env.importing import filled, inverse_dynamics, median_step
+from loose_env.importing import filled, inverse_dynamics, median_step, smoothed
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -188,7 +188,7 @@ class TorqueFit:
             a = np.gradient(v, run.time, axis=0)
             torque = np.stack([forces[j][1] for j in self.torques], axis=1)
             # The ends have no derivative.
-            at = np.linspace(4, len(q) - 5, min(TORQUE_POINTS, len(q) - 8)).astype(int)
+            at = np.linspace(9, len(q) - 10, min(TORQUE_POINTS, len(q) - 18)).astype(int)
             parts.append(_Rows(*(values[np.unique(at)] for values in (q, v, a, torque))))
         return _Rows(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
@@ -265,25 +265,18 @@ class TorqueFit:
 
 def _smoothed(run: Run, grid: Array) -> Run:
     """Run of slow signals on an even grid."""
-    ends = min(len(grid) - 1, TORQUE_POINTS)
-    turn = np.pi * np.fft.rfftfreq(len(grid) + 2 * ends)
-    corner = np.tan(np.pi * TORQUE_BAND_HZ * (grid[1] - grid[0]))
-    low = 1 / (1 + (np.tan(turn) / corner) ** 4)  # Butterworth, forwards and backwards
-    kept = len(grid) if len(grid) < TORQUE_POINTS else len(grid) // TORQUE_POINTS * TORQUE_POINTS
+    width = max(1, round(0.5 / TORQUE_BAND_HZ / (grid[1] - grid[0])))
 
-    def smooth(columns: Mapping[str, Array]) -> dict[str, Array]:
-        return {
-            name: np.fft.irfft(
-                low * np.fft.rfft(np.pad(x, ends, mode="reflect", reflect_type="odd")),
-                len(grid) + 2 * ends,
-            )[ends:][:kept]
+    def slow(columns: Mapping[str, Array]) -> dict[str, Array]:
+        even = {
+            name: np.interp(grid, run.time, filled(run.time, v))
             for name, v in columns.items()
             if v.ndim == 1
-            for x in [np.interp(grid, run.time, filled(run.time, v))]
         }
+        return {name: smoothed(smoothed(v, width), width) for name, v in even.items()}
 
-    controls, sensors, torques = (smooth(c) for c in (run.controls, run.sensors, run.torques))
-    return replace(run, time=grid[:kept], controls=controls, sensors=sensors, torques=torques)
+    controls, sensors, torques = (slow(c) for c in (run.controls, run.sensors, run.torques))
+    return replace(run, time=grid, controls=controls, sensors=sensors, torques=torques)
 
 
 def _corrections(fit: TorqueFit) -> Iterator[tuple[str, Correction]]:

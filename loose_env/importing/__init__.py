@@ -9,7 +9,7 @@ from loose_env.importing.evidence import coding_of
 from loose_env.importing.mapping import ImportMapping, read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
 from loose_env.importing.proposal import Proposal, proposal_text, propose
-from loose_env.importing.resampling import filled, median_step
+from loose_env.importing.resampling import filled, median_step, smoothed
 from loose_env.importing.targets import (
     Drive,
     drives_of,
@@ -36,4 +36,5 @@ __all__ = [
     "proposal_text",
     "propose",
     "read_mapping",
+    "smoothed",
 ]
