@@ -21,7 +21,7 @@ other: tcp temp temperature temperatures volt volts voltage mode bits momentum p
 other: fraction scaling sin cos image reward done index task frame next orientation twist
 other: error err seq count counter id status state_machine enable kp kd gain mass
 command: target target command commands cmd action actions desired des ref reference setpoint goal
-command: ctrl control controls soll sollwert demand tgt sp set cmds
+command: ctrl control controls soll sollwert demand tgt sp set cmds traj trajectory
 acceleration: qdd ddq acc accel acceleration accelerometer qacc gyro gyr gyroscope imu
 velocity: velocity velocities vel qd dq qvel speed rate omega
 torque: effort torque torques tau moment force forces frc load

@@ -459,6 +459,7 @@ class Roles:
         label = self._label(s)
         role = "torque" if s.meaning.role == "current" else s.meaning.role
         own = (label == match.joint) - (label not in ("", match.joint))
+        own = own if role in ("", match.role) else min(own, 0)  # the name speaks for another role
         return match.evidence + _NAME * ((role == match.role) + 0.5 * own)
 
     def _match(self, joint: str, role: Role, s: Signal) -> Match:

@@ -264,6 +264,7 @@ def _split(lines: list[str], separator: str, decimal: str) -> _Head | None:
         off = 1 if width > 3 else 0  # names may lack one, or end with a separator
         above = [j for j in range(i) if abs(len(rows[j][1]) - width) <= off]
         above = [j for j in above if not _count(rows[j][1], decimal)]
+        above = [j for j in above if len(rows[j][1]) == width] or above
         counted = [[str(k + n) for k in range(width)] for n in (0, 1)]
         broken = any("." in cell for cell in rows[i + 1][1]) if i + 1 < len(rows) else False
         if not above and [cell.strip() for cell in row] in counted and broken:
@@ -289,7 +290,8 @@ def _rows(lines: list[str], skip: int, separator: str) -> Iterator[tuple[int, li
     for row in reader:
         if any(cell.strip() for cell in row):
             ended = separator == " " and not row[-1]
-            yield skip + reader.line_num - 1, row[:-1] if ended else row
+            marked = row[0].strip() in ("#", "%")  # a comment that has the names
+            yield skip + reader.line_num - 1, row[marked : -1 if ended else None]
 
 
 def _count(row: list[str], decimal: str) -> int:

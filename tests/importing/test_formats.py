@@ -372,6 +372,13 @@ def test_times_may_be_two_nameless_columns_or_stand_beside_a_duration(
     assert line.startswith('time = { column = "cycle", unit = "ms" }') and "not log.csv" in line
 
 
+def test_a_position_by_name_is_no_velocity_for_the_joint_in_it(home: Path, motion: Motion) -> None:
+    columns = {f"{j} position": motion.position[:, i] for i, j in enumerate(JOINTS)}
+    columns |= {f"{j} angle": np.roll(motion.command[:, i], -60) for i, j in enumerate(JOINTS)}
+    proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL)
+    assert {e.column for e in proposal.columns} <= ALL
+
+
 def test_states_that_only_torques_tell_to_be_exchanged(home: Path, motion: Motion) -> None:
     named = (0, 2, 1)
     columns = {f"{j}_effort": motion.torque[:, i] for i, j in enumerate(JOINTS)}

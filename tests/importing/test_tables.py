@@ -56,6 +56,8 @@ def test_a_proposal_that_knows_no_channel_is_filled_in_by_hand(
         ("  1   2 \n  3   4 \n", {"1": [1, 3], "2": [2, 4]}),
         ("# Logger\n\nt|a\n[s]|[g]\n0|1\n1|2\n", {"t": [0, 1], "a": [1, 2]}),
         ("time,a,a\n0,1,2\n1,2,3\n", {"time": [0, 1], "#2": [1, 2], "#3": [2, 3]}),
+        ("# log; 3 axes\n# of N.N., slow\n# t a b c\n0 1 2 3\n1 2 3 4\n",
+         {"t": [0, 1], "a": [1, 2], "b": [2, 3], "c": [3, 4]}),
         ('"Logger" version 5\nt,a\n0,1\n1,2\n', {"t": [0, 1], "a": [1, 2]}),
         ('"not closed\nt,a\n0,1\n1,2\n', {"t": [0, 1], "a": [1, 2]}),
         ("t,a\n0,1\n\n1,\n2,3\n", {"t": [0, 1, 2], "a": [1, np.nan, 3]}),
