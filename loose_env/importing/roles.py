@@ -64,6 +64,8 @@ _NAME = 0.3
 _PRIOR = {"position": 3.0, "": 0.0, "command": -3.0, "velocity": -4.0, "acceleration": -4.0,
           "torque": -4.0, "current": -4.0, "other": -6.0}  # fmt: skip
 """What a name is worth for a position, where leading or following a channel is worth 2."""
+_MINUTES = 0.02
+"""Logarithm by which a velocity may be off 60 times a derivative [1]: half way to deg/s of rad."""
 _SLOW_S = 2.0
 """Time over which positions and commands are averaged to be compared in size [s]."""
 _RATE = 0.95
@@ -342,13 +344,15 @@ class Roles:
         pairs = {j: (self.joints[j], s) for j, (s, _, _) in self.positions.items()}
         speeds: dict[str, float] = {}
         for joint, (target, p) in pairs.items():
-            told = [s for s in self._free() if s.unit and admits(s.unit, "velocity",
-                    slide=target.slide) and is_rate(p.unit, s.unit)]  # fmt: skip
+            told = [s for s in self._free() if admits(s.unit, "velocity", slide=target.slide)
+                    and is_rate(p.unit, s.unit)]  # fmt: skip
             rated = [(abs(speed_in(p, s).evidence), s) for s in told]
             value, s = max(rated, key=lambda each: each[0], default=(0.0, p))
-            if value >= ALIKE:
-                factor = unit_named(s.unit, "").factor
-                speeds[joint] = 1 / (abs(slope(p.rates, s.smooth)) * factor)
+            ratio = abs(slope(p.rates, s.smooth)) if value >= ALIKE else 0.0
+            # Minutes are in no ratio of units but that of turns and turns a minute.
+            turns = abs(math.log(max(ratio, 1e-9) / 60)) < _MINUTES and not target.slide
+            if ratio and (s.unit or turns):
+                speeds[joint] = 1 / (ratio * unit_named(s.unit or "rpm", "").factor)
         defined = all(s.defined for _, s in pairs.values())
         scalings = position_scalings(pairs, speeds, defined)
         scalings |= self._by_commands([j for j, scaling in scalings.items() if scaling is None])

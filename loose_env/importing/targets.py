@@ -358,7 +358,8 @@ _TICKS = 4096
 """Ticks a turn of the servos whose words are logged as they are."""
 NEAR = 1.5
 """Factor within which a ratio of rates counts as that of a unit [1]."""
-_AGAINST = {"rad": 0.0, "m": 0.0, "deg": 0.5, "mm": 0.5, "ticks": 0.5, "normalised": 2.0}
+_AGAINST = {"rad": 0.0, "m": 0.0, "deg": 0.5, "mm": 0.5, "ticks": 0.5, "rev": 2.0,
+            "normalised": 2.0}  # fmt: skip
 """What speaks against a unit where values fit: the rarer one."""
 _LENGTHS, _ANY = ("m", "mm"), ("normalised", "ticks")
 _COUNTS, _DENIED = 0.03, 0.15
@@ -426,7 +427,7 @@ def position_scalings(
     pairs: Mapping[str, tuple[JointTarget, Signal]], speeds: Mapping[str, float], defined: bool
 ) -> dict[str, Scaling | None]:
     """Scaling of the position of each joint, by its speed beside it, too; None where none fits."""
-    ways = {joint: _ways(*pair) for joint, pair in pairs.items()}
+    ways = {joint: _ways(*pair, turns=bool(speeds)) for joint, pair in pairs.items()}
     unstated = {j: t for j, (t, s) in pairs.items() if not s.unit}
     against: dict[str, float] = {}
     for way, prior in _AGAINST.items():
@@ -441,9 +442,10 @@ def position_scalings(
     }
 
 
-def _ways(joint: JointTarget, s: Signal) -> dict[str, Scaling]:
-    """Ways to read the values of a position."""
-    found = {unit: Scaling(unit) for unit in (("m", "mm") if joint.slide else ("rad", "deg"))}
+def _ways(joint: JointTarget, s: Signal, *, turns: bool) -> dict[str, Scaling]:
+    """Ways to read the values of a position; turns are rare, and only a speed tells them."""
+    units = ("m", "mm") if joint.slide else ("rad", "deg", *["rev"] * turns)
+    found = {unit: Scaling(unit) for unit in units}
     if joint.limits is not None and max(abs(s.low), abs(s.high)) <= _NORMALISED:
         (bottom, top), unit = joint.limits, next(iter(found))
         words = "normalised to -100..100 of the limits"

@@ -337,6 +337,15 @@ def test_counts_of_an_encoder_are_scaled_by_the_command_that_they_follow(
     assert scales == pytest.approx(dict.fromkeys([f"sensor.{j}_pos" for j in JOINTS], 1), rel=0.05)
 
 
+def test_turns_are_told_by_turns_a_minute(home: Path, motion: Motion) -> None:
+    columns = {f"n_{i}": motion.velocity[:, i] * 30 / np.pi for i in range(3)}
+    columns |= {f"phi_{i}": motion.position[:, i] / (2 * np.pi) for i in range(3)}
+    found = lines(written(home / "log.csv", {"time": motion.time, **columns}))
+    assert found == {f"sensor.{j}_pos": (f"phi_{i}", "rev", 1) for i, j in enumerate(JOINTS)} | {
+        f"sensor.{j}_vel": (f"n_{i}", "rpm", 1) for i, j in enumerate(JOINTS)
+    }
+
+
 def test_numbered_channels_are_a_vector_beside_a_sensor_of_another_file(
     home: Path, motion: Motion
 ) -> None:
