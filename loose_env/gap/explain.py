@@ -127,7 +127,7 @@ def solve_gap(
     say("residuals on held-out data")
     with silent():
         selection, decision, fit = answer.selection, answer.decision, answer.decision.fit
-        findings = sorted(decision.findings, key=lambda f: f.term.name)
+        findings = sorted(answer.findings, key=lambda f: f.term.name)
         named = [f for f in findings if f.named]
         corrected = Hypothesis().with_effects([(f.term.effect, f.values) for f in named])
         # of what is in model.xml or the code, not of what was fitted and is not named
@@ -305,7 +305,7 @@ def write_gap(
 
 
 def _verdict(answer: Answer) -> Verdict:
-    if any(finding.named for finding in answer.decision.findings):
+    if any(finding.named for finding in answer.findings):
         return "named"
     # where two or three noise standard deviations are left, there is little to look for
     left = [c for c in answer.decision.channels if c.verdict in ("unexplained", "cannot tell")]
@@ -384,14 +384,16 @@ def _told(
     decision, balance = answer.decision, answer.selection.evidence.balance
     sets = [({_name(e): e for e in own.effects}, own.probability) for own in ranking]
     known = [*(own for own, _ in sets), *({_name(e): e for e in own.effects} for own in cells)]
-    best = {found.term.name for found in decision.findings}
+    best = {found.term.name for found in answer.findings}
     channels = enumerate(decision.channels[::-1])
     order = {_name(e): -k for k, own in channels for e in own.effects}
     late = balance.encoders if (balance.forms == "inverse").any() else ()
     told = []
-    for found in sorted(decision.findings, key=lambda f: (order.get(f.term.name, 1), f.term.name)):
+    for found in sorted(answer.findings, key=lambda f: (order.get(f.term.name, 1), f.term.name)):
         name, effect, instead = found.term.name, named_effect(found), set(found.confusable)
-        if decision.simulated:  # sets with one other effect in its place
+        if (
+            decision.simulated and found not in answer.rounded
+        ):  # sets with one other effect in its place
             others = [own.keys() - best for own, p in sets if p > _RIVAL and name not in own]
             instead = {rival for each in others if len(each) == 1 for rival in each}
             group = sum(chance for own, chance in sets if own.keys() & {name, *instead})
@@ -516,7 +518,7 @@ def _warnings(answer: Answer, recording: Recording) -> tuple[str, ...]:
             "one run alone: alternate stretches of it are held out, so that what every stretch of "
             "it has in common is not tested; record a second run with another motion"
         )
-    for each in answer.decision.findings:
+    for each in answer.findings:
         effect = each.term.effect
         alone = Hypothesis(effects=(effect,), values=(each.values,))
         if each.named and not (effect.in_model or correction_code(alone)):

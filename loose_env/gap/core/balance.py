@@ -301,9 +301,7 @@ class Balance:
             return np.asarray(shown - effect.read(time, {column: shown + off}, values)[column])
 
         off = left(np.zeros_like(shown))
-        better = off + left(off)
-        if np.linalg.norm(left(better)) < np.linalg.norm(left(off)) / 2:  # no rounding
-            off = better
+        off = off + left(off)
         return low_passed(off[:, None], self.motion.band, run.step / FINER)[::FINER, 0]
 
     def edited(self, spec: mujoco.MjSpec) -> Forces:

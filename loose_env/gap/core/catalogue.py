@@ -18,7 +18,7 @@ from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change, Forces
 from loose_env.gap.model.effect import Effect, WeightedEffect
 from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
-from loose_env.gap.model.effects.sensors import SensorBias
+from loose_env.gap.model.effects.sensors import SensorBias, SensorQuantisation
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
@@ -122,8 +122,11 @@ def catalogue(balance: Balance, kinds: Iterable[str] | None = None) -> list[Term
 def shows(balance: Balance, effect: Effect) -> bool:
     """Whether a force balance shows an effect: it changes forces, with motors off as well or not.
 
-    Sensors show where their readings are compared; stops are the business of the exact fit.
+    Sensors show where their readings are compared; rounding is noise, which readings show by
+    themselves; stops are the business of the exact fit.
     """
+    if isinstance(effect, SensorQuantisation):
+        return False
     if effect.part == "sensor":
         if isinstance(effect, SensorBias) and effect.where in balance.encoders:
             # where no drive uses the reading, it is the zero of the joint, another effect

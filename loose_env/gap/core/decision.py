@@ -32,8 +32,12 @@ from loose_env.gap.core.selection import (
 )
 from loose_env.gap.model.effect import Mountings, free_of, values_of
 from loose_env.gap.model.effects.inertia import MountedPayload, Payload
+from loose_env.gap.model.effects.sensors import SensorQuantisation
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import ChannelVerdict, ChannelWord, EffectLocation
 from loose_env.inference import log_determinant
+from loose_env.recording import Recording
+from loose_env.statistics import resolution_of
 from loose_env.typing import Array
 
 NAMED = 0.5
@@ -134,6 +138,49 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
             )
         )  # fmt: skip
     return _decision(selection, fit, findings, chances, before, after)
+
+
+def rounded(recording: Recording, machine: NominalModel, zero: float) -> tuple[Finding, ...]:
+    """Encoders whose readings are whole steps of more than twice the tolerance of a zero.
+
+    They show it by themselves: rounding is noise, which no force tells from other noise.
+    """
+    found = []
+    for name in machine.encoders:
+        read = [run.sensors[name] for run in recording.runs if name in run.sensors]
+        step = resolution_of(np.concatenate(read)) if read else 0.0
+        if step <= 2 * zero:
+            continue
+        effect = SensorQuantisation(machine, name)
+        levels = np.unique(np.concatenate(read))
+        levels = levels[np.isfinite(levels)]
+        count = np.round((levels - levels[0]) / step)
+        slope, first = np.polyfit(count, levels, 1)
+        off = float(np.max(np.abs(levels - first - slope * count)))
+        off = max(off, float(np.spacing(np.abs(levels).max())))  # as fine as it is written
+        gain = 2 * len(levels) * log(slope / off)
+        value = np.array([slope])
+        found.append(
+            Finding(
+                term=Term(effect, ((float(slope),),), "", True, ()), values=value,
+                low=value - off, high=value + off, probability=1.0, alone=1.0, confusable=(),
+                z=np.inf, by_run=gain, by_stretch=gain, doubt="",
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def with_rounded(decision: Decision, found: Iterable[Finding]) -> Decision:
+    """The decision with verdicts of joints whose encoders show whole steps."""
+    each = list(decision.channels)
+    for finding in found:
+        joint = finding.term.effect.machine.encoders[finding.term.effect.where]
+        own = EffectLocation(kind=finding.term.effect.kind, where=finding.term.effect.where)
+        for k, channel in enumerate(each):
+            if channel.channel == joint and channel.verdict in ("named", "not needed"):
+                effects = (*channel.effects, own) if channel.verdict == "named" else (own,)
+                each[k] = replace(channel, verdict="named", effects=effects)
+    return replace(decision, channels=tuple(each))
 
 
 def _decision(

@@ -14,12 +14,15 @@ from loose_env.gap.core.balance import Balance, is_rigid, scaled
 from loose_env.gap.core.catalogue import Term, catalogue, moves_at, terms_of
 from loose_env.gap.core.decision import (
     Decision,
+    Finding,
     by_runs,
     decide,
     decide_simulated,
     held_out_rms,
     left_open,
     pruned,
+    rounded,
+    with_rounded,
 )
 from loose_env.gap.core.evidence import append, whiten, with_tolerances
 from loose_env.gap.core.exact import LARGE, Exact, ExactFit, open_joints, pool_of
@@ -27,6 +30,7 @@ from loose_env.gap.core.motion import LOWEST_HZ, motions_of_model, servo_share, 
 from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
 from loose_env.gap.core.tolerances import GapSettings, missed_by_laws, nuisances
 from loose_env.gap.model.effects.catalogue import EFFECTS, effect_class
+from loose_env.gap.model.effects.sensors import SensorQuantisation
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import measured_runs
 from loose_env.recording import Recording
@@ -61,6 +65,13 @@ class Answer:
     """Effects and verdicts."""
     exact: tuple[ExactFit, ...]
     """Sets in full simulation, the best first; empty where cells leave nothing open."""
+    rounded: tuple[Finding, ...] = ()
+    """Encoders that show their steps by themselves, beside the decision's set."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """All effects of the answer, named or not."""
+        return (*self.decision.findings, *self.rounded)
 
 
 def find_gap(
@@ -100,9 +111,12 @@ def find_gap(
         else:
             say("decision on held-out data")
             decision, fits = decide(selection, best), ()
+    asked = not settings.kinds or SensorQuantisation.kind in settings.kinds
+    machine, zero = selection.evidence.balance.machine, settings.tolerances.zero
+    steps = rounded(used, machine, zero) if asked else ()
     return Answer(
         recording=used, held_out=held_out, settings=settings, selection=selection,
-        decision=decision, exact=fits,
+        decision=with_rounded(decision, steps), exact=fits, rounded=steps,
     )  # fmt: skip
 
 

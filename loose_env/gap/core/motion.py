@@ -39,6 +39,7 @@ _MOST_SAMPLES = 12_000
 _DISAGREES, _FILTERED = 3.0, 0.02
 """Difference of a calibrated velocity reading from the derivative of the position up to which it is
 used: its noise standard deviations, or share of it; drives often filter theirs."""
+_SHIFTS = 8  # places of an encoder's steps against the motion
 _NEAR = 0.5
 """Length of a record's end in which its motion is a parabola [periods of the end of the band]."""
 
@@ -165,6 +166,8 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
         ]
         for log in logs
     ]
+    if like is None:
+        noise[0] = np.maximum(noise[0], _rounding(logs, alone, band))
     found = {}
     for joint in range(len(machine.joints)):
         pairs = [
@@ -208,6 +211,25 @@ def _misfit(
     off = [np.var(own[:, joints][: len(sim)] - sim[: len(own)], axis=0) for own, sim in ends]
     shares = np.mean(off, axis=0)[unread:] / np.maximum(moves[unread:], 1e-300)
     return np.asarray(np.sqrt(moves[:unread] * (np.median(shares) if len(shares) else 1.0)))
+
+
+def _rounding(logs: Sequence[_Log], alone: Sequence[Sequence[Array]], band: float) -> Array:
+    """Noise of each position by what its steps make of the motion within its band (joints,).
+
+    As of a sample of white noise. Steps that last long are not white: they have most of their
+    error below.
+    """
+    found = []
+    for log, motions in zip(logs, alone, strict=True):
+        share = 2 * _FLAT * band * log.step
+        errors = []
+        for read, own in zip(log.position.T, motions, strict=True):
+            step = resolution_of(read)
+            shifts = own[0][:, None] + step * np.arange(_SHIFTS) / _SHIFTS
+            off = step * np.round(shifts / step) - shifts if step else 0 * shifts
+            errors.append(np.sqrt(np.mean(low_passed(off, band, log.step) ** 2) / share))
+        found.append(errors)
+    return np.median(np.array(found), axis=0)
 
 
 def servoed(machine: NominalModel, runs: Iterable[Run]) -> dict[int, int]:
