@@ -378,19 +378,17 @@ def test_a_step_of_a_fit_goes_down_what_it_minimises(
     given = recording if kind == "servo" else torque_log(tmp_path / "log")
     selection = evidence_of(given, FEW, lambda _: None)
     terms = selection.evidence.terms[:2]
-    parts = selection._parts(terms)
+    cells = selection.layout.of(selection.columns(terms))
     values = 0.3 * np.random.default_rng(0).normal(size=len(selection.columns(terms)))
+    level = np.concatenate(selection.values)
 
     def cost(values: Array) -> float:
-        states = [part.state(values[part.at]) for part in parts]
-        beyond = sum(float(np.sum(own)) for own in selection._levels(states)[1])
-        return beyond + sum(float(np.minimum(state.excess, 0).sum()) for state in states)
+        excess = cells.state(values).excess
+        cost = level * np.log1p(np.maximum(excess, 0) / level)
+        return float(np.sum(cost + np.minimum(excess, 0)))
 
-    slope = np.zeros_like(values)
-    for k, part in enumerate(parts):
-        state = part.state(values[part.at])
-        weight = selection.weights(k, state.excess + part.count)
-        slope[part.at] += 2 * part.steps(state, weight)[1]
+    state = cells.state(values)
+    slope = 2 * cells.steps(state, level / (level + np.maximum(state.excess, 0)))[1]
     for own, unit in zip(slope, 1e-5 * np.eye(len(values)), strict=True):
         moved = (cost(values + unit) - cost(values - unit)) / 2e-5
         assert own == pytest.approx(moved, rel=1e-3, abs=1e-3 * np.abs(slope).max())

@@ -69,7 +69,6 @@ class Channel:
     slope: Array = field(init=False)  # Products with the residual (C, K)
     square: Array = field(init=False)  # Products of each column with itself (C, K)
     power: Array = field(init=False)  # Residual sums of squares (C,)
-    tolerances: Array = field(init=False)  # Products of the first columns, tolerances (C, K, K)
 
     def __post_init__(self) -> None:
         """Sum products over each cell."""
@@ -77,7 +76,6 @@ class Channel:
         self.slope = self.by_cell(self.rows * self.residual[:, None])
         self.square = self.by_cell(self.rows**2)
         self.power = self.by_cell(self.residual**2)
-        self.tolerances = self.by_products(self.rows, self.rows)
 
     def add(self, columns: NDArray[np.intp], rows: Array, noise: Mapping[str, Array]) -> None:
         """Add columns behind its own, with what they change of its noise."""
@@ -530,7 +528,7 @@ def operator_noise(
 
     def parts(own: ComplexArray) -> Array:
         both = np.stack([own.real, own.imag], axis=-1)
-        return both.reshape(*own.shape[:-2], len(turn), -1)
+        return both.reshape(*own.shape[:-2], len(turn), 2 * len(_WITHIN) * own.shape[-1])
 
     still, moved = response(balance.operator[:, joint]), response(operators[:, :, joint])
     late = np.any(delays, axis=(1, 2))

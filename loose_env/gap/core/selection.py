@@ -21,7 +21,8 @@ from scipy.optimize import minimize
 
 from loose_env.gap.core.balance import USUAL
 from loose_env.gap.core.catalogue import Claim, Term, neighbours, terms_of
-from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers, operator_noise
+from loose_env.gap.core.cells import Cells, Layout
+from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers
 from loose_env.gap.core.tolerances import Nuisance
 from loose_env.gap.model.effect import Parameter
 from loose_env.inference import log_determinant
@@ -80,7 +81,7 @@ class Selection:
     """Search over sets of effects in the cells of some evidence."""
 
     def __init__(self, evidence: Evidence, say: Callable[[str], None] = lambda _: None) -> None:
-        self.evidence, self.say = evidence, say
+        self.evidence, self.say, self.layout = evidence, say, Layout(evidence)
         self.used: list[NDArray[np.bool_]] = [
             np.ones(len(c.count), bool) for c in evidence.channels
         ]
@@ -134,10 +135,6 @@ class Selection:
         own = sorted({k for term in terms for k in self.evidence.columns_of(term)})
         return np.array([*range(self.evidence.tolerances), *own], dtype=int)
 
-    def _summed(self, cells: Iterable[Array]) -> float:
-        """Sum over the cells that are used."""
-        return float(sum(own[used].sum() for own, used in zip(cells, self.used, strict=True)))
-
     def weights(self, channel: int, power: Array) -> Array:
         """Weights of a channel's cells at some power."""
         excess = np.maximum(power - self.evidence.channels[channel].count, 0)
@@ -175,8 +172,8 @@ class Selection:
         if key not in self.fits:
             # the likelihood has several optima: also from nothing but noise, and from no set
             starts = [[c.count for c in self.evidence.channels], None, *([start] if start else [])]
-            parts = self._parts(terms)
-            fits = [self._fit(tuple(terms), parts, own) for own in starts]
+            cells = self.layout.of(self.columns(terms))
+            fits = [self._fit(tuple(terms), cells, own) for own in starts]
             self.fits[key] = min(fits, key=lambda f: (not f.allowed, f.cost))
         return self.fits[key]
 
@@ -184,77 +181,65 @@ class Selection:
         self, terms: Set, start: SetFit | Sequence[Array] | None = None, rounds: int = _ROUNDS
     ) -> SetFit:
         """Fit a set by reweighted least squares, from the weights of a start, or from a fit."""
-        return self._fit(terms, self._parts(terms), start, rounds)
-
-    def _parts(self, terms: Iterable[Term]) -> list[_Part]:
-        """Products of a set's columns in all channels."""
-        evidence, numbers = self.evidence, self.columns(terms)
-        return [_part(channel, numbers, evidence) for channel in evidence.channels]
+        return self._fit(terms, self.layout.of(self.columns(terms)), start, rounds)
 
     def _fit(
         self,
         terms: Set,
-        parts: Sequence[_Part],
+        cells: Cells,
         start: SetFit | Sequence[Array] | None,
         rounds: int = _ROUNDS,
     ) -> SetFit:
-        evidence, numbers = self.evidence, self.columns(terms)
+        evidence, layout, numbers = self.evidence, cells.layout, self.columns(terms)
         precision, centre = evidence.precision[numbers], evidence.centre[numbers]
+        used, level = (np.concatenate(own) for own in (self.used, self.values))
         found = np.zeros(len(numbers))
         if isinstance(start, SetFit):
             _, here, there = np.intersect1d(numbers, start.numbers, return_indices=True)
             found[here], start = start.values[there], start.powers
-        states = [part.state(found[part.at]) for part in parts]
-        powers = [c.power for c in evidence.channels] if start is None else list(start)
+        state = cells.state(found)
+        given = [c.power for c in evidence.channels] if start is None else start
+        excess = np.concatenate(list(given)) - layout.count
         best, last, stale = np.inf, np.inf, 0
         for round_ in range(rounds):
-            normal, pull = np.diag(precision), precision * (centre - found)
-            for k, (part, state) in enumerate(zip(parts, states, strict=True)):
-                own, down = part.steps(state, self.weights(k, powers[k]))
-                normal[part.grid] += own
-                pull[part.at] -= down
+            weight = level / (level + np.maximum(excess, 0.0)) * used
+            normal, down = cells.steps(state, weight)
+            normal += np.diag(precision)
+            pull = precision * (centre - found) - down
             scale = 1 / np.sqrt(np.diag(normal))
             even = normal * np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
             step = np.linalg.solve(even, pull * scale) * scale
             for part_of_it in 0.5 ** np.arange(_HALVINGS):  # where noise shrinks, steps go too far
                 moved = found + part_of_it * step
-                states = [part.state(moved[part.at]) for part in parts]
-                now = self._levels(states)
-                value = self._summed(now[1]) + float(precision @ (moved - centre) ** 2)
-                value += self._summed(np.minimum(state.excess, 0.0) for state in states)
-                if min(float(state.scale.min()) for state in states) < _NOTHING:
+                state = cells.state(moved)
+                cost = level * np.log1p(np.maximum(state.excess, 0.0) / level)
+                value = float(precision @ (moved - centre) ** 2)
+                value += float((cost + np.minimum(state.excess, 0.0))[used].sum())
+                if float(state.scale.min()) < _NOTHING:
                     value = np.inf  # no machine is left
                 if value < last + LEAST_GAIN:
                     break
-            found, last, powers, stale = moved, value, list(now[0]), stale + 1
+            found, last, excess, stale = moved, value, state.excess, stale + 1
             if value < best - 0.05 or round_ == 0:
-                best, values, levels, curvature, stale = value, found, now, normal, 0
+                best, values, costs, curvature, stale = value, found, cost, normal, 0
+                powers = layout.split(layout.count + excess)
             if stale > 1:
                 break
         # values follow the noise down; as evidence, what lies below it is no better
-        cost = self._summed(levels[1]) + float(precision @ (values - centre) ** 2)
-        cost += log_determinant(curvature) - float(np.log(precision).sum())
+        cost_ = float(costs[used].sum()) + float(precision @ (values - centre) ** 2)
+        cost_ += log_determinant(curvature) - float(np.log(precision).sum())
         effects = slice(evidence.tolerances, None)
         low, high = evidence.low[numbers][effects], evidence.high[numbers][effects]
         slack = 1e-3 * np.maximum(np.abs(low), 1e-9)
         allowed = bool(np.all((values[effects] >= low - slack) & (values[effects] <= high)))
-        allowed &= bool(np.isfinite(cost))
+        allowed &= bool(np.isfinite(cost_))
         for term in terms:
             if term.effect.axes:  # a mass of nothing weighs nothing, wherever it is
                 x = values[np.searchsorted(numbers, evidence.columns_of(term))]
                 allowed &= bool(np.any(term.values(x) != term.effect.null_values))
         return SetFit(
-            terms, numbers, values, levels[0], curvature, cost, cost + self.prior(terms), allowed
+            terms, numbers, values, powers, curvature, cost_, cost_ + self.prior(terms), allowed
         )
-
-    def _levels(self, states: Sequence[_State]) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-        """Powers and costs of all cells, in units of the noise of the fitted operator."""
-        channels = self.evidence.channels
-        costs = tuple(
-            level * np.log1p(np.maximum(state.excess, 0.0) / level)
-            for state, level in zip(states, self.values, strict=True)
-        )
-        return tuple(c.count + s.excess for c, s in zip(channels, states, strict=True)), costs
 
     # ---- many sets at fixed weights
 
@@ -785,104 +770,6 @@ def _solved(normal: Array, slope: Array) -> tuple[Array, Array, float]:
     half = solve_triangular(root, slope * scale, lower=True, check_finite=False)
     values = solve_triangular(root.T, half, lower=False, check_finite=False) * scale
     return half, values, float(2 * np.log(np.diag(root)).sum() - 2 * np.log(scale).sum())
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """A channel at some coefficients."""
-
-    left: Array  # Fitted less measured, row by row (R,)
-    growth: Array  # Half the derivative of its noise variance over the nominal one (C, K)
-    power: Array  # Its residual sum of squares (C,)
-    ratio: Array  # Its noise variance over the nominal one (C,)
-    held: float  # Stiffness by which the drive holds the joint, over the nominal one
-    scale: Array  # Power of the same motion over the nominal one (C,)
-    excess: Array  # Power beyond the noise, of the same motion (C,)
-    quieter: NDArray[np.bool_]  # Cells in which it is that of a noise that shrinks (C,)
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """Products of some columns in a channel."""
-
-    at: NDArray[np.intp]  # Which of the columns it has (K,)
-    grid: tuple[NDArray[np.intp], ...]  # The same as rows and columns of a matrix
-    channel: Channel  # The channel
-    rows: Array  # Whitened columns (R, K)
-    gram: Array  # Products of the columns in each cell (C, K K)
-    count: Array  # Independent values (C,)
-    band: NDArray[np.intp]  # Band of each cell (C,)
-    read: bool  # Whether it is a reading, not a joint's balance
-    still: Array  # What the nominal operator makes of the noise of motion in each band (B, F)
-    moved: Array  # Its change by each column (B, F, K)
-    held: Array  # Relative change of the stiffness by which the drive holds the joint (K,)
-    beside: Array  # Relative change of the noise that no operator has (C, K)
-
-    def state(self, values: Array) -> _State:
-        """The channel at some coefficients.
-
-        A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
-        drive that holds less, whose discrepancy stays the same motion. What was read does not
-        shrink, and its discrepancy stays the same reading.
-        """
-        left = self.rows @ values - self.channel.residual
-        power = self.channel.by_cell(left**2)
-        change, beside = self.moved @ values, self.beside @ values
-        noisier = beside / np.maximum(self.channel.foretold, 1e-12)
-        ratio = np.sum((2 * self.still + change) * change, axis=1)[self.band]
-        ratio = np.maximum(ratio + 1 + (2 + noisier) * beside, 1e-12)
-        growth = np.einsum("bj,bjk->bk", self.still + change, self.moved)[self.band]
-        growth += (1 + noisier)[:, None] * self.beside
-        held = max(1.0 + float(self.held @ values), 1e-6)
-        beyond = power - self.count * ratio
-        least = 1.0 if self.read else np.minimum(np.minimum(ratio, held**2), 1.0)
-        quieter = (beyond <= 0) | (least == ratio) & (not self.read)
-        scale = np.where(quieter, ratio, least)
-        excess = np.maximum(beyond / scale, -self.count)
-        return _State(left, growth, power, ratio, held, scale, excess, quieter)
-
-    def steps(self, at: _State, weight: Array) -> tuple[Array, Array]:
-        """Normal matrix and half the derivative of the weighted excess of all cells.
-
-        Noise that grows with the operator is in the columns: least squares would attenuate their
-        coefficients (errors in variables).
-        """
-        weight, size = weight / at.scale, len(self.at)
-        softer = (at.scale < 1) & ~at.quieter
-        noisy = weight * np.where(at.quieter, self.count + at.excess, self.count)
-        normal = (weight @ self.gram).reshape(size, size)
-        if at.quieter.any():
-            normal += (at.growth.T * (noisy * at.quieter)) @ at.growth
-        down = self.rows.T @ (weight[self.channel.cell] * at.left) - noisy @ at.growth
-        beyond = float(np.sum(weight * softer * np.maximum(at.excess, 0.0)))
-        if beyond:
-            normal += beyond * np.outer(self.held, self.held)
-            down -= beyond * at.held * self.held
-        return normal, down
-
-
-def _part(channel: Channel, numbers: NDArray[np.intp], evidence: Evidence) -> _Part:
-    """Products of some columns in a channel, the matrix of each cell in one row."""
-    lookup = np.full(max(int(numbers.max(initial=0)), int(channel.columns.max(initial=0))) + 1, -1)
-    lookup[channel.columns] = np.arange(len(channel.columns))
-    own = lookup[numbers]
-    at = np.flatnonzero(own >= 0)
-    local = own[at]
-    rows = np.ascontiguousarray(channel.rows[:, local])
-    kept = channel.tolerances.shape[1]
-    gram = np.empty((len(channel.first), len(at), len(at)))
-    gram[:, :kept, :kept] = channel.tolerances
-    gram[:, kept:] = channel.by_products(rows[:, kept:], rows)
-    gram[:, :kept, kept:] = gram[:, kept:, :kept].transpose(0, 2, 1)
-    bands, band = np.unique(channel.turn, return_inverse=True)
-    changes = evidence.operators[numbers[at]], evidence.delays[numbers[at]]
-    still, moved = operator_noise(evidence.balance, channel.joint, bands, *changes)
-    return _Part(
-        at=at, grid=np.ix_(at, at), channel=channel, rows=rows,
-        gram=gram.reshape(len(gram), -1), count=channel.count, band=band,
-        read=channel.joint >= len(evidence.balance.machine.joints), still=still, moved=moved,
-        held=channel.held[local], beside=channel.beside[:, local],
-    )  # fmt: skip
 
 
 def _clipped(values: Array, evidence: Evidence, at: NDArray[np.intp]) -> Array:
