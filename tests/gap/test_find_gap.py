@@ -132,6 +132,28 @@ def test_friction_of_joints_that_mostly_stand_still_is_found_in_simulation(
     assert friction.values == pytest.approx([FRICTION], rel=0.1)
 
 
+@pytest.mark.parametrize(("step", "named"), [(0.01, True), (0.0015, False)])
+def test_coarse_steps_of_an_encoder_are_named_by_its_readings(
+    recording: Recording, step: float, named: bool
+) -> None:
+    (name, *_) = NominalModel(recording.spec()).encoders
+
+    def rounded(run: Run) -> Run:
+        read = step * np.round(run.sensors[name] / step)
+        return replace(run, sensors={**run.sensors, name: read})
+
+    settings = replace(ONE, kinds=("sensor_quantisation", "coulomb_friction"))
+    found = solve_gap(replace(recording, runs=tuple(map(rounded, recording.runs))), settings)
+    own = [e for e in found.result.effects if e.kind == "sensor_quantisation"]
+    assert [e.where for e in own] == [name] * named
+    for effect in own:
+        low, high = effect.interval_95["step"]
+        assert low <= step <= high and high - low < 1e-9
+        joint = found.answer.selection.evidence.balance.machine.encoders[name]
+        verdict = next(c for c in found.result.channels if c.channel == joint)
+        assert name in [each.where for each in verdict.effects]
+
+
 def test_runs_that_are_held_out_are_predicted_alone(
     recording: Recording, solution: GapSolution
 ) -> None:
