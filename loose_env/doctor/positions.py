@@ -46,6 +46,7 @@ LEAST_TICKS = 50.0
 be eight turns."""
 
 _UNIT, _SIGN, _NOTED, _TICKS, _LIMITS = "unit", "sign", "noted", "ticks", "limits"
+_ALIKE = "alike"  # says nothing itself, and the run's others are in another unit
 _WRONG_UNIT = Defect(
     "units", "error", "every pose and every prediction of the model is wrong by that factor",
     'import the column with its unit (unit = "deg" or "mm"), or convert it',
@@ -136,12 +137,12 @@ def _told(
         for hinge in (True, False):
             own = {j: word for j, word in said.items() if machine.hinge(j) == hinge}
             words = set(own.values()) - {None}
-            others = _UNIT if words and words <= {_UNIT, _LIMITS} else None
+            others = _ALIKE if words and words <= {_UNIT, _LIMITS} else None
             for joint, word in own.items():
                 word = others if word is None and others else word
                 if word is not None and (believed or word != _SIGN):
                     told[run.name, joint] = word
-    wrong = {joint for (_, joint), word in told.items() if word in (_UNIT, _LIMITS)}
+    wrong = {joint for (_, joint), word in told.items() if word in (_UNIT, _LIMITS, _ALIKE)}
     for run in runs:  # beside a run in another unit, the ones that fit are in the right one
         for joint in wrong & set(positions_of(machine, run)):
             told.setdefault((run.name, joint), "")
@@ -216,12 +217,13 @@ def _judged(
     reach = max(c.reach for _, c in parts)
     pair = f"measured {mean:.4g}, noted {noted.get(joint, 0.0):.4g} in {run.name}"
     fix = Correction(kind="scale", columns=(channel.name,), factor=1 / factor)
-    if word in (_UNIT, _LIMITS):
+    if word in (_UNIT, _LIMITS, _ALIKE):
         limits, found = machine.joints[joint].limits, f"reaches {reach:.4g}: {words} ({pair})"
         if joint not in noted or abs(noted[joint]) < LEAST_POSE:
             within = f"goes from {limits[0]:.3g} to {limits[1]:.3g}" if limits else "has no limits"
             found = f"reaches {reach:.4g}, and joint {joint} {within}: probably {words}"
-        certain = limits is not None or word == _UNIT
+        certain = word == _UNIT or (word == _LIMITS and limits is not None)
+        found += " as the others" * (word == _ALIKE)
         return _WRONG_UNIT.at(
             channel.name, found, reach, unit=machine.unit(joint), fix=fix,
             severity="error" if certain else "warning",

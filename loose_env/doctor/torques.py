@@ -116,9 +116,18 @@ def check_torques(machine: Machine, runs: Sequence[Run]) -> Iterator[Finding]:
 
 
 def confirmed(machine: Machine, runs: Sequence[Run], found: Sequence[Finding]) -> Iterator[Finding]:
-    """Findings on positions; an error, with the share of variance left, where torques confirm."""
+    """Findings on positions; an error, with the share of variance left, where torques confirm.
+
+    What is only probable is left out where the model explains the torques better without.
+    """
+    sure = [each for each in found if each.fix is None or each.severity == "error"]
+    fit = TorqueFit.of(machine, runs) if any(each.fix for each in found) else None
+    if fit is not None and len(sure) < len(found):
+        with_all, without = (
+            fit.left(*(each.fix for each in some if each.fix)) for some in (found, sure)
+        )
+        found = found if with_all < without else sure
     fixes = [each.fix for each in found if each.fix is not None]
-    fit = TorqueFit.of(machine, runs) if fixes else None
     as_is, left = (fit.left(), fit.left(*fixes)) if fit is not None else (0.0, 0.0)
     if as_is <= UNEXPLAINED or left > as_is / CLEARER:
         yield from found

@@ -260,10 +260,15 @@ def test_what_is_wrong_in_one_run_is_found_there(machines: dict[str, Recording],
     sound = machines[base]
     if "zero" in kind:
         sound = each_run(sound, lambda run: replace(run, pose=None, controls={}))
-    errors = examine(in_one_run(change)(sound)).errors
+    report = examine(in_one_run(change)(sound))
+    # What one joint's unit makes of another that says nothing itself is no error.
+    errors = (*report.errors, *(one for one in report.warnings if one.check == "units"))
     assert {(check, WRONG, name) for name in channels} <= {
         (one.check, one.run, one.channel) for one in errors
     }
+    assert [one.channel for one in report.warnings if one.check == "units"] == (
+        ["sensor.q_fore"] if "zero" in kind else []
+    )
     if kind != "g":  # what the accelerometer's axes say then is of the whole recording
         assert {one.run for one in errors if one.check == check} == {WRONG}
 
@@ -403,3 +408,9 @@ def test_the_text_writes_a_defect_of_many_runs_once_and_the_json_lists_all(
     assert "  and 2 more of this kind" in report.lines()  # of the whole recording, of no run
     some = replace(report, findings=(one,) * 4 + (replace(one, run="a.csv"),))
     assert "  and 2 more of this kind, in 1 run" in some.lines()
+
+
+def test_torques_clear_joints_of_the_unit_of_another(machines: dict[str, Recording]) -> None:
+    free = each_run(machines["torques"], lambda run: replace(run, pose=None))
+    report = examine(sensors("q_upper", np.degrees)(free))
+    assert [one.channel for one in report.findings if one.check == "units"] == ["sensor.q_upper"]
