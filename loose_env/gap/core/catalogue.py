@@ -18,7 +18,7 @@ from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change, Forces
 from loose_env.gap.model.effect import Effect, WeightedEffect
 from loose_env.gap.model.effects.catalogue import EFFECTS, candidates
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
-from loose_env.gap.model.effects.sensors import SensorBias, SensorQuantisation
+from loose_env.gap.model.effects.sensors import SensorBias
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.typing import Array
 
@@ -125,7 +125,7 @@ def shows(balance: Balance, effect: Effect) -> bool:
     Sensors show where their readings are compared; rounding is noise, which readings show by
     themselves; stops are the business of the exact fit.
     """
-    if isinstance(effect, SensorQuantisation):
+    if effect.is_read_off:
         return False
     if effect.part == "sensor":
         if isinstance(effect, SensorBias) and effect.where in balance.encoders:

@@ -400,7 +400,7 @@ def pool_of(
     for effect in candidates(balance.machine, kinds):
         shows = effect.moves or effect.where in balance.encoders
         there = effect.where in places or (loose and effect.has_stops)
-        if not there or not shows:
+        if not there or not shows or effect.is_read_off:
             continue
         starts = list(effect.starts)
         if not starts or effect.adds_motion or isinstance(effect, DriveLimit):

@@ -168,6 +168,8 @@ class Effect:
     has_stops: ClassVar[bool] = False
     """Whether it has parts with stops: after an impact no simulation is reproducible. Parameters
     named `gap`, `stiffness` and `damping_ratio`, if any, are those of the stops."""
+    is_read_off: ClassVar[bool] = False
+    """Whether readings show it by themselves, so that no force or motion is searched for it."""
     is_time_shift: ClassVar[bool] = False
     """Whether it shifts signals in time by its only parameter: accelerations are linear in it
     over a fraction of a millisecond only, positions over many."""

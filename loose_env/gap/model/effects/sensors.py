@@ -135,6 +135,7 @@ class SensorQuantisation(SensorEffect):
     """Quantisation of a sensor: its reading is rounded to whole steps."""
 
     kind = "sensor_quantisation"
+    is_read_off = True
     limit = (("step", "low"),)
     dims = (1,)
 
