@@ -212,12 +212,10 @@ def make_agent(name: str, problem: Problem, *, seed: int = 0) -> Agent:
     """Make an agent for a problem.
 
     A learned agent's further trainings, from other seeds, are ``ppo#2``, ``ppo#3``, ...;
-    ``ppo#1`` is the first, ``ppo`` itself. From outside the package come
-
-    * ``module:Class``, called as ``Class(problem, seed=seed)``, with `predict`, or `choose` alone:
-      a policy on the usual estimator;
-    * ``path/model.zip``, a model of stable-baselines3 (`loose_agents.rl.model_agent`);
-    * ``path/folder``, a policy that ``scripts/agents/train.py --export`` wrote.
+    ``ppo#1`` is the first, ``ppo`` itself. From outside the package come ``module:Class``, called
+    as ``Class(problem, seed=seed)``, with `predict`, or `choose` alone (a policy on the usual
+    estimator); ``path/model.zip``, a model of stable-baselines3 (`loose_agents.rl.model_agent`);
+    and ``path/folder``, a policy that ``scripts/agents/train.py --export`` wrote.
 
     Raises
     ------
