@@ -152,7 +152,7 @@ class RunPlan:
     file: _Text = ""
     sources: Mapping[_Text, _Text] = field(default_factory=dict)
     """Source -> file, for this run alone."""
-    pose: Mapping[str, float] | None = None
+    pose: Mapping[str, _Number] | None = None
     """Positions that the joints held [rad or m]."""
     excited: tuple[_Text, ...] = ()
     condition: Condition = "suspect"

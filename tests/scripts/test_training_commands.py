@@ -274,4 +274,6 @@ def test_the_zoo_itself_trains_and_plays(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert "best_model.zip" in done.stdout
-    assert "Warning" not in done.stderr
+    # the zoo seeds neighbours, of which the environments warn
+    warned = [line for line in done.stderr.splitlines() if "Warning: " in line]
+    assert all("share episodes" in line for line in warned), warned
