@@ -172,7 +172,7 @@ def commands(place: Path) -> dict[str, Command]:
         ),
         "diagnosis": Command(
             words=lambda out: ("-m", "loose_env", "diagnose", str(measured), "--out", str(out)),
-            result=lambda out: (out / "result.json").read_text("utf-8"),
+            result=_diagnosed,
             problems=_broken_diagnosis,
         ),
     }
@@ -283,6 +283,11 @@ def _broken_gap(out: Path) -> list[str]:
     if result.exists() and not model.exists():
         found.append("a result without its model")
     return found
+
+
+def _diagnosed(out: Path) -> Any:
+    found = json.loads((out / "result.json").read_text("utf-8"))
+    return {name: value for name, value in found.items() if name != "seconds"}
 
 
 def _broken_diagnosis(out: Path) -> list[str]:
