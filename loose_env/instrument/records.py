@@ -264,7 +264,7 @@ def _lines(t: Array, y: Array, periods: int, top: int, period: float) -> Complex
     for p in range(periods):
         own = (t >= p * period) & (t < (p + 1) * period)
         part = basis[own]  # nearly orthogonal, so that its products are as good as itself
-        found = np.linalg.solve(part.T @ part, part.T @ y[own])
+        found = np.linalg.lstsq(part.T @ part, part.T @ y[own], rcond=None)[0]  # rows may lack
         lines = found[: top + 1].astype(complex)
         lines[1:] += 1j * found[top + 1 :]
         each.append(lines)

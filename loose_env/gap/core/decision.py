@@ -148,12 +148,12 @@ def rounded(recording: Recording, machine: NominalModel, zero: float) -> tuple[F
     found = []
     for name in machine.encoders:
         read = [run.sensors[name] for run in recording.runs if name in run.sensors]
-        step = resolution_of(np.concatenate(read)) if read else 0.0
+        values = np.concatenate([np.empty(0), *read])
+        step = resolution_of(values)
         if step <= 2 * zero:
             continue
         effect = SensorQuantisation(machine, name)
-        levels = np.unique(np.concatenate(read))
-        levels = levels[np.isfinite(levels)]
+        levels = np.unique(values[np.isfinite(values)])
         count = np.round((levels - levels[0]) / step)
         slope, first = np.polyfit(count, levels, 1)
         off = float(np.max(np.abs(levels - first - slope * count)))

@@ -137,9 +137,8 @@ class Selection:
 
     def weights(self, channel: int, power: Array) -> Array:
         """Weights of a channel's cells at some power."""
-        excess = np.maximum(power - self.evidence.channels[channel].count, 0)
-        values = self.values[channel]
-        return np.asarray(values / (values + excess) * self.used[channel])
+        excess = power - self.evidence.channels[channel].count
+        return _weights(self.values[channel], excess, self.used[channel])
 
     def on(self, used: Sequence[NDArray[np.bool_]]) -> Selection:
         """The same selection on some of the cells."""
@@ -202,8 +201,7 @@ class Selection:
         excess = np.concatenate(list(given)) - layout.count
         best, last, stale = np.inf, np.inf, 0
         for round_ in range(rounds):
-            weight = level / (level + np.maximum(excess, 0.0)) * used
-            normal, down = cells.steps(state, weight)
+            normal, down = cells.steps(state, _weights(level, excess, used))
             normal += np.diag(precision)
             pull = precision * (centre - found) - down
             scale = 1 / np.sqrt(np.diag(normal))
@@ -642,6 +640,11 @@ def stepped(parameter: Parameter, value: float, step: float) -> float:
     """Value of a shape parameter a relative step away; of either sign, by shares of its scale."""
     sized = parameter.low >= 0 and value > 0
     return parameter.clipped(value * exp(step) if sized else value + step * parameter.scale)
+
+
+def _weights(values: Array, excess: Array, used: Array) -> Array:
+    """Weights of cells by the power beyond their noise."""
+    return np.asarray(values / (values + np.maximum(excess, 0.0)) * used)
 
 
 def few(count: Array) -> Array:
