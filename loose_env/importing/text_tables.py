@@ -26,6 +26,8 @@ from loose_env.typing import Array
 _LOOKED_AT = 200  # lines
 _PREAMBLE = 40  # lines above a table, at most
 _HEAD = 2**22  # bytes that are looked at
+_LONGEST_LINE = 2**20
+_MOST_COLUMNS = 10_000
 _WHOLE = re.compile(r"[+-]?\d{16,19}", re.ASCII)
 """Whole numbers for whose digits a float has no room."""
 _MISSING = ("", "nan", "NaN", "NAN", "null", "None", "N/A")
@@ -220,6 +222,12 @@ def _labelled(
 
 def _recognised(lines: list[str], name: str) -> _Head:
     """Layout of a table: the split that reads most cells as numbers is the one meant."""
+    long = next((i for i, line in enumerate(lines) if len(line) > _LONGEST_LINE), None)
+    if long is not None:
+        raise InvalidData(
+            f"{name}: line {long + 1} is longer than {_LONGEST_LINE} characters; is it a table in "
+            "text?"
+        )
     heads = [
         found
         for separator, decimal in itertools.product((",", ";", "\t", "|", " "), ".,")
@@ -230,7 +238,10 @@ def _recognised(lines: list[str], name: str) -> _Head:
             f"{name}: there is no table of numbers in its first {_LOOKED_AT} lines; separators "
             "tried are comma, semicolon, tab, | and space; look for a quote that is not closed"
         )
-    return max(heads, key=lambda head: head.numbers)
+    best = max(heads, key=lambda head: head.numbers)
+    if len(best.names) > _MOST_COLUMNS:
+        raise InvalidData(f"{name}: {len(best.names)} columns; at most {_MOST_COLUMNS} are read")
+    return best
 
 
 def _split(lines: list[str], separator: str, decimal: str) -> _Head | None:
