@@ -191,7 +191,7 @@ class Selection:
     ) -> SetFit:
         evidence, layout, numbers = self.evidence, cells.layout, self.columns(terms)
         precision, centre = evidence.precision[numbers], evidence.centre[numbers]
-        used, level = (np.concatenate(own) for own in (self.used, self.values))
+        used, level = np.concatenate(self.used), np.concatenate(self.values)
         found = np.zeros(len(numbers))
         if isinstance(start, SetFit):
             _, here, there = np.intersect1d(numbers, start.numbers, return_indices=True)
@@ -642,7 +642,7 @@ def stepped(parameter: Parameter, value: float, step: float) -> float:
     return parameter.clipped(value * exp(step) if sized else value + step * parameter.scale)
 
 
-def _weights(values: Array, excess: Array, used: Array) -> Array:
+def _weights(values: Array, excess: Array, used: NDArray[np.bool_]) -> Array:
     """Weights of cells by the power beyond their noise."""
     return np.asarray(values / (values + np.maximum(excess, 0.0)) * used)
 
