@@ -151,11 +151,19 @@ def read_run(
     def useless(why: str, remedy: str) -> Unusable:
         return Unusable(name=run.name, why=why, remedy=remedy)
 
-    motion, sensor = read_motion(arm, run, signal), sensor or arm.recording_model.accelerometer
+    sensor = sensor or arm.recording_model.accelerometer
+    missing = [s for s in (*arm.recording_model.positions, sensor) if s not in run.sensors]
+    if missing:
+        return useless(*_no_column(missing))
+    run, hole_s = _longest_whole(run, [*arm.recording_model.positions, sensor], signal)
+    motion = read_motion(arm, run, signal)
+    if isinstance(motion, Unusable) and hole_s:
+        return useless(
+            f"rows are missing for {hole_s:.2g} s, and {np.ptp(run.time):.2g} s are left without",
+            "see why the logger stops, and run again",
+        )
     if isinstance(motion, Unusable):
         return motion
-    if sensor not in run.sensors:
-        return useless(*_no_column([sensor]))
     t, first, periods = motion.time, motion.first, motion.periods
     tool = np.column_stack([_whole(t, a) for a in run.sensors[sensor].T])
     if not np.isfinite(tool).all():
@@ -182,7 +190,8 @@ def read_run(
         )
     remarks, top = [], len(motion.lines) - 1
     if periods < signal.periods:
-        remarks.append(f"{periods} of {signal.periods} periods are whole")
+        lost = f": rows are missing for {hole_s:.2g} s" if hole_s else ""
+        remarks.append(f"{periods} of {signal.periods} periods are whole{lost}")
     own, several, fast = _by_clock(t - first, tool, periods, top, signal)
     read, scale = several.mean(0), 1.0
     for whose, share in (("log's clock is", motion.fast), ("accelerometer's clock is", fast)):
@@ -217,6 +226,29 @@ def read_run(
         repeats=repeats,
         remarks=tuple(remarks),
     )
+
+
+def _longest_whole(run: Run, sensors: Sequence[str], signal: Multisine) -> tuple[Run, float]:
+    """Longest stretch of a run without a hole, and the longest hole [s], 0 where there is none.
+
+    A hole is longer than half a wave of the highest line: no line of its period is known then.
+    """
+    time, holes = run.time, []
+    for name in sensors:
+        values = run.sensors[name].reshape(len(time), -1)
+        at = time[np.isfinite(values).all(1)]
+        gaps = np.diff(at)
+        least = max(0.5 / signal.hertz.max(), 1.5 * np.median(gaps)) if len(gaps) else 0.0
+        for hole in np.flatnonzero(gaps > least):
+            holes.append(at[hole : hole + 2])
+    if not holes:
+        return run, 0.0
+    starts, ends = np.transpose(holes)
+    outside = ~((time[:, None] > starts) & (time[:, None] < ends)).any(1)
+    stretch = (time[:, None] >= ends).sum(1)  # rows of a stretch have the same holes behind them
+    best = max(set(stretch[outside]), key=lambda own: np.ptp(time[outside & (stretch == own)]))
+    rows = np.flatnonzero(outside & (stretch == best))
+    return run.part(slice(rows[0], rows[-1] + 1)), float((ends - starts).max())
 
 
 def _whole(t: Array, column: Array) -> Array:

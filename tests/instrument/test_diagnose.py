@@ -215,6 +215,14 @@ def cut(run: Run) -> Run:
     return run.part(slice(0, 1900))
 
 
+def without(run: Run, start_s: float, end_s: float) -> Run:
+    inside = (run.time - run.time[0] > start_s) & (run.time - run.time[0] < end_s)
+    return with_sensors(
+        run, **{n: np.where(inside.reshape(-1, *[1] * (v.ndim - 1)), np.nan, v)
+                for n, v in run.sensors.items()},
+    )  # fmt: skip
+
+
 def still(run: Run) -> Run:
     return with_sensors(run, **{n: 0 * v + v[0] for n, v in run.sensors.items() if v.ndim == 1})
 
@@ -237,6 +245,7 @@ def opposite(run: Run) -> Run:
         (lambda r: with_sensors(r, acc=np.nan * r.sensors["acc"]), "holds no number"),
         (lambda r: with_sensors(r, acc=np.clip(r.sensors["acc"], -10, 3)), "at its limit"),
         (still, "no joint moves"),
+        (lambda r: without(r, 2.6, 4.0), "rows are missing for 1.4 s"),
         (exchanged, "the column of lift follows the command of bend"),
         (opposite, "the column of lift has the opposite sign"),
         (lambda r: replace(r, sensors={"acc": r.sensors["acc"]}), "no column for turn_position"),
@@ -263,6 +272,18 @@ def test_missing_samples_and_a_short_cut_are_bridged(healthy: Recording, quiet: 
     assert told.verdict == "tight"
     # A period whose end is missing is not taken for a whole one.
     assert sum("3 of 4 periods are whole" in remark for remark in told.remarks) == 3
+    for now, then in zip(told.runs, quiet.runs, strict=True):
+        top = np.array(then.lines) > 0.3 * max(then.lines)
+        np.testing.assert_allclose(np.array(now.lines)[top], np.array(then.lines)[top], rtol=0.05)
+
+
+def test_the_longest_stretch_beside_missing_rows_is_judged(
+    healthy: Recording, quiet: Diagnosis
+) -> None:
+    told = diagnose(changed(healthy, lambda run: without(run, 3.9, 4.0)))
+    assert told.verdict == "tight"
+    said = "2 of 4 periods are whole: rows are missing for 0.1 s"
+    assert sum(said in remark for remark in told.remarks) == 3
     for now, then in zip(told.runs, quiet.runs, strict=True):
         top = np.array(then.lines) > 0.3 * max(then.lines)
         np.testing.assert_allclose(np.array(now.lines)[top], np.array(then.lines)[top], rtol=0.05)
