@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.catalogue import Late, Term, moves_at
+from loose_env.gap.core.motion import rates
 from loose_env.gap.core.tolerances import Nuisance, together
 from loose_env.gap.model.effect import Effect
 from loose_env.typing import Array, ComplexArray
@@ -30,7 +31,7 @@ _SHORTEST_S = 4.0  # shortest stretch [s]: some periods of slow motion
 KNOCK = 16.0
 """Mean square residual over its local median beyond which a stretch is a knock: four times the
 usual amplitude is no motion of the machine's own."""
-_WITHIN = np.linspace(-0.33, 0.33, 3)  # frequencies of a band, in its width by their logarithms
+_WITHIN = 3  # frequencies of a band at which noise of motion is looked up
 _NOISE = 1.1
 """Noise that is believed over its estimate, which takes it for white: filters and rounding colour
 it by some per cent."""
@@ -188,7 +189,7 @@ def whiten(
                 run=own.run,
                 turn=own.turn,
                 **{name: part @ mixed for name, part in noise.items()},
-                foretold=_foretold(balance, joint, own.turn),
+                foretold=_foretold(balance, joint, own.turn).sum(axis=1),
                 blanked=float(np.mean(weight_of(balance, joint) < 0.5)),
             )
         )
@@ -479,32 +480,50 @@ def _held(balance: Balance, joint: int, operators: Array, eased: Sequence[Array 
     return np.asarray(operators[:, 2, joint, joint] / stiffness - free)
 
 
-def _gains(balance: Balance, channel: int, turn: Array, rows: Array) -> Array:
-    """Share of the foretold reading that is in each column, in the band of each cell (C, K)."""
-    grid = grid_of(balance, channel)
-    foretold = grid.whitened(balance.readings.foretold[:, [channel - len(balance.machine.joints)]])
-    bands, band = np.unique(turn, return_inverse=True)
-    shares = np.empty((len(bands), rows.shape[1]))
-    for k in range(len(bands)):
-        own = band[grid.rows.cell] == k
-        shares[k] = foretold[own, 0] @ rows[own] / (np.sum(foretold[own] ** 2) + 1e-300)
-    return np.asarray(shares[band])
+def _parts(balance: Balance, channel: int) -> Array:
+    """Inverse of the rows of each joint's part of a reading, and of its two rates (3 J, R)."""
+    cache: dict[int, Array] = balance.__dict__.setdefault("_foretold", {})
+    if channel not in cache:
+        motion, reading = balance.motion, channel - len(balance.machine.joints)
+        parts = balance.readings.by_joint[:, :, reading].T
+        orders = [parts] + [
+            np.concatenate([rates(own, motion.step, order) for own in motion.split(parts)])
+            for order in (1, 2)
+        ]
+        rows = grid_of(balance, channel).whitened(np.hstack(orders))
+        size = np.sqrt(np.sum(rows**2, axis=0)) + 1e-300
+        cache[channel] = np.linalg.pinv(rows / size, rcond=1e-6) / size[:, None]
+    return cache[channel]
 
 
 def _foretold(balance: Balance, channel: int, turn: Array) -> Array:
-    """Share of the noise of a reading that the foretold one has; 1 of a joint's balance (F,)."""
+    """Share of a reading's noise that the foretold one has by each joint (F, J); 1 of a balance."""
     number, frequency = channel - len(balance.machine.joints), turn / (2 * np.pi)
     if number < 0:
-        return np.ones(len(turn))
+        return np.ones((len(turn), 1))
     foretold = balance.readings.foretold_variance(number, frequency)
-    return np.asarray(foretold / balance.noise(channel, frequency) ** 2)
+    return np.asarray(foretold / balance.noise(channel, frequency)[:, None] ** 2)
 
 
 def _beside(balance: Balance, channel: int, turn: Array, rows: Array) -> Array:
-    """Relative change of a reading's noise by that of the foretold one (C, K)."""
+    """Relative change of a reading's noise by that of the foretold one (C, K).
+
+    A column that is a share of a joint's part of it takes as much of that joint's noise away; one
+    of its second rate, as a delay and its slope have together, at high frequencies.
+    """
     if channel < len(balance.machine.joints):
         return np.zeros((len(turn), rows.shape[1]))
-    return _foretold(balance, channel, turn)[:, None] * _gains(balance, channel, turn, rows)
+    still, _, bent = np.split(_parts(balance, channel) @ rows, 3)
+    every = _within(balance, channel, turn)
+    noise = _foretold(balance, channel, every.ravel()).reshape(*every.shape, -1)
+    bend = np.mean(every[..., None] ** 2 * noise, axis=1)
+    return np.asarray(noise.mean(axis=1) @ still - bend @ bent)
+
+
+def _within(balance: Balance, channel: int, turn: Array) -> Array:
+    """Frequencies in the band around each (B, F): all of a band count alike."""
+    half = grid_of(balance, channel).width ** 0.5
+    return np.linspace(turn / half, turn * half, 2 * _WITHIN + 1, axis=1)[:, 1::2]
 
 
 def operator_noise(
@@ -518,8 +537,8 @@ def operator_noise(
     joints = len(balance.machine.joints)
     if joint >= joints:
         return np.zeros((len(turn), 1)), np.zeros((len(turn), 1, len(operators)))
-    within = (turn[:, None] * grid_of(balance, joint).width ** _WITHIN).ravel()[:, None]
-    usual = np.sqrt(len(_WITHIN) * balance.motion.precision(within[:, 0]))
+    within = _within(balance, joint, turn).reshape(-1, 1)
+    usual = np.sqrt(_WITHIN * balance.motion.precision(within[:, 0]))
     usual *= balance.noise(joint, within[:, 0] / (2 * np.pi), floor=False)[:, None]
 
     def response(own: Array) -> ComplexArray:
@@ -528,7 +547,7 @@ def operator_noise(
 
     def parts(own: ComplexArray) -> Array:
         both = np.stack([own.real, own.imag], axis=-1)
-        return both.reshape(*own.shape[:-2], len(turn), 2 * len(_WITHIN) * own.shape[-1])
+        return both.reshape(*own.shape[:-2], len(turn), 2 * _WITHIN * own.shape[-1])
 
     still, moved = response(balance.operator[:, joint]), response(operators[:, :, joint])
     late = np.any(delays, axis=(1, 2))
@@ -548,7 +567,9 @@ def weight_of(balance: Balance, joint: int) -> Array:
         return np.ones(len(balance.residual))
     cache = balance.__dict__.setdefault("_quiet", {})
     if joint not in cache:
-        cache[joint] = _knocks(balance, joint) * _sliding(balance, joint) * _within(balance, joint)
+        cache[joint] = (
+            _knocks(balance, joint) * _sliding(balance, joint) * _unlimited(balance, joint)
+        )
     return np.asarray(cache[joint])
 
 
@@ -611,7 +632,7 @@ def _sliding(balance: Balance, joint: int) -> Array:
     return np.concatenate(found)
 
 
-def _within(balance: Balance, joint: int) -> Array:
+def _unlimited(balance: Balance, joint: int) -> Array:
     """Weight of samples, none within one and a half periods of the band from a drive's limit."""
     motion = balance.motion
     width = max(int(1.5 / motion.band / motion.step), 1)

@@ -123,17 +123,25 @@ class Readings:
     def noise(self, reading: int, frequency: Array) -> Array:
         """Standard deviation of a reading less the foretold one (F,)."""
         own = self.motion.sensor_noise[reading] ** 2
-        return np.asarray(np.sqrt(own + self.foretold_variance(reading, frequency)))
+        return np.asarray(np.sqrt(own + self.foretold_variance(reading, frequency).sum(axis=1)))
 
     def foretold_variance(self, reading: int, frequency: Array) -> Array:
-        """Variance of a foretold reading by the noise of the positions (F,)."""
+        """Variance of a foretold reading by the noise of each joint's motion (F, joints)."""
         turn = 2 * np.pi * frequency[:, None]
         # the speed is the derived one, and the acceleration that of both readings
         moved = (
             self._gains[0, reading] ** 2 + (turn * self._gains[1, reading]) ** 2
         ) * self.motion.noise[0] ** 2
         known = self.motion.precision(turn[:, 0])
-        return np.asarray(np.sum(moved + (turn**2 * self._gains[2, reading]) ** 2 / known, axis=1))
+        return np.asarray(moved + (turn**2 * self._gains[2, reading]) ** 2 / known)
+
+    @cached_property
+    def by_joint(self) -> Array:
+        """Foretold readings by the swing of each joint, to first order (J, T, R)."""
+        position, *rates = self._states
+        swings = [own - own.mean(axis=0) for own in self.motion.split(position)]
+        states = np.stack([np.concatenate(swings), *rates])
+        return np.stack([self.turned(k, list(states[..., k])) for k in range(states.shape[2])])
 
     def _moved(self, model: mujoco.MjModel) -> bool:
         """Whether an edit moves or tilts anything that a sensor stands on."""
