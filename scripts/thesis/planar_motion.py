@@ -164,37 +164,6 @@ def _by_region(
     return np.where(where == FREE, low + share * (high - low), away)
 
 
-def displacement_chain(seat: SeatMotion, count: int, rng: np.random.Generator) -> Array:
-    """Integrate drawn velocities to a sequence of displacements that stops at the stops.
-
-    With probability r of rest, each stop holds the seat for the share 1 / (6 - 4 r) of the time,
-    which is 1/4 for r = 1/2, and free displacements are uniform: the assumed velocities and the
-    assumed displacements agree.
-    """
-    half, rest = 0.5 * seat.gap, seat.at_rest
-    chain = np.empty(count)
-    d = chain[0] = float(draw_displacement(seat, 1, rng)[0])
-    for k, share in enumerate(rng.random(count - 1).tolist(), start=1):
-        if -half < d < half:
-            d += (2.0 * share - 1.0) * seat.gap
-        elif share > rest:
-            d -= math.copysign(seat.gap * (share - rest) / (1.0 - rest), d)
-        d = min(max(d, -half), half)
-        chain[k] = d
-    return chain
-
-
-def transition_table(sequence: Regions) -> Array:
-    """Joint probabilities of the region now (rows) and the region before (3, 3) (table 5.1)."""
-    pairs = 3 * sequence[1:] + sequence[:-1]
-    return np.bincount(pairs, minlength=9).reshape(3, 3) / len(pairs)
-
-
-def region_probabilities(table: ArrayLike) -> Array:
-    """Probability of each region now: the row sums of the transition table (5.1, 5.2)."""
-    return np.asarray(np.sum(table, axis=1))
-
-
 @dataclass(frozen=True, kw_only=True)
 class MonteCarlo:
     """A pose of the loose planar arm, Gaussian motion of its joints, assumed motion of its seat."""
@@ -265,10 +234,6 @@ class Histogram:
         axes = [self.centres(k) for k in range(self.counts.ndim)]
         return np.stack([grid.ravel() for grid in np.meshgrid(*axes, indexing="ij")])
 
-    def density(self) -> Array:
-        """Probability density in each bin, of the shape of the counts."""
-        return np.asarray(self.counts / (self.counts.sum() * self.width**self.counts.ndim))
-
 
 def histogram(samples: ArrayLike, bins: int = 120) -> Histogram:
     """Sort samples (N,) or (d, N) into bins; the largest range is used in all directions.
@@ -294,9 +259,3 @@ def contour_levels(found: Histogram, shares: Sequence[float] = (0.5, 0.9, 0.99))
     # A share that is met exactly must not ask for one more layer because of rounding.
     first = np.searchsorted(laid, np.asarray(shares) * laid[-1] * (1.0 - 1e-12))
     return np.asarray(layers[np.minimum(first, len(layers) - 1)])
-
-
-def marginal(found: Histogram, axis: int) -> Array:
-    """Marginal probability density of one direction: the density summed over all others (3.70)."""
-    others = tuple(k for k in range(found.counts.ndim) if k != axis)
-    return np.asarray(found.density().sum(axis=others) * found.width ** len(others))

@@ -12,12 +12,11 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import welch
 
-from loose_env.arms import Arm, Holding, Mismatch
+from loose_env.arms import Arm, Mismatch
 from loose_env.envs import INK, MEASURED, SHAKEN, TRUTH
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation
@@ -28,7 +27,7 @@ from loose_env.typing import Array
 from scripts.charts import Panel, chart, curve, drawing
 from scripts.thesis.page import Rows, Section, printed, section
 from scripts.thesis.plots import centred, rms
-from scripts.thesis.rigs import BENCH, SLIDE, shaken_vera, slide_rig
+from scripts.thesis.rigs import shaken_vera, slide_rig
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,8 +37,6 @@ PAIRS = 12
 FORCE_RMS, FORCE_BAND = 6.0, (5.0, 2000.0)
 """Force of the shaker [N] and its band [Hz]; estimates. The suspension of its coil takes the
 part below 40 Hz away."""
-MACHINE_MASS, MACHINE_RMS, MACHINE_BAND = 5.0, 15.0, (8.0, 60.0)
-"""Another machine on the bench: its moving mass [kg], force [N] and band [Hz]; estimates."""
 FULL_SCALE = 50.0
 """Full scale of a tape channel [m/s²]; an estimate."""
 TAPE_RATIO_DB = 46.0
@@ -50,10 +47,6 @@ PAIR = replace(Mismatch().scaled(0.0), gain=0.005, cross_axis=0.01)
 """Deviations of gain and cross-axis sensitivity of the accelerometers; estimates."""
 PROTRACTOR = np.radians(0.15)
 """Deviation of the angle read [rad]; an estimate."""
-BENCH_GAIN = 0.03
-"""Deviation of the gain of the bench's sensor, which is of another kind [1]; an estimate."""
-BENCH_SCALE = 0.1
-"""Full scale of the bench's tape channel over that of the others; an estimate."""
 RATE, DURATION = 10_000.0, 2.0
 RESOLVER_UNIT = 2 * np.pi / 2**16
 """One unit of a resolver of 16 bits [rad]."""
@@ -145,17 +138,6 @@ def line_of_motion(x: Array, y: Array) -> tuple[float, float]:
     return correlation, float(np.arctan(float(dx @ dy) / float(dx @ dx)))
 
 
-def subtract_base(signal: Array, base: Array, *, fit: bool = False) -> tuple[Array, float]:
-    """Take the motion of the base off the motion of the point of interest (4.1.4), and the gain.
-
-    A gain fitted by least squares mends an unequal one, but it takes part of the wanted motion off
-    where that is itself correlated with the base's.
-    """
-    varying = base - base.mean()
-    gain = float(signal @ varying / float(varying @ varying)) if fit else 1.0
-    return signal - gain * base, gain
-
-
 class SlideRecords(NamedTuple):
     """One record for each angle of the cube."""
 
@@ -165,9 +147,6 @@ class SlideRecords(NamedTuple):
     """Accelerometer at alpha from the rails, as measured [m/s²] (A, N)."""
     y: Array
     """Accelerometer perpendicular to it [m/s²] (A, N)."""
-    shaken_by: dict[str, tuple[Array, Array, Array]]
-    """By what shakes the bench: slide and bench along the rails as measured, and the true motion of
-    the slide relative to the bench [m/s²] (N,)."""
 
 
 Turned = tuple[Array, Array, Array]
@@ -176,8 +155,8 @@ reading behind the gear [units of `RESOLVER_UNIT`] (N,)."""
 
 
 def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
-    """Shake the slide with the cube at 0 to 90 degrees; then once with the bench shaken too."""
-    alpha, runs, with_machine = _motions(seed)
+    """Shake the slide with the cube at 0 to 90 degrees."""
+    alpha, runs = _motions(seed)
     rng = np.random.default_rng([seed, 91, pair])
     noise = FULL_SCALE * 10 ** (-TAPE_RATIO_DB / 20)
     sensor = PAIR.draw(slide_rig(), rng).sensor
@@ -189,17 +168,7 @@ def slide_records(seed: int, *, pair: int = 0) -> SlideRecords:
     measured = np.einsum("ij,jkn->ikn", sensor[:2, :2], cube)
     measured += noise * rng.standard_normal(measured.shape)
     measured += TAPE_OFFSET * FULL_SCALE * rng.standard_normal((2, len(alpha), 1))
-    gain = 1 + BENCH_GAIN * rng.standard_normal()
-    shaken_by = {}
-    both = {"the shaker's own reaction": runs[0], "another machine too": with_machine}
-    for name, run in both.items():
-        slide, base = run.probes[SLIDE][0], run.probes[BENCH][0]
-        shaken_by[name] = (
-            slide + noise * rng.standard_normal(slide.shape),
-            gain * base + BENCH_SCALE * noise * rng.standard_normal(base.shape),
-            slide - base,
-        )
-    return SlideRecords(alpha, measured[0], measured[1], shaken_by)
+    return SlideRecords(alpha, measured[0], measured[1])
 
 
 def resolver_records(seed: int) -> Turned:
@@ -223,54 +192,14 @@ def play(driving: Array, width: float) -> Array:
 
 
 @lru_cache(maxsize=1)
-def _motions(seed: int) -> tuple[Array, tuple[Measurement, ...], Measurement]:
-    """Angles of the cube, the motion at each, and one with another machine on the bench."""
+def _motions(seed: int) -> tuple[Array, tuple[Measurement, ...]]:
+    """Angles of the cube, and the motion at each."""
     alpha = np.radians(np.arange(0.0, 91.0, 5.0))
     shake = Excitation(torque_rms=(0.0,), duration=DURATION, band=FORCE_BAND, shaker_rms=FORCE_RMS)
     # The cube's accelerometers turn against its angle: x lies at -alpha in the bench's frame.
     rigs = [slide_rig(cube_angle=-angle, stinger="threaded_rod") for angle in alpha]
-    runs = tuple(_measure(r, np.zeros(1), shake, [seed, 100 + k]) for k, r in enumerate(rigs))
-    arm = _beside_a_machine(slide_rig(stinger="threaded_rod"))
-    return alpha, runs, _with_machine(arm, seed)
-
-
-def _with_machine(arm: Arm, seed: int) -> Measurement:
-    low, high = MACHINE_BAND
-    shake = Excitation(
-        torque_rms=(MACHINE_RMS, 0.0),
-        duration=DURATION,
-        band=FORCE_BAND,
-        shaping=(lambda f: ((f >= low) & (f <= high)).astype(float), None),
-        shaker_rms=FORCE_RMS,
-    )
-    return _measure(arm, np.zeros(2), shake, [seed, 90])
-
-
-def _beside_a_machine(rig: Arm) -> Arm:
-    """Put a machine on the bench of the slide rig: a mass that its drive shakes."""
-    spec = rig.spec.copy()
-    machine = spec.body("bench").add_body(name="machine", pos=[-0.3, 0, 0.1])
-    # In two halves, as every link of an arm: a seat, shut here, lies between them.
-    for body in (machine, machine.add_body(name="machine_top")):
-        body.mass, body.ipos = MACHINE_MASS / 2, [0, 0, 0]
-        body.inertia, body.explicitinertial = [0.1] * 3, True
-    machine.add_joint(name="machine", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
-    omega = 2 * np.pi * 5.0  # on its mounts, below its band
-
-    def beside(own: Holding, stiffness: float, damping: float) -> Holding:
-        return Holding(stiffness=(stiffness, *own.stiffness), damping=(damping, *own.damping))
-
-    return replace(
-        rig,
-        spec=spec,
-        joints=("machine", *rig.joints),
-        seat_bodies=("machine_top", *rig.seat_bodies),
-        torque_limits=(10 * MACHINE_RMS, *rig.torque_limits),
-        joint_ranges=(None, *rig.joint_ranges),
-        brake=beside(rig.brake, 1e7, 1e3),
-        servo=beside(rig.servo, 2e4, 1e2),
-        centring=beside(rig.centring, MACHINE_MASS * omega**2, MACHINE_MASS * omega),
-        shaker=replace(rig.shaker, joint=2) if rig.shaker else None,
+    return alpha, tuple(
+        _measure(r, np.zeros(1), shake, [seed, 100 + k]) for k, r in enumerate(rigs)
     )
 
 
@@ -336,22 +265,6 @@ def velocity_correlations(x: Array, y: Array, window: float) -> Correlations:
                 values.append(np.corrcoef(one, other)[0, 1])
             found[rule, use] = float(np.median(values))
     return found
-
-
-def _opposed_offset(x: Array, y: Array, window: float, wanted: float) -> tuple[float, float]:
-    """Offset on x, its opposite on y, that brings the sums of Newton-Cotes to a correlation.
-
-    Returns the offset [m/s²] and the correlation that the sums of the two-point rule have then.
-    """
-    low, high, found = 0.0, rms(x), Correlations()
-    for _ in range(20):
-        offset = (low + high) / 2
-        found = velocity_correlations(x + offset, y - offset, window)
-        if found["newton_cotes", "summed"] > wanted:
-            low = offset
-        else:
-            high = offset
-    return (low + high) / 2, found["two_point", "summed"]
 
 
 def order_rows(told: Mapping[str, Any]) -> Rows:
@@ -457,8 +370,6 @@ def signals(seed: int) -> Section:
     gap = max(abs(c["two_point", "summed"] - c["newton_cotes", "summed"]) for c in correlated)
     steps, step_sum, cotes, cotes_sum = correlated[1].values()
     newton = told["velocity_correlation_newton_cotes"]
-    opposed, two_point = _opposed_offset(centred(x), centred(y), window, newton)
-    opposed_share = opposed / rms(centred(x))
     gains = [noise_gain(weights) for weights in QUADRATURES.values()]
     frequency, power = welch(x, RATE, nperseg=2048)
     peak = float(frequency[np.argmax(power)])
@@ -482,19 +393,10 @@ def signals(seed: int) -> Section:
     turns, units = np.ptp(turned[0]) / RESOLVER_UNIT, np.ptp(turned[2])
     play_units, unit_rate = GEAR_PLAY / RESOLVER_UNIT, RESOLVER_UNIT * RESOLVER_RATE
     true_rms, every_ms = rms(turned[1]), 1000 / RESOLVER_RATE
-
-    base_rows, fitted = [], []
-    for name, run in records.shaken_by.items():
-        slide, base, truth = (bandpass(centred(s), RATE, band) for s in run)
-        mended, gain = subtract_base(slide, base, fit=True)
-        kinds = (slide, subtract_base(slide, base)[0], mended)
-        left = (rms(kind - truth) / rms(truth) for kind in kinds)
-        base_rows.append((name, np.corrcoef(base, truth)[0, 1], *left, gain))
-        fitted.append(gain)
     return section(
         "signals",
         locals(),
-        [angle_rows, velocity_rows, order_rows(told), turn_rows, base_rows],
+        [angle_rows, velocity_rows, order_rows(told), turn_rows],
         [
             angle_figure(alpha, found - alpha, line - alpha, correlation),
             moment_figure(records),

@@ -13,37 +13,17 @@ from loose_env.envs import INK, MEASURED, MUTED, TRUTH
 from loose_env.report import AGENTS
 from loose_env.statistics import axial_difference
 from loose_env.typing import Array
-from scripts.charts import DASHED, Panel, axis, chart, curve, points, ring
+from scripts.charts import Panel, axis, chart, curve, points, ring
 from scripts.thesis.estimators import correlation_loop, kurtosis, lowest_correlation_direction
-from scripts.thesis.matching import (
-    ANGLE,
-    HALF_WIDTH,
-    OFFSETS,
-    STARTS,
-    Case,
-    Found,
-    MatchSettings,
-    exact_surface,
-    far_success,
-    near_errors,
-    planar_study,
-    spatial_study,
-)
+from scripts.thesis.matching import ANGLE, HALF_WIDTH, exact_errors, sampled_errors
 from scripts.thesis.page import Section, printed, section
 from scripts.thesis.planar_motion import (
     LoosePlanarArm,
     MonteCarlo,
-    SeatMotion,
-    displacement_chain,
     draw_tool_acceleration,
     draw_tool_displacement,
     draw_tool_velocity,
     looseness_direction,
-    region_probabilities,
-    regions,
-    tool_acceleration,
-    tool_velocity,
-    transition_table,
 )
 from scripts.thesis.plots import contours
 
@@ -58,8 +38,6 @@ BETA = math.radians(15.0)
 """Angle of the slide from link 2 [rad]."""
 SAMPLES = 400_000
 """Draws behind a set of contours."""
-STEPS = 200_000
-"""Displacements in the chain behind the transition table."""
 SHARES = (0.5, 0.9, 0.99)
 """Shares of the data that the contours enclose."""
 KINDS: tuple[tuple[str, Draw], ...] = (
@@ -93,34 +71,9 @@ def draw_motions(draw: Draw, seed: int, first: int) -> list[Motion]:
     return found
 
 
-def _coriolis_gap() -> float:
-    """Largest difference of (5.6) from differences of (5.4) along a motion, relative to (5.6)."""
-    arm, step = LoosePlanarArm(), 1e-5
-    t = np.linspace(0.0, 2.0, 41)
-    turn, slide = np.array([[1.0], [0.7]]), 0.1
-
-    def velocity(at: Array) -> Array:
-        q = np.sin(turn * at)
-        rate = turn * np.cos(turn * at)
-        return tool_velocity(arm, q, rate, slide * np.sin(2 * at), 2 * slide * np.cos(2 * at))
-
-    slope = (velocity(t + step) - velocity(t - step)) / (2.0 * step)
-    given = tool_acceleration(
-        arm,
-        np.sin(turn * t),
-        turn * np.cos(turn * t),
-        -(turn**2) * np.sin(turn * t),
-        slide * np.sin(2 * t),
-        2 * slide * np.cos(2 * t),
-        -4 * slide * np.sin(2 * t),
-    )
-    return float(np.abs(slope - given).max() / np.abs(given).max())
-
-
 def simulations(seed: int) -> Section:
     """Motion distributions of a loose arm, and the fit of a Gaussian ridge to histograms."""
-    source = printed("simulations")
-    told = source["matching"]
+    told = printed("simulations")["matching"]
     motions = {name: draw_motions(draw, seed, 10 * k) for k, (name, draw) in enumerate(KINDS)}
     every = [(name, *m) for name, group in motions.items() for m in group]
     excess = [
@@ -130,71 +83,29 @@ def simulations(seed: int) -> Section:
     along, across = [along for _, along, _ in excess], [across for *_, across in excess]
     # Four deviations of the kurtosis of a Gaussian sample, sqrt(24 / N), since there are many.
     limit = 4.0 * math.sqrt(24.0 / SAMPLES)
-    chain = displacement_chain(SeatMotion(), STEPS, np.random.default_rng([seed, 40]))
-    table = transition_table(regions(SeatMotion(), chain))
-    end, free = source["point_probability_at_each_stop"], source["probability_free"]
-    shares = region_probabilities(table)
     part = told["trial_values_within_percent"] / 100.0
-    exact = near_errors(*exact_surface(), part)
-    far, by_offset = far_success(*exact_surface())
+    exact = np.abs(exact_errors(part)).max(axis=0)
     many, few = 6000, int(told["trials"])
-    cases = (
-        Case(name=f"{few} samples", trials=few, bins=10, sets=40),
-        Case(name=f"{many} samples", trials=many, bins=30, sets=12),
-        Case(
-            name=f"{many} samples,\nempty bins too",
-            trials=many,
-            bins=20,
-            sets=8,
-            settings=MatchSettings(bins="all", iterations=50),
-        ),
-    )
-    found = [planar_study(case, [seed, 50 + k], part) for k, case in enumerate(cases)]
-    spatial = {
-        n: spatial_study(Case(name="", trials=n, bins=b, sets=8), [seed, 60 + k])
-        for k, (n, b) in enumerate(((few, 6), (many, 12)))
-    }
     promise = f"{told['parameter_error_percent']} %"
-    worst_of = [_tiny(100 * x) for x in np.abs(exact).max(0)]
-    error_rows = [("the model's own counts (worst)", promise, *worst_of, "")]
-    for f in found:
-        *sizes, turn = np.median(np.abs(f.near), axis=0)
-        said = (f"{100 * x:.0f} %" if x < 10.0 else "diverges" for x in sizes)
-        ends = (f"{math.degrees(turn):.1f}°", f"{100 * f.converged:.0f} %")
-        name, told_here = f.case.name.replace("\n", " "), promise if f.case.trials == few else ""
-        error_rows.append((name, told_here, *said, *ends))
-    sparse, dense, all_bins = found
-    off = np.median(np.abs(sparse.near), axis=0)
-    worst = _tiny(100 * float(np.abs(exact).max()))
-    far_few, least = sparse.success[-1], dense.success[:-1].min()
-    least_words = f"{100 * least:.0f} % or more" if least < 1.0 else "all"
-    beyond, kept = all_bins.success[1:].max(), np.median(np.abs(all_bins.near[:, 2]))
-    begun, covered, half = ANGLE * part, math.sqrt(2.0) / 4.0, HALF_WIDTH
-    in_space = [np.median(s) for _, s in spatial.values()]
+    error_rows = [("the model's own counts (worst)", promise, *(_tiny(100 * x) for x in exact))]
+    cases = ((few, 10, 40, promise), (many, 30, 12, ""))
+    sampled = [
+        np.median(np.abs(sampled_errors(n, bins, sets, [seed, 50 + k], part)), axis=0)
+        for k, (n, bins, sets, _) in enumerate(cases)
+    ]
+    for (n, *_, said), (height, exponent, turn) in zip(cases, sampled, strict=True):
+        sizes = (f"{100 * x:.0f} %" for x in (height, exponent))
+        error_rows.append((f"{n} samples", said, *sizes, f"{math.degrees(turn):.1f}°"))
+    off, worst = sampled[0], _tiny(100 * float(exact.max()))
+    half, tilt = HALF_WIDTH, ANGLE
     stays = "stays" if np.abs(across).max() < limit else "does not stay"
     distinct, low, high = sum(abs(value) > limit for value in along), min(along), max(along)
-    count, gap = len(across), _coriolis_gap()
-    assumed = [end, free, end]
-    scatter = np.abs(shares - assumed).max()
-    names = ("proximal stop", "free", "distal stop")
-    chain_rows = [
-        (f"now: {name}", *row, total, f"{p}")
-        for name, row, total, p in zip(names, table, shares, assumed, strict=True)
-    ]
+    count = len(across)
     return section(
         "simulations",
         locals(),
-        [
-            [(*each[:2], *row) for each, row in zip(every, excess, strict=True)],
-            [*chain_rows, ("sum", *table.sum(axis=0), table.sum(), "1")],
-            error_rows,
-            [(n, *np.median(errors, axis=0), np.median(s)) for n, (errors, s) in spatial.items()],
-        ],
-        [
-            _contours(motions["displacement"], 1e3, "mm"),
-            _contours(motions["velocity"], 1.0, "m/s"),
-            basin_figure(found, by_offset),
-        ],
+        [[(*each[:2], *row) for each, row in zip(every, excess, strict=True)], error_rows],
+        [_contours(motions["displacement"], 1e3, "mm"), _contours(motions["velocity"], 1.0, "m/s")],
     )
 
 
@@ -225,23 +136,6 @@ def _contours(motions: list[Motion], scale: float, unit: str) -> Figure:
         for samples in [both[name == "loose"]]
     ]
     return chart(panels, columns=3, height=1.8, bare=True)
-
-
-def basin_figure(found: Sequence[Found], exact: Array) -> Figure:
-    """Draw the share of right directions against the trial direction's distance from the truth."""
-    x = np.degrees(OFFSETS)
-    search = float(x[-1]) + 14.0
-    curves = [curve(x, exact, "the model's own counts", color=INK, linestyle=DASHED)]
-    for k, f in enumerate(found):
-        look: dict[str, Any] = {"color": AGENTS[k], "marker": "os^D"[k]}
-        name = f.case.name.replace("\n", " ")
-        curves.append(curve(x, f.success, name, linewidth=2.0, markersize=4.5, **look))
-        curves.append(points([search], [f.searched], markersize=7, **look))
-    ticks = [0, 30, 60, 90]
-    names = [*(f"{t}°" for t in ticks), f"{STARTS}\nstarts"]
-    look = {"xticks": [*ticks, search], "xticklabels": names, "ylim": (-0.04, 1.04)}
-    panel = Panel(title="share within 5° of the truth", curves=curves, look=look)
-    return chart([panel], across="trial direction away from the truth", height=2.6)
 
 
 # Correlation vectors of motions whose directions are known (5.3.2).
