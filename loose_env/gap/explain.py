@@ -328,9 +328,10 @@ def named_effect(found: Finding) -> NamedEffect:
         **vars(own), variant=effect.variant,
         interval_95=dict(zip(own.parameters, ends, strict=True)),
         undetermined=tuple(
-            p.name  # a size, for a coordinate may be zero
+            p.name  # either end of a size, both of a coordinate, which may be zero
             for p, (low, high) in zip(effect.parameters, ends, strict=True)
-            if p.low >= 0 and (low <= p.low or high >= p.high or high > _DECADE * low)
+            if (low <= p.low and high >= p.high)
+            or (p.low >= 0 and (low <= p.low or high >= p.high or high > _DECADE * low))
         ),
         ambiguous_with=tuple(FittedEffect(kind=k, where=w) for k, w in found.confusable),
         mountings=effect.mountings, in_model=effect.in_model, probability=found.probability,

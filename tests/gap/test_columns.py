@@ -16,7 +16,8 @@ import pytest
 
 from loose_env.gap import Hypothesis
 from loose_env.gap.core.balance import CONTACTS, USUAL, Balance
-from loose_env.gap.core.motion import low_passed, smooth
+from loose_env.gap.core.evidence import grid_of, noise_beside
+from loose_env.gap.core.motion import low_passed, rates, smooth
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.catalogue import CATALOGUE, EFFECTS
 from loose_env.gap.model.nominal_model import NominalModel
@@ -236,3 +237,25 @@ def test_columns_of_all_kinds_are_the_residuals_of_their_effects(case: Case) -> 
 def test_every_kind_has_a_column_that_is_checked() -> None:
     own = set(EFFECTS) - NOT_HERE
     assert {case[0] for case in (*FEW, *ALL, *DRIVES)} >= own & set(CATALOGUE)
+
+
+def test_a_column_of_one_joints_motion_has_its_share_of_the_noise_of_a_reading() -> None:
+    """Also of its second rate, which a delay and its slope leave together, by the frequency."""
+    log = Recording(folder=Path(), model_path=Path(), runs=(plain("inverse"),))
+    balance, joints = Balance(machine(), smooth(log, machine())), len(machine().joints)
+    reading = next(
+        k for k in range(len(balance.readings.names)) if balance.readings.accelerated_by(k)
+    )
+    grid = grid_of(balance, joints + reading)
+    bands = np.unique(grid.rows.turn)
+    parts = balance.readings.by_joint[:, :, reading].T
+    second = rates(parts, balance.motion.step, 2)
+    same, bent = (
+        noise_beside(balance, joints + reading, bands, grid.whitened(columns))
+        for columns in (parts, second)
+    )
+    shares = balance.readings.foretold_variance(reading, bands[2:] / (2 * np.pi))
+    shares /= balance.noise(joints + reading, bands[2:] / (2 * np.pi))[:, None] ** 2
+    np.testing.assert_allclose(same[2:], shares, rtol=0.3, atol=1e-3)
+    np.testing.assert_allclose(bent[2:], -(bands[2:, None] ** 2) * same[2:], rtol=0.5, atol=1e-3)
+    assert same[2:].max() > 0.1

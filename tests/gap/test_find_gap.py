@@ -92,6 +92,7 @@ def test_a_payload_far_beside_the_tool_is_named_with_its_centre(tmp_path: Path) 
     assert [(e.kind, e.where) for e in result.effects] == [("payload", "tool")]
     mass, z = (result.effects[0].parameters[name] for name in ("mass", "z"))
     assert mass == pytest.approx(0.5, rel=0.15) and z == pytest.approx(0.15, rel=0.15)
+    assert result.effects[0].undetermined == ("y",)  # across the plane of the arm
 
 
 def test_commands_that_a_torque_log_lacks_put_no_drive_at_its_limit(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from itertools import pairwise
 from math import log
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loose_env.gap.core.balance import CONTACTS, USUAL, Balance, Change, Forces
 from loose_env.gap.model.effect import Effect, WeightedEffect
@@ -70,6 +71,7 @@ class Term:
     contact: str  # Direction of sliding that its dry friction has; "" without dry friction
     law: bool  # Whether it is a law with a coefficient of about one
     columns: tuple[Column, ...]  # Columns, one for each axis
+    unseen: tuple[tuple[float, ...], ...] = ()  # Axes that the motion does not tell from these
 
     @property
     def name(self) -> tuple[str, str]:
@@ -106,6 +108,17 @@ class Term:
         return np.array(
             [p.clipped(float(v)) for p, v in zip(effect.parameters, found, strict=True)]
         )
+
+    @property
+    def undetermined(self) -> NDArray[np.bool_]:
+        """Which parameters (P,) only axes change that the motion does not tell from its own.
+
+        A size is known as it would be at zero of its coordinates.
+        """
+        effect = self.effect
+        still = np.array(effect.axes[0]) if isinstance(effect, WeightedEffect) else _null(effect)
+        moved = [np.array(axis) != still for axis in self.unseen]
+        return np.any(moved, axis=0) if moved else np.zeros(len(effect.parameters), bool)
 
 
 def catalogue(balance: Balance, kinds: Iterable[str] | None = None) -> list[Term]:
@@ -277,10 +290,13 @@ def terms_of(
             for values, f in zip(axes, forces, strict=True)
         )
         kept = _independent(columns)
-        own_axes = tuple(axes[k] for k in kept)
-        columns = tuple(columns[k] for k in kept)
-        if columns:
-            found.append(Term(effect, own_axes, contact, law, columns))
+        own, unseen = (
+            tuple(axis for k, axis in enumerate(axes) if (k in kept) is seen)
+            for seen in (True, False)
+        )
+        if kept:
+            columns = tuple(columns[k] for k in kept)
+            found.append(Term(effect, own, contact, law, columns, unseen))
     return found
 
 

@@ -118,6 +118,8 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
             wide = (ends.max(axis=0) - ends.min(axis=0)) / 2
             values = exact.values[number]
             ends = np.stack([*_simulated_ends(exact, number), values - wide, values + wide])
+        bounds = np.transpose([(p.low, p.high) for p in term.effect.parameters])
+        ends = np.vstack([ends, np.where(term.undetermined, bounds, ends[:1])])
         z = _deviation(x, spread)
         by_run, by_stretch = (float(g[number]) for g in gains)
         alike = _confusable(selection, term, chances)

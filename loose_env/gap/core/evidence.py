@@ -322,7 +322,7 @@ def _noise_of(
     eased: Sequence[Array | float] = (),
 ) -> dict[str, Array]:
     """Relative changes of a channel's noise and of what its drive holds, by each column."""
-    beside = _beside(balance, joint, turn, rows)
+    beside = noise_beside(balance, joint, turn, rows)
     held = _held(balance, joint, operators, eased or [0.0] * len(operators))
     bands, band = np.unique(turn, return_inverse=True)
     still, moved = operator_noise(balance, joint, bands, operators, delays)
@@ -505,7 +505,7 @@ def _foretold(balance: Balance, channel: int, turn: Array) -> Array:
     return np.asarray(foretold / balance.noise(channel, frequency)[:, None] ** 2)
 
 
-def _beside(balance: Balance, channel: int, turn: Array, rows: Array) -> Array:
+def noise_beside(balance: Balance, channel: int, turn: Array, rows: Array) -> Array:
     """Relative change of a reading's noise by that of the foretold one (C, K).
 
     A column that is a share of a joint's part of it takes as much of that joint's noise away; one

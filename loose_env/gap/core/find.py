@@ -319,7 +319,7 @@ def _again(balance: Balance, term: Term) -> Term:
         return term
     contacts = (term.contact,) if term.contact else ("",)
     found = terms_of(balance, term.effect, term.axes, term.law, contacts)
-    return found[0] if found else term
+    return replace(found[0], unseen=(*found[0].unseen, *term.unseen)) if found else term
 
 
 def split_held_out(

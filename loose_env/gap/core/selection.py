@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb, exp, log
 
@@ -475,9 +475,8 @@ class Selection:
         evidence, key = self.evidence, (*term.effect.key, axes, contacts)
         if key not in self._replaced:
             found = terms_of(evidence.balance, term.effect, axes, term.law, contacts)
-            self._replaced[key] = found[0] if found else None
-            if found:
-                append(evidence, found[0])
+            self._replaced[key] = replace(found[0], unseen=term.unseen) if found else None
+            append(evidence, *filter(None, [self._replaced[key]]))
         return self._replaced[key]
 
     def approached(self, fit: SetFit) -> SetFit:
