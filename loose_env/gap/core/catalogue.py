@@ -116,9 +116,10 @@ class Term:
         A size is known as it would be at zero of its coordinates.
         """
         effect = self.effect
+        if not self.unseen:
+            return np.zeros(len(effect.parameters), bool)
         still = np.array(effect.axes[0]) if isinstance(effect, WeightedEffect) else _null(effect)
-        moved = [np.array(axis) != still for axis in self.unseen]
-        return np.any(moved, axis=0) if moved else np.zeros(len(effect.parameters), bool)
+        return np.asarray(np.any([np.array(axis) != still for axis in self.unseen], axis=0))
 
 
 def catalogue(balance: Balance, kinds: Iterable[str] | None = None) -> list[Term]:
