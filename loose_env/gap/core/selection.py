@@ -475,8 +475,10 @@ class Selection:
         evidence, key = self.evidence, (*term.effect.key, axes, contacts)
         if key not in self._replaced:
             found = terms_of(evidence.balance, term.effect, axes, term.law, contacts)
-            self._replaced[key] = replace(found[0], unseen=term.unseen) if found else None
-            append(evidence, *filter(None, [self._replaced[key]]))
+            new = replace(found[0], unseen=term.unseen) if found else None
+            self._replaced[key] = new
+            if new is not None:
+                append(evidence, new)
         return self._replaced[key]
 
     def approached(self, fit: SetFit) -> SetFit:
