@@ -72,6 +72,10 @@ class Unusable:
 class Motion:
     """Motion of the joints in a run of periodic commands."""
 
+    run: Run
+    """The run, or its longest stretch without a hole."""
+    hole_s: float
+    """Longest time for which rows are missing, 0 where none are [s]."""
     time: Array
     """Of the run, from its first sample, by the clock of the commands (T,) [s]."""
     first: float
@@ -85,29 +89,43 @@ class Motion:
     """Share by which the run's clock was fast against the commands' [1]; set right."""
 
 
-def read_motion(arm: SuspectArm, run: Run, signal: Multisine) -> Motion | Unusable:
-    """Find the periods of a signal in the joints' motion; lines are fitted at the sample times."""
+def read_motion(
+    arm: SuspectArm, run: Run, signal: Multisine, beside: Sequence[str] = ()
+) -> Motion | Unusable:
+    """Find the periods of a signal in the joints' motion; lines are fitted at the sample times.
+
+    Of a run with missing rows, in positions or the sensors `beside`, the longest stretch is read.
+    """
 
     def useless(why: str, remedy: str) -> Unusable:
         return Unusable(name=run.name, why=why, remedy=remedy)
 
-    missing = [s for s in arm.recording_model.positions if s not in run.sensors]
-    if missing:
-        return useless(*_no_column(missing))
+    needed = [*arm.recording_model.positions, *beside]
+    if missing := [s for s in needed if s not in run.sensors]:
+        listed = ", ".join(missing)
+        return useless(
+            f"it has no column for {listed}", f"log sensor.{missing[0]} too, and import again"
+        )
+    run, hole_s = _longest_whole(run, needed, signal)
     t = run.time - run.time[0]
     q = np.column_stack([_whole(t, run.sensors[s]) for s in arm.recording_model.positions])
     if not np.isfinite(q).all():
         return useless(*_NO_NUMBER)
     window = _moving(t, q)
-    if window is None:
+    if window is None and not hole_s:
         return useless("no joint moves", "play the signal while the logger runs")
-    start, end = window
+    start, end = window or (0.0, 0.0)
     guess, top = start + _SWELLS * signal.lead_s, int(signal.excited.max()) + 4
     first, periods = guess, min(int((end - guess) / signal.period_s), signal.periods)
     if periods >= FEWEST_PERIODS:
         first = _in_phase(t, q, guess, periods, top, signal)
         moved, logged = (np.array([end, t[-1]]) - first) / signal.period_s
         periods = min(int(moved + _SEEN), int(logged + _SHORT), signal.periods)
+    if periods < FEWEST_PERIODS and hole_s:
+        return useless(
+            f"rows are missing for {hole_s:.2g} s, and {t[-1]:.2g} s are left without",
+            "see why the logger stops, and run again",
+        )
     if periods < FEWEST_PERIODS:
         return useless(
             f"the joints move for {end - start:.2g} s; the signal lasts {signal.seconds:.2g} s",
@@ -117,18 +135,12 @@ def read_motion(arm: SuspectArm, run: Run, signal: Multisine) -> Motion | Unusab
     t, each, fast = _by_clock(t - first, q, periods, top, signal, order=2)
     lines = each.mean(0)
     return Motion(
-        time=t + first, first=first, periods=periods, lines=-lines * omega[:, None] ** 2,
-        pose=lines[0].real, fast=fast,
+        run=run, hole_s=hole_s, time=t + first, first=first, periods=periods,
+        lines=-lines * omega[:, None] ** 2, pose=lines[0].real, fast=fast,
     )  # fmt: skip
 
 
 _NO_NUMBER = "a channel holds no number", "check the logger's columns"
-
-
-def _no_column(missing: Sequence[str]) -> tuple[str, str]:
-    """Reason and remedy of sensors that a run lacks."""
-    listed = ", ".join(missing)
-    return f"it has no column for {listed}", f"log sensor.{missing[0]} too, and import again"
 
 
 def read_run(
@@ -152,20 +164,11 @@ def read_run(
         return Unusable(name=run.name, why=why, remedy=remedy)
 
     sensor = sensor or arm.recording_model.accelerometer
-    missing = [s for s in (*arm.recording_model.positions, sensor) if s not in run.sensors]
-    if missing:
-        return useless(*_no_column(missing))
-    run, hole_s = _longest_whole(run, [*arm.recording_model.positions, sensor], signal)
-    motion = read_motion(arm, run, signal)
-    if isinstance(motion, Unusable) and hole_s:
-        return useless(
-            f"rows are missing for {hole_s:.2g} s, and {np.ptp(run.time):.2g} s are left without",
-            "see why the logger stops, and run again",
-        )
+    motion = read_motion(arm, run, signal, [sensor])
     if isinstance(motion, Unusable):
         return motion
     t, first, periods = motion.time, motion.first, motion.periods
-    tool = np.column_stack([_whole(t, a) for a in run.sensors[sensor].T])
+    tool = np.column_stack([_whole(t, a) for a in motion.run.sensors[sensor].T])
     if not np.isfinite(tool).all():
         return useless(*_NO_NUMBER)
     rate, highest = float(1 / np.median(np.diff(t))), float(signal.hertz.max())
@@ -190,7 +193,7 @@ def read_run(
         )
     remarks, top = [], len(motion.lines) - 1
     if periods < signal.periods:
-        lost = f": rows are missing for {hole_s:.2g} s" if hole_s else ""
+        lost = f": rows are missing for {motion.hole_s:.2g} s" if motion.hole_s else ""
         remarks.append(f"{periods} of {signal.periods} periods are whole{lost}")
     own, several, fast = _by_clock(t - first, tool, periods, top, signal)
     read, scale = several.mean(0), 1.0
