@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,11 +33,12 @@ from tyro.conf import OmitArgPrefixes
 from loose_env.cli.command import command, one_of
 from loose_env.envs import MUTED, GapPrices, ModelGapEnv
 from loose_env.evaluation import wilson
-from loose_env.io import Count
+from loose_env.io import Count, plain
 from loose_env.registration import GAP_ID
 from loose_env.typing import Array
 from scripts.charts import Panel, chart, curve, points, save
-from scripts.study import ROOT, Row, study_rows
+from scripts.study import ROOT
+from scripts.suites.rows import Row, code_of_study, run_cases
 
 EVALUATION_SEED, TUNING_SEED = 20_261_126, 20_081_000
 """Seeds of the judging episodes and of those on which stopping is tuned."""
@@ -96,7 +98,7 @@ class Options:
     """Weights of train.py: the agent ppo, which stops by itself."""
     episodes: Count = 60
     """Episodes of each agent."""
-    out: Path = ROOT / "docs" / "figures" / "gap_env.json"
+    out: Path = ROOT / "docs" / "figures" / "gap_env.jsonl"
     """File of the rows; the figure lies beside it."""
     afresh: bool = False
     """Work out again what is stored."""
@@ -164,7 +166,7 @@ def played(
 _env = cache(lambda model: made(model or None))
 
 
-def play(case: Case, *, settings: Settings, ppo: Path | None) -> list[Row]:
+def play(case: Case, *, settings: Settings, ppo: Path | None) -> Row:
     """Play one episode of one agent that does not stop, but for ``ppo``, which stops itself."""
     name, number = case
     env = _env(settings.model)
@@ -176,7 +178,8 @@ def play(case: Case, *, settings: Settings, ppo: Path | None) -> list[Row]:
     else:
         agent = make_gap_agent(name, env, sure=2.0, seed=number)
     row = played(env, agent, seed=settings.seed, number=number, most=settings.most)
-    return [{"agent": name, **row}]
+    found: Row = plain({"agent": name, **row}, digits=5)
+    return found
 
 
 def accuracy_at(rows: Sequence[Row], seconds: float) -> float:
@@ -336,15 +339,13 @@ def draw(rows: Sequence[Row], path: Path) -> None:
 def evaluate(options: Options) -> None:
     """Play what is missing, print the tables and draw the figure."""
     settings, agents = options.settings, (*options.agents, *(("ppo",) if options.ppo else ()))
-    rows = study_rows(
-        options.out,
+    rows = run_cases(
         [(agent, n) for n in range(options.episodes) for agent in agents],
-        partial(play, ppo=options.ppo),
-        lambda row: (row["agent"], row["episode"]),
-        script="scripts/model_gap/evaluate.py",
-        settings=settings,
-        digits=5,
-        unit="episodes",
+        partial(play, settings=settings, ppo=options.ppo),
+        options.out,
+        key=itemgetter("agent", "episode"),
+        code=code_of_study(settings),
+        say=lambda row: f"{row['agent']}, episode {row['episode']}",
         afresh=options.afresh,
     )
     sure = STOPPING

@@ -13,10 +13,11 @@ from __future__ import annotations
 import functools
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from loose_agents.jobs import BackendSettings
@@ -35,52 +36,46 @@ from loose_env.diagnosis import (
     scattered_axes,
 )
 from loose_env.evaluation import wilson
-from loose_env.io import Count
+from loose_env.io import Count, plain
 from loose_env.report import AGENTS as PALETTE
 from loose_env.report import INK, MUTED
 from loose_env.typing import Array
 from scripts.charts import DASHED, Curve, Panel, chart, curve, save
-from scripts.study import ROOT, Row, read_study, study_rows, write_between
+from scripts.study import ROOT, write_between
+from scripts.suites.rows import Row, code_of_study, run_cases
 
 ARMS: dict[str, Callable[[], Arm]] = {
     **{f"planar{n}": functools.partial(planar, n) for n in range(2, 8)},
     "six_axis": six_axis,
 }
 GREEDY, LIMIT = "greedy separation", "limit"
-ROWS = "pose_sets_directions.json"
+ROWS = "pose_sets_directions.jsonl"
 """File of the rows."""
+SCATTERS, BLOCK = (5.0, 10.0, 20.0), 50
+"""Standard deviations of a direction [deg], and cases that are worked on together."""
 MOVES = np.radians([m for m in range(-90, 91, 15) if m])
 """Moves of a hinge at the level of directions [rad]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Directions:
-    """Directions with a stated scatter."""
+    """Directions with a stated scatter: what rows rest on beside their task."""
 
-    arms: tuple[str, ...] = tuple(ARMS)
-    sds: tuple[float, ...] = (5.0, 10.0, 20.0)
-    """Standard deviations of a direction [deg]."""
-    cases: int = 400
     poses: int = 7
-    block: int = 50
-    """Cases that are worked on together; changes no figure."""
     samples: int = 40_000
     """Draws for each limit."""
     seed: int = 0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Task:
-    """Block of cases for one strategy on one arm."""
+class Task(NamedTuple):
+    """Block of cases for one strategy on one arm at one scatter; the limit has no cases."""
 
     arm: str
     strategy: str
-    first: int
-    cases: int
-
-    def __str__(self) -> str:
-        """Return a description, for messages."""
-        return f"{self.strategy} on {self.arm}, cases from {self.first}"
+    sd: float
+    """Standard deviation of a direction [deg]."""
+    first: int = 0
+    cases: int = 0
 
 
 @functools.cache
@@ -141,82 +136,42 @@ def greedy_poses(
     return np.array(poses)
 
 
-def directions_block(task: Task, settings: Directions) -> list[Row]:
-    """Number of correctly identified links after each pose, for each scatter."""
-    sets = sets_of(task.arm, tuple(MOVES))
-    frames, count, seed = sets.frames, settings.poses, settings.seed
-    numbers = range(task.first, task.first + task.cases)
-    cases = [Case.draw(sets, stream(seed, task.arm, k, 0)) for k in numbers]
-    links = np.array([case.link for case in cases])
-    chosen: list[Array] = []
-    rows = []
-    for part, degrees in enumerate(settings.sds):
-        sd = float(np.radians(degrees))
-        if task.strategy == GREEDY:
-            chosen = [
-                greedy_poses(
-                    sets,
-                    case,
-                    count,
-                    sd,
-                    [stream(seed, task.arm, k, kind, part) for kind in (2, 3)],
-                )
-                for k, case in zip(numbers, cases, strict=True)
-            ]
-        elif not chosen:  # laid out once for every scatter
-            chosen = [
-                sets.make(task.strategy, case.start, count, stream(seed, task.arm, k, 1))
-                for k, case in zip(numbers, cases, strict=True)
-            ]
-        width = bingham_width(sd, frames.dimension)
-        images = np.array([frames.images(poses) for poses in chosen])
-        # Pose by pose, so that the greedy choice sees the axes that it is judged by.
-        seen = []
-        for k, case, image in zip(numbers, cases, images, strict=True):
-            noise = stream(seed, task.arm, k, 2, part)
-            seen.append([case.seen(image[t : t + 1], width, noise)[0] for t in range(count)])
-        log = link_log_likelihoods(images, np.array(seen), width)
-        # A fair draw among equals, or one link would be favoured before anything is known.
-        ties = np.array([stream(seed, task.arm, k, 4).random(sets.arm.n) for k in numbers])
-        named = 1 + np.argmax(log + 1e-7 * ties[:, None], axis=2)
-        right = (named == links[:, None]).sum(axis=0)
-        rows.append(
-            asdict(task) | {"links": sets.arm.n, "sd": degrees, "right": [int(r) for r in right]}
-        )
-    return rows
-
-
-def limit_rows(settings: Directions) -> list[Row]:
-    """Theoretical limits for each arm and scatter."""
-    rows = []
-    for name in settings.arms:
-        arm = ARMS[name]()
-        for degrees in settings.sds:
-            # One stream for all arms: the limits differ by what is asked, not by sampling error.
-            rng = np.random.default_rng([settings.seed, 99])
-            best = direction_limit(
-                arm.n,
-                settings.poses,
-                float(np.radians(degrees)),
-                len(arm.axes),
-                rng,
-                samples=settings.samples,
-            )
-            rows.append(
-                {
-                    "arm": name,
-                    "strategy": LIMIT,
-                    "links": arm.n,
-                    "sd": degrees,
-                    "share": [float(b) for b in best],
-                }
-            )
-    return rows
+def directions_block(task: Task, settings: Directions) -> Row:
+    """Number of correctly identified links after each pose, or the limit of their share."""
+    name, strategy, degrees, first, cases_of_block = task
+    sets, sd = sets_of(name, tuple(MOVES)), float(np.radians(degrees))
+    frames, links, count, seed = sets.frames, sets.arm.n, settings.poses, settings.seed
+    row: Row = {**task._asdict(), "links": links}
+    if strategy == LIMIT:
+        # One stream for all arms: the limits differ by what is asked, not by sampling error.
+        rng, axes = np.random.default_rng([seed, 99]), len(sets.arm.axes)
+        best = direction_limit(links, count, sd, axes, rng, samples=settings.samples)
+        return row | {"share": plain([float(b) for b in best], digits=4)}
+    numbers, part = range(first, first + cases_of_block), SCATTERS.index(degrees)
+    cases = [Case.draw(sets, stream(seed, name, k, 0)) for k in numbers]
+    chosen = [
+        greedy_poses(sets, case, count, sd, [stream(seed, name, k, kind, part) for kind in (2, 3)])
+        if strategy == GREEDY
+        else sets.make(strategy, case.start, count, stream(seed, name, k, 1))
+        for k, case in zip(numbers, cases, strict=True)
+    ]
+    width = bingham_width(sd, frames.dimension)
+    images = np.array([frames.images(poses) for poses in chosen])
+    # Pose by pose, so that the greedy choice sees the axes that it is judged by.
+    seen = []
+    for k, case, image in zip(numbers, cases, images, strict=True):
+        noise = stream(seed, name, k, 2, part)
+        seen.append([case.seen(image[t : t + 1], width, noise)[0] for t in range(count)])
+    log = link_log_likelihoods(images, np.array(seen), width)
+    # A fair draw among equals, or one link would be favoured before anything is known.
+    ties = np.array([stream(seed, name, k, 4).random(links) for k in numbers])
+    named = 1 + np.argmax(log + 1e-7 * ties[:, None], axis=2)
+    right = (named == np.array([[case.link] for case in cases])).sum(axis=0)
+    return row | {"right": right.tolist()}
 
 
 STRATEGIES = (*PLANNED, GREEDY)
 COLOURS = dict(zip(STRATEGIES, (6, 1, 3, 4, 5, 0, 2), strict=True))
-_LIMITS = Task(arm="", strategy=LIMIT, first=0, cases=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +180,7 @@ class Options(BackendSettings):
 
     arm: tuple[Annotated[str, one_of(tuple(ARMS))], ...] = tuple(ARMS)
     """Arms."""
-    cases: Count | None = None
+    cases: Count = 400
     """Cases for each arm, scatter and strategy."""
     seed: int = 0
     """Root of all draws."""
@@ -239,51 +194,31 @@ class Options(BackendSettings):
     """Work out again what is stored."""
 
 
-def tasks_of(settings: Directions) -> list[Task]:
+def tasks_of(arms: Sequence[str], cases: int) -> list[Task]:
     """All blocks, in an order in which a run cut short has a little of everything."""
-    blocks = [
-        Task(arm=arm, strategy=s, first=k, cases=min(settings.block, settings.cases - k))
-        for k in range(0, settings.cases, settings.block)
-        for arm in settings.arms
-        for s in STRATEGIES
+    limits = [Task(arm, LIMIT, sd) for arm in arms for sd in SCATTERS]
+    return limits + [
+        Task(arm, strategy, sd, first, min(BLOCK, cases - first))
+        for first in range(0, cases, BLOCK)
+        for arm in arms
+        for strategy in STRATEGIES
+        for sd in SCATTERS
     ]
-    return [_LIMITS, *blocks]
-
-
-def work(task: Task, *, settings: Directions) -> Sequence[Row]:
-    """Rows of one block, or the limits of all."""
-    return limit_rows(settings) if task == _LIMITS else directions_block(task, settings)
-
-
-def task_of(settings: Directions, row: Row) -> Task:
-    """Block of a row."""
-    if row["strategy"] == LIMIT:
-        return _LIMITS
-    first = row["first"]
-    cases = min(settings.block, settings.cases - first)
-    return Task(arm=row["arm"], strategy=row["strategy"], first=first, cases=cases)
 
 
 def rows_of(
-    folder: Path, settings: Directions, backend: BackendSettings, *, afresh: bool = False
+    folder: Path, tasks: Sequence[Task], settings: Directions, backend: BackendSettings, **how: bool
 ) -> list[Row]:
     """Rows of all blocks, stored in a folder."""
-    return study_rows(
+    return run_cases(
+        tasks,
+        partial(directions_block, settings=settings),
         folder / ROWS,
-        tasks_of(settings),
-        work,
-        partial(task_of, settings),
-        script="scripts/studies/pose_sets.py",
-        settings=settings,
-        order=lambda row: (
-            list(ARMS).index(row["arm"]),
-            row["strategy"],
-            row["sd"],
-            row.get("first", 0),
-        ),
-        unit="blocks",
+        key=itemgetter(*Task._fields),
+        code=code_of_study(settings),
         backend=backend,
-        afresh=afresh,
+        say=lambda row: f"{row['strategy']} on {row['arm']} at {row['sd']:g}°",
+        **how,
     )
 
 
@@ -389,16 +324,12 @@ def _curves(whole: Whole, arm: str, sd: float) -> list[Curve]:
 
 def evaluate(chosen: Options) -> None:
     """Run the study, print the tables, write the figure and the tables of the page."""
-    settings = Directions(arms=chosen.arm, seed=chosen.seed)
+    settings, cases = Directions(seed=chosen.seed), chosen.cases
     if chosen.quick:
-        settings = replace(settings, cases=40, block=20, poses=4, samples=4000)
-    if chosen.cases is not None:
-        settings = replace(settings, cases=chosen.cases)
+        settings, cases = replace(settings, poses=4, samples=4000), min(40, cases)
     folder = chosen.out or ROOT / ("out" if chosen.quick else "docs/figures")
-    if chosen.stored:
-        rows = read_study(folder / ROWS)["rows"]
-    else:
-        rows = rows_of(folder, settings, chosen, afresh=chosen.afresh)
+    rows = rows_of(folder, tasks_of(chosen.arm, cases), settings, chosen, afresh=chosen.afresh,
+                   show=chosen.stored)  # fmt: skip
     draw(rows, folder / "pose_sets.png")
     print(tables(rows))
     if folder == ROOT / "docs/figures":

@@ -1,4 +1,4 @@
-"""What suites share: their settings, tools in processes of their own, rows that are resumed.
+"""What suites and studies share: settings, tools in their own processes, rows that are resumed.
 
 Rows are JSON lines, run and resumed case by case, with a hash of the code.
 """
@@ -13,14 +13,20 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
+from loose_agents.jobs import BackendSettings, canonical, results_of
+
+import loose_env
 from loose_env.errors import InvalidSetting
+from loose_env.evaluation import configuration_hash
 from loose_env.io import Checked, Count
 
 Row = dict[str, Any]
-Key = TypeVar("Key", int, str)
+ALONE = BackendSettings(workers=1)
+"""Cases one after the other in this process."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,26 +98,35 @@ def add(path: Path, row: Row) -> None:
 
 
 def run_cases(
-    numbers: Iterable[Key],
-    work: Callable[[Key], Row],
+    cases: Iterable[Any],
+    work: Callable[[Any], Row],
     path: Path,
     *,
-    workers: int = 1,
+    key: Callable[[Row], Any] = itemgetter("number"),
+    code: str = "",
+    backend: BackendSettings = ALONE,
     say: Callable[[Row], str] = str,
-    key: str = "number",
+    afresh: bool = False,
+    show: bool = False,
 ) -> list[Row]:
-    """Rows of the cases asked for, in order; those that the file lacks are run and appended."""
-    from loose_agents.jobs import BackendSettings, results_of
+    """Rows of the cases asked for, in order; those that the file lacks are run and appended.
 
-    asked = list(dict.fromkeys(numbers))
-    rows = {row[key]: row for row in kept(path)}
-    missing = [number for number in asked if number not in rows]
-    found = results_of(work, missing, BackendSettings(workers=workers))
-    for count, (_, row) in enumerate(found, start=1):
-        add(path, row)
-        rows[row[key]] = row
+    ``key`` gives the case of a row, ``code`` stands for all that rows rest on: rows of other code
+    are refused. ``show`` runs nothing, ``afresh`` removes kept rows first.
+    """
+    if afresh:
+        path.unlink(missing_ok=True)
+    rows = {key(row): row for row in kept(path)}
+    if others := {row.get("code", "") for row in rows.values()} - {code}:
+        raise InvalidSetting(f"{path} has rows of other code or settings "
+                             f"({', '.join(sorted(others))}); --afresh removes them")  # fmt: skip
+    asked = list(dict.fromkeys(cases))
+    missing = [case for case in asked if case not in rows and not show]
+    for count, (_, row) in enumerate(results_of(work, missing, backend), start=1):
+        rows[key(row)] = {**row, "code": code}
+        add(path, rows[key(row)])
         print(f"{count}/{len(missing)} {say(row)}", flush=True)
-    return [rows[number] for number in asked]
+    return [rows[case] for case in asked if case in rows]
 
 
 def blind_rows(
@@ -122,16 +137,12 @@ def blind_rows(
     work: Callable[[int], Row],
     say: Callable[[Row], str],
 ) -> list[Row]:
-    """Rows of cases, kept in a file; those that it lacks are run, or left out by --show."""
-    if given.afresh:
-        file.unlink(missing_ok=True)
-    rows = kept(file)
-    check_code(rows, code, file)
-    if {row["phrase"] for row in rows} - {given.phrase, ""}:
+    """Rows of cases of a blind suite, kept in a file."""
+    if not given.afresh and {row["phrase"] for row in kept(file)} - {given.phrase, ""}:
         raise InvalidSetting(f"{file} has rows of another phrase; give another --out")
-    if given.show:
-        return [row for row in rows if row["number"] in numbers]
-    return run_cases(numbers, work, file, workers=given.workers, say=say)
+    backend = BackendSettings(workers=given.workers)
+    return run_cases(numbers, work, file, code=code, backend=backend, say=say,
+                     afresh=given.afresh, show=given.show)  # fmt: skip
 
 
 def code_hash(*places: Path) -> str:
@@ -143,9 +154,6 @@ def code_hash(*places: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-def check_code(rows: Sequence[Row], code: str, path: Path) -> None:
-    """Refuse rows that other code made."""
-    others = {row["code"] for row in rows} - {code}
-    if others:
-        raise InvalidSetting(f"{path} has rows of other code ({', '.join(sorted(others))}); "
-                             "--afresh removes them")  # fmt: skip
+def code_of_study(settings: Any) -> str:
+    """Version of the package and hash of the settings on which the rows of a study rest."""
+    return f"{loose_env.__version__}-{configuration_hash(canonical(settings))[:8]}"
