@@ -36,28 +36,17 @@ HIGHEST_RATE_HZ = 1e6
 LARGE_NAN = 0.05
 """Share of missing samples, above which it is a warning: interpolation bridges fewer; 20 % is
 refused when a run is read."""
-FROZEN_S = 0.02
-"""Shortest time for which a noisy channel stands still to count as frozen [s]: a period at the
-middle of a usual band."""
 FROZEN_SAMPLES = 20
-"""Fewest samples of it: noise on several levels does not repeat one so often by chance."""
+"""Fewest equal samples in a row that count as frozen: noise on several levels does not repeat one
+so often by chance."""
 FROZEN_RATIO = 10.0
 """Length of such a piece over the channel's usual repetition (90 % of them): coarse channels repeat
 by themselves."""
-REPEATING_SHARE = 0.2
-"""Share of pieces of two or more equal values, above which no piece of a channel is called frozen:
-it is coarse or slow, and repeats by itself."""
 FEWEST_PIECES = 10
 """Changes of a channel, from which its own rate, or a limit that it keeps reaching, is told: fewer
 are a channel that rests."""
-CLIPPED_SHARE = 0.002
-"""Share of samples at the channel's extreme value, from which it counts as clipped: two of a
-thousand, a normal signal beyond three standard deviations."""
 CLIPPED_LEAST = 8
-"""Fewest samples there: short runs have that share by chance."""
-FEWEST_LEVELS = 16
-"""Values that a channel takes, below which it is too coarse to tell clipping: each level is hit
-often."""
+"""Fewest samples at the channel's extreme value, from which it counts as clipped."""
 CLIPPED_PILE = 4.0
 """Samples at the extreme over those in each of the next levels: an honest tail thins out."""
 LIMITED_SHARE = 0.01
@@ -209,12 +198,10 @@ def _stuck(
     machine: Machine, run: Run, channel: Channel, channels: Sequence[Channel], moves: set[str]
 ) -> Iterator[Finding]:
     """Judge an encoder that holds one value while its joint, or another one, moves."""
-    moved = [c for c in channels if c.name in moves]
+    beside = any(c.kind == "position" and c.name in moves for c in channels)
     driven = channel.of in told_to_move(machine, run)
     shaken = channel.of in run.excited
-    if channel.kind == "position" and (
-        driven or shaken or any(c.kind == "position" for c in moved)
-    ):
+    if channel.kind == "position" and (driven or shaken or beside):
         told = "commanded to move" if driven else "excited" if shaken else "at rest beside others"
         found = f"every sample is {channel.there[0]:.6g}, and joint {channel.of} is {told}"
         yield _AT_REST.at(
@@ -236,13 +223,11 @@ def _pieces(run: Run, channel: Channel) -> Iterator[Finding]:
     starts, lengths = _repeats(values)
     if lengths.max() < LOST_VALUE:
         return
-    step = median_step(run.time)
-    least = max(FROZEN_SAMPLES, FROZEN_S / step, FROZEN_RATIO * np.percentile(lengths, 90))
-    long = np.flatnonzero(lengths >= least)
-    if long.size and np.mean(lengths > 1) <= REPEATING_SHARE:
-        worst = int(long[np.argmax(lengths[long])])
-        seconds = float(lengths[worst] * step)
-        found = f"stands still {long.size} time{'s' * (long.size > 1)}, longest {seconds:.3g} s "
+    least = max(FROZEN_SAMPLES, FROZEN_RATIO * np.percentile(lengths, 90))
+    if count := int(np.sum(lengths >= least)):
+        worst = int(np.argmax(lengths))
+        seconds = float(lengths[worst] * median_step(run.time))
+        found = f"stands still {count} time{'s' * (count > 1)}, longest {seconds:.3g} s "
         found += f"from {time[starts[worst]]:.4g} s on"
         yield _DROPOUT.at(channel.name, found, seconds, unit="s", run=run.name)
     middle = float(np.median(values))
@@ -269,16 +254,16 @@ def _clipped(machine: Machine, run: Run, channel: Channel) -> Iterator[Finding]:
         if share > LIMITED_SHARE and len(_repeats(at_end.astype(float))[0]) > FEWEST_PIECES:
             found = f"{share:.1%} of the commands are at a limit of the actuator ({low:g} to "
             yield _CLIPPED.at(channel.name, f"{found}{high:g})", share, unit="1", run=run.name)
-    least = max(CLIPPED_LEAST, CLIPPED_SHARE * len(values))
     ends = values.min(), values.max()
-    if channel.kind not in _NOISY or max(np.count_nonzero(values == v) for v in ends) < least:
+    if (
+        channel.kind not in _NOISY
+        or max(np.count_nonzero(values == v) for v in ends) < CLIPPED_LEAST
+    ):
         return
     levels, counts = np.unique(values, return_counts=True)
-    if len(levels) < FEWEST_LEVELS:
-        return  # too coarse to tell
     for extreme, beside in ((0, slice(1, 6)), (-1, slice(-6, -1))):
         count, level = int(counts[extreme]), levels[extreme]
-        most = max(least, CLIPPED_PILE * counts[beside].max())
+        most = max(CLIPPED_LEAST, CLIPPED_PILE * counts[beside].max())
         at_zero = channel.kind in ("torque", "velocity") and level == 0.0
         if count < most or at_zero or level in (values[0], values[-1]):
             continue  # few, or rest before or after the motion

@@ -42,13 +42,11 @@ CLEARER = 5.0
 among dozens of changes explains some of an unknown effect by chance."""
 BETTER = 2.0
 """Share left by the best single error of the model over that left by a correction, from which the
-correction is offered: where both explain the torques, the recording need not be wrong."""
+correction is offered: where both explain the torques, the recording need not be wrong. A further
+correction that leaves less than so much of the best one is named beside it."""
 EXPLAINED = 0.2
 """Largest share that a correction may leave to be offered: the right one leaves unmodelled effects
 and noise."""
-ALIKE_SHARE = 1.5
-"""Share left by a further correction over the best one, up to which it is named beside it: less is
-within the scatter of the runs."""
 LARGEST_GAIN = 4.0
 """Gain between recorded and needed torque, or its inverse, from which it is another quantity: gains
 of drives and nominal inertias are off by less."""
@@ -106,7 +104,7 @@ def check_torques(machine: Machine, runs: Sequence[Run]) -> Iterator[Finding]:
     if not good:
         return
     left, words, fix = good[0]
-    others = [also for share, also, _ in good[1:4] if share <= ALIKE_SHARE * max(left, 1e-3)]
+    others = [also for share, also, _ in good[1:4] if share <= BETTER * max(left, 1e-3)]
     found = f"{words}: the model then leaves {left:.1%} of the torques' variance, as recorded "
     found += _share(as_is)
     found += (

@@ -144,7 +144,8 @@ def _matrix(value: Any) -> NDArray[Any] | None:
         value = value.reshape([n for n in value.shape if n != 1] or [1])
     if value.ndim not in (1, 2):
         return None
-    value = value if value.dtype.kind == "i" and value.itemsize == 8 else value.astype(np.float64)
+    if value.dtype.kind != "i" or value.itemsize != 8:
+        value = value.astype(np.float64, copy=False)
     return np.asarray(value.reshape(len(value), -1))
 
 

@@ -11,9 +11,8 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +47,7 @@ _SECONDS, _NANOS = {"sec", "secs", "seconds"}, {"nanosec", "nsec", "nsecs", "nan
                                                 "nanoseconds"}  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Clock:
+class _Clock(NamedTuple):
     """Times of all rows of a table, as the file has them."""
 
     label: str

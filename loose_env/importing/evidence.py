@@ -100,8 +100,7 @@ class Signal:
         return _centred(self.rates), _centred(self.smooth)
 
 
-@dataclass(frozen=True)
-class Likeness:
+class Likeness(NamedTuple):
     """Best correlation of two signals over their delay."""
 
     correlation: float

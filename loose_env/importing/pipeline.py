@@ -142,22 +142,15 @@ def import_recording(
 
 
 def _model_file(plan: ImportMapping, mapping: Path, model: str | Path | None) -> Path:
-    if model is not None:
-        path = Path(model)
-        if not path.is_file():
-            raise InvalidSetting(f"there is no model {str(model)!r}")
-        return path
-    if not plan.model:
+    if model is None and not plan.model:
         raise InvalidData(
             f"{plan.name}: a recording needs a model: name an MJCF file by model = '...', from the "
             "mapping's folder, or give --model"
         )
-    path = mapping.resolve().parent / plan.model
+    path = mapping.resolve().parent / plan.model if model is None else Path(model)
     if not path.is_file():
-        raise InvalidData(
-            f"{plan.name}: model: there is no file {plan.model!r:.200} from the mapping's folder; "
-            "another one is given by --model"
-        )
+        told = "; name it from the mapping's folder, or give another one by --model"
+        raise InvalidData(f"{plan.name}: there is no model {str(model or plan.model)!r:.200}{told}")
     return path
 
 
@@ -182,6 +175,8 @@ class _Column(NamedTuple):
     place: str
     time: Array
     values: Array
+    step: float
+    """Median time between samples [s]."""
     longest: float
     """Longest pause that is bridged [s]."""
 
@@ -198,12 +193,12 @@ def _joined(
     """Run with all columns on common times."""
     columns = _columns(plan, episode, logs, read, model, say)
     start, stop = _ends(run, columns)
-    lead = min(columns, key=lambda c: (c.entry.way == "hold", median_step(c.time)))
+    lead = min(columns, key=lambda c: (c.entry.way == "hold", c.step))
     rows = _rows(run, lead, start, stop, len(columns))
     table: dict[str, Array] = {}
     seconds, rate = rows[-1] - rows[0], 1 / median_step(rows)
     say(f"{run.file}: {len(rows)} rows, {seconds:.3f} s at {rate:.6g} Hz")
-    for entry, place, time, values, longest in columns:
+    for entry, place, time, values, _, longest in columns:
         if entry.way == "hold":
             own, how = held(time, values, rows, longest), "last value held"
         else:
@@ -222,14 +217,11 @@ def _joined(
         note = f", {missing} missing" if missing else ""
         note += f", unwrapped at {entry.period:g}" if entry.period else ""
         say(f"  {entry.column}: {how}{note}")
-    groups = ModelColumns.of(model).grouped(table)
     linear = [c.column[5:] for c in plan.columns.values() if c.is_command and c.method == "band"]
     return Run(
         name=run.file,
         time=rows - rows[0],
-        controls=groups["controls"],
-        sensors=groups["sensors"],
-        torques=groups["torques"],
+        **ModelColumns.of(model).grouped(table),
         excited=run.excited,
         pose=None if run.pose is None else dict(run.pose),
         condition=run.condition,
@@ -264,7 +256,7 @@ def _columns(
             found[c.column] = replace(samples, origin_ns=origin)
     origin = min(samples.origin_ns for samples in found.values())
     times = {(id(s.time), s.origin_ns): s.since(origin) for s in found.values()}
-    pauses: dict[tuple[int, float | None], float] = {}
+    steps: dict[int, tuple[float, float]] = {}
     columns = []
     for entry in plan.columns.values():
         samples = found[entry.column]
@@ -272,10 +264,11 @@ def _columns(
         values = values * _factor(entry, samples, model) + entry.offset
         if not np.isfinite(values).all():
             raise InvalidData(f"{entry.place}: scaled, its values are too large for a number")
-        at, paused = times[id(samples.time), samples.origin_ns], (id(samples.time), entry.gap_s)
-        if paused not in pauses:
-            pauses[paused] = bridged(samples.time, entry.gap_s)
-        columns.append(_Column(entry, samples.place, at, values, pauses[paused]))
+        at, own = times[id(samples.time), samples.origin_ns], id(samples.time)
+        if own not in steps:
+            steps[own] = median_step(samples.time), bridged(samples.time)
+        step, longest = steps[own]
+        columns.append(_Column(entry, samples.place, at, values, step, entry.gap_s or longest))
     return columns
 
 

@@ -39,14 +39,12 @@ def smoothed(values: Array, width: int) -> Array:
     return np.asarray(base + total[width - 1 :] / width)
 
 
-def bridged(time: Array, gap_s: float | None) -> float:
+def bridged(time: Array) -> float:
     """Longest pause between two samples that is no gap [s].
 
     One and a half steps where samples are evenly spaced, missing ones aside, so that one missing
-    sample is seen, and three where they are not; or what the mapping says.
+    sample is seen, and three where they are not.
     """
-    if gap_s is not None:
-        return gap_s
     step = median_step(time)
     steps = np.diff(time) / step
     even = np.all(np.abs(steps - np.round(steps)) <= 2 * EVEN) and np.all(steps > 0.5)

@@ -244,13 +244,10 @@ def _run(place: str, path: Path, name: str, entry: RunEntry, columns: ModelColum
         columns.check_command(f"{place}.commands", drive)
     table = ENDINGS[ending](path, name, partial(columns.check_header, name))
     check_numbers(table)
-    groups = columns.grouped(table.columns)
     return Run(
         name=name,
         time=table.columns["time"],
-        controls=groups["controls"],
-        sensors=groups["sensors"],
-        torques=groups["torques"],
+        **columns.grouped(table.columns),
         excited=entry.excited,
         pose=entry.pose,
         condition=entry.condition,

@@ -1,4 +1,7 @@
-"""Logs as users have them are guessed and imported rightly, or refused with what to do."""
+"""Logs as users have them are guessed and imported rightly, or refused with what to do.
+
+``python -m tests.importing.test_logs_of_users`` prints the table of all of them.
+"""
 
 from __future__ import annotations
 
@@ -189,12 +192,8 @@ def run(*words: str) -> tuple[int, str]:
     return code, told.getvalue()
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Folder with a case whose files are made, once, by its own ``make.py``."""
-    if not CASES.is_dir():
-        pytest.skip("the cases are no part of the repository")
-    place = tmp_path_factory.mktemp("cases")
+def maker(place: Path) -> Callable[[str], Path]:
+    """Folder of a case in a place, its files made there, once, by its own ``make.py``."""
 
     def copied(*paths: Path) -> None:
         for path in (p for p in paths if p.is_file()):  # folders there are read-only
@@ -213,6 +212,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     return make
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    if not CASES.is_dir():
+        pytest.skip("the cases are no part of the repository")
+    return maker(tmp_path_factory.mktemp("cases"))
+
+
 @pytest.mark.parametrize(
     "log",
     [pytest.param(e, marks=pytest.mark.slow if e.case in LONG_MADE else ()) for e in LOGS],
@@ -221,3 +227,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 def test_a_log_ends_as_it_should(log: Log, made: Callable[[str], Path]) -> None:
     outcome, why = tried(log, made(log.case))
     assert outcome.startswith("right"), why
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        own = maker(Path(folder))
+        for each in LOGS:
+            files, (end, reason) = " ".join(each.files), tried(each, own(each.case))
+            print(f"{each.case:30} {files:26} {end:15} {reason}", flush=True)
