@@ -264,10 +264,10 @@ def _columns(
         values = values * _factor(entry, samples, model) + entry.offset
         if not np.isfinite(values).all():
             raise InvalidData(f"{entry.place}: scaled, its values are too large for a number")
-        at, own = times[id(samples.time), samples.origin_ns], id(samples.time)
-        if own not in steps:
-            steps[own] = median_step(samples.time), bridged(samples.time)
-        step, longest = steps[own]
+        at, clock = times[id(samples.time), samples.origin_ns], id(samples.time)
+        if clock not in steps:
+            steps[clock] = median_step(samples.time), bridged(samples.time)
+        step, longest = steps[clock]
         columns.append(_Column(entry, samples.place, at, values, step, entry.gap_s or longest))
     return columns
 
