@@ -14,7 +14,6 @@ Everything is computed through what users call: commands, `gymnasium.make`, `mak
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import functools
 import hashlib
@@ -28,17 +27,30 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 # The order in which threads of BLAS add up changes the last digits.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import gymnasium
+import mujoco
 import numpy as np
+from loose_agents.base import Problem
+from loose_agents.registry import make_agent
+from tyro.conf import Positional
 
-from loose_env.io import plain
+import loose_env  # noqa: F401  (registers the ids)
+from loose_env.arms import DESK_ARM
+from loose_env.cli.command import command, one_of
+from loose_env.cli.main import main as loose
+from loose_env.errors import InvalidSetting
+from loose_env.io import plain, write_text
+from loose_env.recording import Run, write_recording
+from scripts.example_recording import loose_arm
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "tests" / "golden"
@@ -84,10 +96,6 @@ ROUNDED = "loose_env/StoppingTier-v0"
 
 def environments(threads: int = 1) -> dict[str, Any]:
     """Episodes of every environment id, one arm alone and three side by side."""
-    import gymnasium
-
-    import loose_env  # noqa: F401
-
     found = {}
     seeds = list(range(SEED, SEED + WIDTH))
     for env_id, arguments in ENVIRONMENTS:
@@ -136,10 +144,6 @@ def _trace(seen: Sequence[Any], rewards: Sequence[Any], infos: Sequence[Any]) ->
 
 def gap_environment() -> dict[str, Any]:
     """Episodes of the environment that chooses motions, on a part of the catalogue."""
-    import gymnasium
-
-    import loose_env  # noqa: F401
-
     kinds = ("viscous_friction", "coulomb_friction", "actuator_gain")
     with contextlib.redirect_stderr(io.StringIO()):
         env: Any = gymnasium.make(
@@ -196,10 +200,6 @@ def _episodes(
     probabilities: bool = False,
 ) -> list[Any]:
     """Play episodes by number, or one of each hypothesis."""
-    import gymnasium
-    from loose_agents.base import Problem
-    from loose_agents.registry import make_agent
-
     env: Any = gymnasium.make(env_id, disable_env_checker=True, **arguments)
     inner = env.unwrapped
     agent = make_agent(name, Problem.of(inner.arm, inner.settings), seed=0)
@@ -264,20 +264,15 @@ def _arm(joints: int, *, gravity: str = "flat", drive: str = "motor", step: floa
     )
 
 
-def _damped(spec: Any) -> None:
-    spec.joint("j1").damping = np.array([1.4, 0, 0])
+def _changed(element: str, name: str, **values: Any) -> Callable[[Any], None]:
+    """A change of an attribute of an element of a spec."""
+    (each,) = values.items()
+    return lambda spec: setattr(getattr(spec, element)(name), *each)
 
 
-def _rubbing(spec: Any) -> None:
-    spec.joint("j1").frictionloss = 0.6
-
-
-def _heavy(spec: Any) -> None:
-    spec.body("link2").mass = 1.5
-
-
-def _inert(spec: Any) -> None:
-    spec.joint("j1").armature = 0.09
+_DAMPED = _changed("joint", "j1", damping=np.array([1.4, 0, 0]))
+_RUBBING = _changed("joint", "j1", frictionloss=0.6)
+_HEAVY = _changed("body", "link2", mass=1.5)
 
 
 def _weak(spec: Any) -> None:
@@ -285,41 +280,32 @@ def _weak(spec: Any) -> None:
     spec.actuator("m2").biasprm[1] *= 0.8
 
 
-def _playing(spec: Any, joint: int = 1, play: float = 0.02) -> None:
+def _playing(spec: Any) -> None:
     """Free travel between a joint's drive and its link: a second hinge between stops."""
-    import mujoco
-
-    spec.body(f"link{joint}").add_joint(
-        name="play",
-        type=mujoco.mjtJoint.mjJNT_HINGE,
-        axis=[0, 1, 0],
-        range=[-play / 2, play / 2],
-        limited=True,
-        solref_limit=[0.004, 1],
-        damping=np.array([0.01, 0, 0]),
-    )
-
-
-def _nothing(spec: Any) -> None:
-    pass
+    spec.body("link1").add_joint(
+        name="play", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0], range=[-0.01, 0.01],
+        limited=True, solref_limit=[0.004, 1], damping=np.array([0.01, 0, 0]),
+    )  # fmt: skip
 
 
 GAPS: dict[str, dict[str, Any]] = {
-    "forward, damping": {"truth": _damped},
-    "forward, dry friction": {"truth": _rubbing},
-    "forward, healthy": {"truth": _nothing},
+    "forward, damping": {"truth": _DAMPED},
+    "forward, dry friction": {"truth": _RUBBING},
+    "forward, healthy": {},
     "forward, play": {"truth": _playing},
     "forward, servos, heavy link": {
-        "truth": _heavy, "joints": 2, "gravity": "upright", "drive": "servo",
+        "truth": _HEAVY, "joints": 2, "gravity": "upright", "drive": "servo",
     },
-    "forward, servos, late": {"truth": _nothing, "drive": "servo", "late": 0.012},
-    "inverse, dry friction": {"truth": _rubbing, "form": "inverse", "gravity": "upright"},
+    "forward, servos, late": {"drive": "servo", "late": 0.012},
+    "inverse, dry friction": {"truth": _RUBBING, "form": "inverse", "gravity": "upright"},
     "inverse, heavy link": {
-        "truth": _heavy, "form": "inverse", "joints": 2, "gravity": "upright",
+        "truth": _HEAVY, "form": "inverse", "joints": 2, "gravity": "upright",
     },
-    "random, inertia of the rotor": {"truth": _inert, "form": "random"},
+    "random, inertia of the rotor": {
+        "truth": _changed("joint", "j1", armature=0.09), "form": "random",
+    },
     "random, weak servo": {"truth": _weak, "form": "random", "joints": 2, "drive": "servo"},
-    "free, damping": {"truth": _damped, "form": "free", "gravity": "upright"},
+    "free, damping": {"truth": _DAMPED, "form": "free", "gravity": "upright"},
     "real servo": {"real": "xl330/xl330_kp100"},
 }  # fmt: skip
 """Recordings that `loose gap` explains, by name."""
@@ -328,7 +314,7 @@ GAPS: dict[str, dict[str, Any]] = {
 def write_gap_recording(
     folder: Path,
     *,
-    truth: Callable[[Any], None],
+    truth: Callable[[Any], None] = lambda spec: None,
     form: str = "forward",
     joints: int = 1,
     gravity: str = "flat",
@@ -336,10 +322,6 @@ def write_gap_recording(
     late: float = 0.0,
 ) -> None:
     """Three short runs of a simulated arm that differs from its model, with sensor noise."""
-    import mujoco
-
-    from loose_env.recording import Run, write_recording
-
     driven = "none" if form == "free" else drive
     nominal = _arm(joints, gravity=gravity, drive=driven)
     spec = mujoco.MjSpec.from_string(nominal)
@@ -445,8 +427,6 @@ def _gap_figures(result: Mapping[str, Any]) -> dict[str, Any]:
 
 def _loose(*words: str) -> None:
     """Run a command of `loose` in this process, silently."""
-    from loose_env.cli.main import main
-
     said = io.StringIO()
     with (
         contextlib.redirect_stdout(said),
@@ -454,7 +434,7 @@ def _loose(*words: str) -> None:
         warnings.catch_warnings(),
     ):
         warnings.simplefilter("ignore")
-        code = main([*words])
+        code = loose([*words])
     if code:
         raise RuntimeError(f"loose {' '.join(words)} ended with {code}:\n{said.getvalue()[-2000:]}")
 
@@ -467,8 +447,6 @@ DIAGNOSES = {"healthy": False, "loose link 3": True}
 
 def instrument(names: Sequence[str] | None = None) -> dict[str, Any]:
     """What `loose diagnose` finds in each session, without and with a reference."""
-    from scripts.example_recording import loose_arm
-
     found: dict[str, Any] = {}
     for name in names or DIAGNOSES:
         with tempfile.TemporaryDirectory() as place:
@@ -497,8 +475,6 @@ def instrument(names: Sequence[str] | None = None) -> dict[str, Any]:
 
 def plan() -> dict[str, Any]:
     """What `loose plan` asks for first."""
-    from loose_env.arms import DESK_ARM
-
     with tempfile.TemporaryDirectory() as place:
         out = Path(place) / "plan"
         _loose("plan", str(DESK_ARM), "--out", str(out), "--controller", "ros2_jtc")
@@ -570,33 +546,30 @@ def kept(part: str) -> dict[str, Any]:
     return found
 
 
+def _leaves(tree: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """Values of a tree by their places; an empty branch is a value."""
+    branches = tree.items() if isinstance(tree, dict) else enumerate(tree)
+    form = "{}.{}" if isinstance(tree, dict) else "{}[{}]"
+    for key, part in branches:
+        own = form.format(place, key)
+        yield from _leaves(part, own) if part and isinstance(part, dict | list) else [(own, part)]
+
+
 def differences(
     before: Any, now: Any, place: str, *, relative: float = RELATIVE, bits: bool = False
 ) -> list[str]:
     """Places where two trees differ; numbers by more than rounding."""
-    more: dict[str, Any] = {"relative": relative, "bits": bits}
-    if isinstance(before, dict) and isinstance(now, dict):
-        if before.keys() != now.keys():
-            return [f"{place}: {sorted(before)} before, {sorted(now)} now"]
-        parts = [
-            differences(before[k], now[k], f"{place}.{k}", **more)
-            for k in before
-            if bits or k != BITS
-        ]
-        return [each for part in parts for each in part]
-    if isinstance(before, list) and isinstance(now, list):
-        if len(before) != len(now):
-            return [f"{place}: {len(before)} before, {len(now)} now"]
-        both = zip(before, now, strict=True)
-        parts = [differences(a, b, f"{place}[{i}]", **more) for i, (a, b) in enumerate(both)]
-        return [each for part in parts for each in part]
-    if isinstance(before, float) and isinstance(now, (int, float)):
+    old, new = dict(_leaves(before, place)), dict(_leaves(now, place))
+    found = []
+    for own in dict.fromkeys([*old, *new]):
+        a, b = (each.get(own, "nothing") for each in (old, new))
+        if a == b or (own.endswith(f".{BITS}") and not bits):
+            continue
+        number = isinstance(a, float) and isinstance(b, int | float)
         absolute = ABSOLUTE if relative else 0.0
-        if np.isclose(now, before, rtol=relative, atol=absolute, equal_nan=True):
-            return []
-    elif before == now:
-        return []
-    return [f"{place}: {before} before, {now} now"]
+        if not (number and np.isclose(b, a, rtol=relative, atol=absolute, equal_nan=True)):
+            found.append(f"{own}: {a} before, {b} now")
+    return found
 
 
 CARRIED = ("environments", "agents", "posterior", "thesis")
@@ -611,10 +584,6 @@ def rounds_alike() -> bool:
 
     By the last bit of records that are long enough for a loose part to carry rounding on.
     """
-    import gymnasium
-
-    import loose_env  # noqa: F401
-
     env: Any = gymnasium.make_vec(ROUNDED, num_envs=WIDTH)
     own = kept("environments")["found"][f"{ROUNDED} {{}}"]["vector"][BITS]
     return bool(_played(env, list(range(SEED, SEED + WIDTH)), WIDTH)[0][BITS] == own)
@@ -665,9 +634,6 @@ def compare(part: str, now: Mapping[str, Any], *, exact: bool = False) -> list[s
 
 def write(part: str, now: Mapping[str, Any], because: str) -> None:
     """Keep the figures of a part from now on."""
-    from loose_env.errors import InvalidSetting
-    from loose_env.io import write_text
-
     file = FOLDER / f"{part}.json"
     fresh = json.loads(json.dumps(now))
     if file.is_file():
@@ -692,8 +658,6 @@ def write(part: str, now: Mapping[str, Any], because: str) -> None:
 
 def _check_said(because: str, changelog: str) -> None:
     """Refuse words that do not stand under what is not released yet."""
-    from loose_env.errors import InvalidSetting
-
     parts = re.split(r"^(?=## )", changelog, flags=re.MULTILINE)
     new = " ".join(part for part in parts if "unreleased" in part.partition("\n")[0].lower())
     if not because or because not in " ".join(new.split()):
@@ -703,38 +667,42 @@ def _check_said(because: str, changelog: str) -> None:
         )
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Compute parts, and compare or write them."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; or all")
-    parser.add_argument("--page", type=Path, help="page of the thesis that is there already")
-    parser.add_argument("--exact", action="store_true", help="compare to the last kept digit")
-    parser.add_argument("--because", help="write anew; the words of the line in CHANGELOG.md")
-    options = parser.parse_args(words)
-    unknown = sorted(set(options.parts) - set(PARTS))
-    if unknown:
-        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Parts that are computed, and what is done with them."""
+
+    parts: Positional[tuple[Annotated[str, one_of(tuple(PARTS))], ...]] = ()
+    """Parts; all by default."""
+    page: Path | None = None
+    """Page of the thesis that is there already."""
+    exact: bool = False
+    """Compare to the last kept digit."""
+    because: str | None = None
+    """Write anew; the words of the line in CHANGELOG.md."""
+
+
+def run(given: Settings) -> None:
+    """Compute parts, and compare or write them; exit code 1 where they differ."""
     differ = False
-    for part in options.parts or PARTS:
+    for part in given.parts or PARTS:
         begin = time.process_time()
-        now = thesis(options.page) if part == "thesis" else PARTS[part]()
+        now = thesis(given.page) if part == "thesis" else PARTS[part]()
         seconds = time.process_time() - begin
-        if options.because is not None:
-            write(part, now, " ".join(options.because.split()))
+        if given.because is not None:
+            write(part, now, " ".join(given.because.split()))
             print(f"{part}: kept ({seconds:.0f} CPU s)", flush=True)
             continue
-        found = compare(part, now, exact=options.exact)
+        found = compare(part, now, exact=given.exact)
         differ |= bool(found)
         limited = ""
-        if only_comparable(part, exact=options.exact):
+        if only_comparable(part, exact=given.exact):
             limited = ", as far as a processor that rounds otherwise can say"
         print(f"{part}: {f'{len(found)} differences' if found else 'same'}{limited} "
               f"({seconds:.0f} CPU s)")  # fmt: skip
         print("".join(f"  {line}\n" for line in found[:20]), end="", flush=True)
-    return int(differ)
+    if differ:
+        sys.exit(1)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    command("golden", __doc__, Settings, run)

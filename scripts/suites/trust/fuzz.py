@@ -10,7 +10,6 @@ is neither "refused" nor "read". What ends its process shows by where the run st
 from __future__ import annotations
 
 import functools
-import importlib
 import json
 import os
 import pickle
@@ -31,9 +30,18 @@ from typing import Any
 
 import numpy as np
 
-from loose_env.arms import DESK_ARM
+from loose_env.arms import DESK_ARM, describe_file, vera
 from loose_env.cli.command import command
+from loose_env.cli.main import main
+from loose_env.diagnosis import AmortisedPosterior
+from loose_env.envs import DiagnosisSettings, difficulty_named
 from loose_env.errors import LooseEnvError
+from loose_env.evaluation import read_rows, write_rows
+from loose_env.gap import Gap, GapResult, NamedEffect, read_result
+from loose_env.importing import import_recording
+from loose_env.instrument import diagnose, read_diagnosis, read_plan
+from loose_env.recording import Run, read_recording, write_recording
+from scripts.example_recording import loose_arm
 
 Rng = np.random.Generator
 Files = dict[str, bytes]
@@ -120,45 +128,27 @@ def _written(write: Callable[[Path], object], below: str = ".") -> Files:
 @functools.cache
 def recording() -> Files:
     """A recording of two runs, one as CSV and one as Parquet."""
-    import pyarrow
-    import pyarrow.parquet
-
-    moment = np.arange(40) / 100
-    names = ["time", "ctrl.m1", "sensor.angle", "sensor.acc.x", "sensor.acc.y", "sensor.acc.z"]
-    table = np.column_stack([moment, *(np.cos((k + 1) * moment) for k in range(5))])
-    rows = [",".join(names), *(",".join(map(repr, row)) for row in table.tolist())]
-    columns = {name: table[:, k] for k, name in enumerate(names)}
-    stored = pyarrow.BufferOutputStream()
-    pyarrow.parquet.write_table(pyarrow.table(columns), stored)
-    runs = [{"file": "run.csv", "pose": {"turn": 0.1}, "excited": ["turn"]}]
-    whole = {
-        "format": "loose-recording/1",
-        "model": "model.xml",
-        "runs": [*runs, {"file": "run.parquet"}],
-    }
-    return {
-        "recording.json": json.dumps(whole).encode(),
-        "model.xml": MODEL.encode(),
-        "run.csv": "\n".join([*rows, ""]).encode(),
-        "run.parquet": stored.getvalue().to_pybytes(),
-    }
+    time = np.arange(40) / 100
+    waves = np.cos(np.outer(time, range(1, 6)))
+    runs = [
+        Run(name=name, time=time, controls={"m1": waves[:, 0]}, pose={"turn": 0.1},
+            sensors={"angle": waves[:, 1], "acc": waves[:, 2:]}, excited=("turn",))
+        for name in ("run.csv", "run.parquet")
+    ]  # fmt: skip
+    return _written(
+        lambda place: write_recording(place, model_xml=MODEL, runs=runs, file_format=None)
+    )
 
 
 @functools.cache
 def shaken() -> Files:
     """A recording to diagnose."""
-    from scripts.example_recording import loose_arm
-
     return _written(lambda place: loose_arm(place / "recording"), "recording")
 
 
 @functools.cache
 def results() -> Files:
     """Results of the two tools, a plan, and rows of a comparison."""
-    from loose_env.cli.main import main
-    from loose_env.evaluation import write_rows
-    from loose_env.gap import Gap, GapResult, NamedEffect
-
     effect = NamedEffect(
         kind="link_mass", where="upper", parameters={"mass": 0.1}, interval_95={"mass": (0.0, 0.2)}
     )
@@ -351,8 +341,6 @@ class Kind:
 
 
 def _read_recording(home: Path) -> Any:
-    from loose_env.recording import read_recording
-
     found = read_recording(home)
     for run in found.runs:
         assert np.isfinite(run.time).all() and (np.diff(run.time) > 0).all()
@@ -362,25 +350,13 @@ def _read_recording(home: Path) -> Any:
 
 
 def _diagnosed(home: Path) -> Any:
-    from loose_env.instrument import diagnose
-    from loose_env.recording import read_recording
-
     found = diagnose(read_recording(home))
     shown = [place.probability for place in found.places]
     assert np.isfinite(shown).all() and sum(shown) < 1 + 1e-6
     return found.to_json()
 
 
-def _described(home: Path) -> Any:
-    from loose_env.arms import describe_file
-
-    (file,) = (p for p in home.iterdir() if p.name.startswith("arm."))
-    return str(describe_file(file))
-
-
 def _imported(home: Path) -> Any:
-    from loose_env.importing import import_recording
-
     found = import_recording([home / "log.csv"], home / "map.toml", home.parent / "work" / "made")
     return [(run.name, run.samples) for run in found.runs]
 
@@ -392,6 +368,13 @@ def _hyperparameters(home: Path) -> Any:
     return sorted(model_arguments(found, "ppo"))
 
 
+@functools.cache
+def _problem() -> Any:
+    from loose_agents.base import Problem
+
+    return Problem.of(vera(), DiagnosisSettings())
+
+
 def _policy(home: Path) -> Any:
     from loose_agents.rl.agents import LearnedAgent
 
@@ -399,38 +382,27 @@ def _policy(home: Path) -> Any:
 
 
 def _posterior(home: Path) -> Any:
-    from loose_env.diagnosis import AmortisedPosterior
-    from loose_env.envs import difficulty_named
-
     problem = _problem()
     mismatch = difficulty_named(problem.settings.difficulty).mismatch
     found = AmortisedPosterior.load(home, problem.linear, problem.settings.sensors, mismatch)
     return found.features.locations
 
 
-@functools.cache
-def _problem() -> Any:
-    from loose_agents.base import Problem
-
-    from loose_env.arms import vera
-    from loose_env.envs import DiagnosisSettings
-
-    return Problem.of(vera(), DiagnosisSettings())
-
-
-def _of(module: str, name: str, file: str) -> Callable[[Path], Any]:
-    def read(home: Path) -> Any:
-        return getattr(importlib.import_module(module), name)(home / file)
-
-    return read
-
-
 def _weights(folder: str) -> Callable[[], Files]:
     return lambda: {p.name: p.read_bytes() for p in (WEIGHTS / folder).iterdir() if p.is_file()}
 
 
-def _result(name: str) -> Callable[[], Files]:
-    return lambda: {name: results()[name]}
+def _result(name: str, read: Callable[[Path], Any]) -> Kind:
+    return Kind(
+        files=lambda: {name: results()[name]}, damaged=(name,), read=lambda home: read(home / name)
+    )
+
+
+def _arm(name: str, text: bytes) -> Kind:
+    return Kind(
+        files=lambda: {name: text, "two.stl": tetrahedron()}, damaged=(name,),
+        read=lambda home: str(describe_file(home / name)), names=("arm 'arm'", *_INNER),
+    )  # fmt: skip
 
 
 def _log() -> Files:
@@ -449,20 +421,13 @@ KINDS: dict[str, Kind] = {
         files=shaken, damaged=("recording.json", "model.xml", "plan.json"), read=_diagnosed,
         names=(*_INNER, "case", "arm 'model'", "model and runs", "all runs", "run-"),
     ),
-    "MJCF": Kind(files=lambda: {"arm.xml": MODEL.encode(), "two.stl": tetrahedron()},
-                 damaged=("arm.xml",), read=_described, names=("arm 'arm'", *_INNER)),
-    "MJCF, six joints": Kind(files=lambda: {"arm.xml": DESK_ARM.read_bytes()},
-                             damaged=("arm.xml",), read=_described, names=("arm 'arm'", *_INNER)),
-    "URDF": Kind(files=lambda: {"arm.urdf": URDF.encode(), "two.stl": tetrahedron()},
-                 damaged=("arm.urdf",), read=_described, names=("arm 'arm'", *_INNER)),
-    "gap result": Kind(files=_result("gap.json"), damaged=("gap.json",),
-                       read=_of("loose_env.gap", "read_result", "gap.json")),
-    "diagnosis result": Kind(files=_result("diagnosis.json"), damaged=("diagnosis.json",),
-                             read=_of("loose_env.instrument", "read_diagnosis", "diagnosis.json")),
-    "plan": Kind(files=_result("plan.json"), damaged=("plan.json",),
-                 read=_of("loose_env.instrument", "read_plan", "plan.json")),
-    "rows": Kind(files=_result("rows.json"), damaged=("rows.json",),
-                 read=_of("loose_env.evaluation", "read_rows", "rows.json")),
+    "MJCF": _arm("arm.xml", MODEL.encode()),
+    "MJCF, six joints": _arm("arm.xml", DESK_ARM.read_bytes()),
+    "URDF": _arm("arm.urdf", URDF.encode()),
+    "gap result": _result("gap.json", read_result),
+    "diagnosis result": _result("diagnosis.json", read_diagnosis),
+    "plan": _result("plan.json", read_plan),
+    "rows": _result("rows.json", read_rows),
     "log and mapping": Kind(files=_log, damaged=("log.csv", "map.toml"), read=_imported),
     "hyperparameters": Kind(
         files=lambda: {"conf.yml": _HYPER.read_bytes()}, damaged=("conf.yml",),

@@ -52,8 +52,6 @@ class Killed:
     kills: int = 0
     runs: int = 0
     """Runs that ended by themselves."""
-    moments: list[int] = field(default_factory=list)
-    """Changes of the folder that each kill waited for."""
     problems: list[str] = field(default_factory=list)
     """Everything that was wrong."""
 
@@ -61,20 +59,21 @@ class Killed:
 def kill_often(made: Command, place: Path, *, kills: int, rng: np.random.Generator) -> Killed:
     """Kill a command again and again until it was killed so often; let the last one through."""
     found = Killed()
-    pauses = _let_through(made, place / "whole")
+    pauses = _watched(made, place / "whole")
+    assert pauses is not None
     wanted = made.result(place / "whole")
     found.problems += [f"unkilled: {p}" for p in made.problems(place / "whole")]
     while found.kills < kills or not found.runs:
         out = place / f"chain-{found.runs}"
         moment = int(rng.integers(len(pauses)))
-        if found.kills < kills and _killed(made, out, moment, rng.random() * pauses[moment]):
+        delay = rng.random() * pauses[moment]
+        if found.kills < kills and _watched(made, out, moment, delay) is None:
             found.kills += 1
-            found.moments.append(moment)
             found.problems += [f"kill {found.kills}: {p}" for p in made.problems(out)]
             if found.kills < kills:
                 continue
         if found.kills >= kills:
-            _let_through(made, out)
+            _watched(made, out)
         found.problems += [f"end of chain {found.runs}: {p}" for p in made.problems(out)]
         if repr(made.result(out)) != repr(wanted):
             found.problems.append(f"end of chain {found.runs}: another result than unkilled")
@@ -82,59 +81,37 @@ def kill_often(made: Command, place: Path, *, kills: int, rng: np.random.Generat
     return found
 
 
-def _let_through(made: Command, out: Path) -> list[float]:
-    """Let it through; return the time to each change of its folder, and to its end [s]."""
-    process, times, before = _started(made, out), [time.monotonic()], _listing(out)
-    while process.poll() is None:
+def _watched(
+    made: Command, out: Path, moment: int | None = None, delay: float = 0.0
+) -> list[float] | None:
+    """Run a command; time to each change of its folder, and to its end [s].
+
+    None where it was killed, with all that it started, some time after a change.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    told = out.with_name(f"{out.name}.said")
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "agents")])
+    with told.open("wb") as said:
+        process = subprocess.Popen(
+            [sys.executable, *made.words(out)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=said,
+            env=os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}, start_new_session=True,
+        )  # fmt: skip
+    times, before = [time.monotonic()], _listing(out)
+    while process.poll() is None and len(times) - 1 != moment:
         now = _listing(out)
         times += [time.monotonic()] if now != before else []
         before = now
         if time.monotonic() - times[0] > LONGEST:
-            _end(process)
-        time.sleep(POLL)
-    if process.returncode:
-        raise RuntimeError(f"it ended with {process.returncode}: {_said(out)}")
-    return list(np.diff([*times, time.monotonic()]))
-
-
-def _killed(made: Command, out: Path, moment: int, delay: float) -> bool:
-    """Run a command and kill it some time after a change; False if it was done before."""
-    process, changes, before = _started(made, out), 0, _listing(out)
-    while process.poll() is None and changes < moment:
-        now = _listing(out)
-        changes, before = changes + (now != before), now
+            os.killpg(process.pid, signal.SIGKILL)
         time.sleep(POLL)
     if process.poll() is None:
         time.sleep(delay)
-    _end(process)
-    if process.returncode not in (0, -signal.SIGKILL):
-        raise RuntimeError(f"it does not go on, code {process.returncode}: {_said(out)}")
-    return process.returncode != 0
-
-
-def _started(made: Command, out: Path) -> subprocess.Popen[bytes]:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "agents")])
-    with out.with_name(f"{out.name}.said").open("wb") as said:
-        return subprocess.Popen(
-            [sys.executable, *made.words(out)],
-            cwd=ROOT,
-            env=os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"},
-            stdout=subprocess.DEVNULL,
-            stderr=said,
-            start_new_session=True,
-        )
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """Kill it with all that it started."""
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-
-
-def _said(out: Path) -> str:
-    return out.with_name(f"{out.name}.said").read_text(errors="replace")[-600:]
+    code = process.wait()
+    if code not in (0, -signal.SIGKILL if moment is not None else 0):
+        raise RuntimeError(f"it ended with {code}: {told.read_text(errors='replace')[-600:]}")
+    return None if code else list(np.diff([*times, time.monotonic()]))
 
 
 def _listing(folder: Path) -> frozenset[tuple[str, int, int, int]]:
