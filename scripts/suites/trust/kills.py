@@ -15,14 +15,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from loose_env.cli.command import command
+from loose_env.evaluation import read_rows
+from loose_env.gap import read_result
+from loose_env.instrument import read_diagnosis
 from scripts.example_recording import loose_arm
 from scripts.suites.golden import GAPS, write_gap_recording
 
@@ -41,8 +45,20 @@ class Command:
     """Words after ``python``, for an output folder."""
     result: Callable[[Path], Any]
     """What the finished command wrote, to be compared with another run's."""
-    problems: Callable[[Path], list[str]] = lambda out: []
-    """What is wrong with what lies in the folder, whatever moment it is."""
+    readers: Mapping[str, Callable[[Path], object]]
+    """What reads the files of a pattern, at whatever moment, and raises where one is not whole."""
+
+    def problems(self, out: Path) -> list[str]:
+        """What is wrong with what lies in the folder."""
+        found = []
+        for pattern, read in self.readers.items():
+            # What is being written has a name that begins with a dot until it is whole.
+            for file in (f for f in out.glob(pattern) if not f.name.startswith(".")):
+                try:
+                    read(file)
+                except Exception as error:  # whatever it is, the file is not whole
+                    found.append(f"{file.name}: {type(error).__name__}: {error}")
+        return found
 
 
 @dataclass
@@ -139,20 +155,32 @@ def commands(place: Path) -> dict[str, Command]:
         write_gap_recording(recording, **GAPS["forward, damping"])
         loose_arm(measured)
     kinds = ("--kinds", "viscous_friction", "link_mass", "--threads", "1")
+    weights = {"**/*.json": _read_json, "**/*.safetensors": _weights, "**/*.zip": _model}
     return {
-        "training": Command(words=_training, result=_trained, problems=_broken_policies),
-        "comparison": Command(words=_compare, result=_compared, problems=_broken_rows),
+        "training": Command(
+            words=_training, result=_trained, readers={**weights, "**/curve.csv": _evaluations}
+        ),
+        "comparison": Command(
+            words=_compare, result=lambda out: read_rows(out / "rows.parquet"),
+            readers={
+                "shards/*/shard-*.json": lambda file: _read_json(file)["rows"],
+                "rows.parquet": _played,
+            },
+        ),
         "gap": Command(
             words=lambda out: ("-m", "loose_env", "gap", str(recording), "--out", str(out), *kinds),
             result=lambda out: [(out / n).read_text("utf-8") for n in ("result.json", "model.xml")],
-            problems=_broken_gap,
+            readers={
+                "result.json": lambda file: (read_result(file), _model_of(file)),
+                "model.xml": _model_of, "report.html": _page,
+            },
         ),
         "diagnosis": Command(
             words=lambda out: ("-m", "loose_env", "diagnose", str(measured), "--out", str(out)),
-            result=_diagnosed,
-            problems=_broken_diagnosis,
+            result=lambda out: {**_read_json(out / "result.json"), "seconds": None},
+            readers={"result.json": read_diagnosis, "report.html": _page},
         ),
-    }
+    }  # fmt: skip
 
 
 def _training(out: Path) -> Sequence[str]:
@@ -173,112 +201,60 @@ def _compare(out: Path) -> Sequence[str]:
     )
 
 
-def _try(problems: list[str], file: Path, read: Callable[[Path], object]) -> None:
-    if file.exists():
-        try:
-            read(file)
-        except Exception as error:  # whatever it is, the file is not whole
-            problems.append(f"{file.name}: {type(error).__name__}: {error}")
+def _read_json(file: Path) -> Any:
+    return json.loads(file.read_text("utf-8"))
 
 
-def _broken_policies(out: Path) -> list[str]:
-    from loose_agents.rl.model_files import read_model
+def _weights(file: Path) -> None:
     from safetensors.numpy import load_file
 
-    found: list[str] = []
-    for file in out.rglob("*.json"):
-        _try(found, file, lambda file: json.loads(file.read_text()))
-    for file in out.rglob("*.safetensors"):
-        _try(found, file, load_file)
-        if not file.with_name("configuration.json").exists():
-            found.append(f"{file}: no configuration beside it")
-    # What is being written has a name that begins with a dot until it is whole.
-    for file in (f for f in out.rglob("*.zip") if not f.name.startswith(".")):
-        _try(found, file, read_model)
-        if file.name == "checkpoint.zip" and not found:
-            run = read_model(file).run
-            points = run["state"]["points"] if run else [{"steps": "the run is missing"}]
-            evaluated = [point["steps"] for point in points]
-            if sorted(set(evaluated)) != evaluated:
-                found.append(f"evaluations at {evaluated}: one is there twice")
-    for file in out.rglob("curve.csv"):
-        _try(found, file, _evaluations)
-    return found
+    load_file(file)
+    assert file.with_name("configuration.json").exists(), "no configuration beside it"
 
 
-def _evaluations(file: Path) -> list[int]:
+def _once(steps: Sequence[int]) -> Sequence[int]:
+    """Steps of evaluations, each there once."""
+    assert sorted(set(steps)) == steps, f"evaluations at {steps}"
+    return steps
+
+
+def _model(file: Path) -> Any:
+    """The run that a model's file holds, which a checkpoint has."""
+    from loose_agents.rl.model_files import read_model
+
+    run = read_model(file).run
+    if file.name == "checkpoint.zip":
+        assert run is not None, "the run is missing"
+        _once([point["steps"] for point in run["state"]["points"]])
+    return run
+
+
+def _evaluations(file: Path) -> Sequence[int]:
     from loose_agents.rl.training import read_curve
 
-    steps = [point.steps for point in read_curve(file)]
-    if sorted(set(steps)) != steps:
-        raise ValueError(f"evaluations at {steps}")
-    return steps
+    return _once([point.steps for point in read_curve(file)])
 
 
 def _trained(out: Path) -> Any:
     """What does not depend on the faults that a resumed run meets: counts and names of files."""
-    from loose_agents.rl.model_files import read_model
-
     (checkpoint,) = out.rglob("checkpoint.zip")
-    run = read_model(checkpoint).run
-    assert run is not None
     names = sorted(str(p.relative_to(out)) for p in out.rglob("*") if ".part" not in p.name)
-    return run["counters"], _evaluations(next(out.rglob("curve.csv"))), names
+    return _model(checkpoint)["counters"], _evaluations(next(out.rglob("curve.csv"))), names
 
 
-def _broken_rows(out: Path) -> list[str]:
-    from loose_env.evaluation import read_rows
-
-    found: list[str] = []
-    for shard in out.glob("shards/*/shard-*.json"):
-        _try(found, shard, lambda file: json.loads(file.read_bytes())["rows"])
-    file = out / "rows.parquet"
-    _try(found, file, read_rows)
-    if file.exists() and not found:
-        rows, _ = read_rows(file)
-        played = {(row["agent"], row["episode"]) for row in rows}
-        if not len(rows) == len(played) == 2 * EPISODES:
-            found.append(f"rows.parquet: {len(rows)} rows, {len(played)} of them different")
-    return found
+def _played(file: Path) -> None:
+    rows, _ = read_rows(file)
+    played = {(row["agent"], row["episode"]) for row in rows}
+    assert len(rows) == len(played) == 2 * EPISODES, f"{len(rows)} rows, {len(played)} different"
 
 
-def _compared(out: Path) -> Any:
-    from loose_env.evaluation import read_rows
-
-    return read_rows(out / "rows.parquet")
-
-
-def _broken_gap(out: Path) -> list[str]:
-    import mujoco
-
-    from loose_env.gap import read_result
-
-    found = _broken_page(out)
-    result, model = out / "result.json", out / "model.xml"
-    _try(found, result, read_result)
-    _try(found, model, lambda file: mujoco.MjModel.from_xml_path(str(file)))
-    if result.exists() and not model.exists():
-        found.append("a result without its model")
-    return found
+def _model_of(file: Path) -> Any:
+    """The model beside a result, which is there before it."""
+    return mujoco.MjModel.from_xml_path(str(file.with_name("model.xml")))
 
 
-def _diagnosed(out: Path) -> Any:
-    found = json.loads((out / "result.json").read_text("utf-8"))
-    return {name: value for name, value in found.items() if name != "seconds"}
-
-
-def _broken_diagnosis(out: Path) -> list[str]:
-    from loose_env.instrument import read_diagnosis
-
-    found = _broken_page(out)
-    _try(found, out / "result.json", read_diagnosis)
-    return found
-
-
-def _broken_page(out: Path) -> list[str]:
-    page = out / "report.html"
-    cut = page.exists() and "</html>" not in page.read_text("utf-8")[-40:]
-    return ["report.html: cut short"] if cut else []
+def _page(file: Path) -> None:
+    assert "</html>" in file.read_text("utf-8")[-40:], "cut short"
 
 
 @dataclass(frozen=True, kw_only=True)
