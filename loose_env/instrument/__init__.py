@@ -6,7 +6,7 @@ Data flow: arm, controllers -> signals -> records -> motion -> knocks -> locate,
 
 from loose_env.instrument.arm import BOLTS, GEARS, PoseModel, SuspectArm, place_name, read_arm
 from loose_env.instrument.controllers import PRESETS, Controller, Preset, preset
-from loose_env.instrument.decide import Numbers
+from loose_env.instrument.decide import Numbers, knock_limit
 from loose_env.instrument.pipeline import DiagnoseSettings, Evidence, diagnose, judge, listen
 from loose_env.instrument.plan import (
     MODEL,
@@ -63,6 +63,7 @@ __all__ = [
     "diagnose",
     "is_tested_share",
     "judge",
+    "knock_limit",
     "listen",
     "next_number",
     "place_name",

@@ -206,7 +206,7 @@ def _compare(heard: Heard, directions: Array) -> _Agreement:
             alone = [
                 correlation([heard.amplitude[k]], [told[k]], [heard.friction[k]])[0] for k in poses
             ]
-            gain = (_likelihood(found) + np.mean([_likelihood(r) for r in alone], 0)) / 2
+            gain = (log_likelihood(found) + np.mean([log_likelihood(r) for r in alone], 0)) / 2
             gap_mm[gain > likelihood] = gap if loads is heard.elastic else -gap
             likelihood = np.maximum(likelihood, gain)
     return _Agreement(
@@ -214,8 +214,8 @@ def _compare(heard: Heard, directions: Array) -> _Agreement:
     )
 
 
-def _likelihood(found: Array) -> Array:
-    """Log likelihood of a sample (H,) by a correlation that was fitted."""
+def log_likelihood(found: Array) -> Array:
+    """Log likelihood that a sample gains by a correlation that was fitted (H,)."""
     gain: Array = -0.5 * np.log(np.maximum(1 - found**2, 1e-4))
     return gain
 

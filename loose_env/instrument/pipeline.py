@@ -350,7 +350,9 @@ class _Finished:
         top = scores.order[0]
         told = foretold(rang.heard, rang.rhythm, scores.best[top])
         sure = bool(scores.probability[top] >= self.numbers.sure)  # JSON has no numpy.bool
-        settled = alarm.loose and sure and not hobby
+        # a place that direction and softness choose is itself heard to knock
+        own = scores.knocks[top] > decide.knock_limit(1, self.numbers.healthy)
+        settled = alarm.loose and sure and own and not hobby
         places = _places(self.found.arm, rang.rhythm, alarm, scores, settled=settled)
         remarks = list(self.found.session.remarks)
         heavier = alarm.evidence.get("payload_kg", 0.0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from loose_env.errors import InvalidData, InvalidSetting
-from loose_env.instrument.decide import Numbers
+from loose_env.instrument.decide import Numbers, knock_limit
 from loose_env.instrument.pipeline import DiagnoseSettings, diagnose
 from loose_env.instrument.result import Diagnosis
 from loose_env.io import JsonFile, read_result_file
@@ -21,7 +21,7 @@ BASELINE = 3
 _SPREADS = 4.0
 """Standard deviations of the first sessions' scatter that the band reaches beyond their mean: with
 three sessions a tenth of a per cent of a healthy arm's values lies above (Student, 2 degrees)."""
-_STATISTICS = ("rhythm", "top_db")
+_STATISTICS = ("knocks", "top_db")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,8 +135,8 @@ def trend(
 
 def _bands(visits: Sequence[Visit]) -> dict[str, float]:
     """Upper end of each statistic's band: a reference's limit, or the first sessions' scatter."""
-    limits = Numbers()
-    found = {"rhythm": limits.rhythm_beside, "top_db": limits.top_db}
+    places = max(len(v.diagnosis.places) for v in visits if v.diagnosis is not None)
+    found = {"knocks": knock_limit(places), "top_db": Numbers.top_db}
     first = [v.values for v in visits[1:BASELINE]]
     if len(visits) > BASELINE and len(first) >= 2:
         for name in found:

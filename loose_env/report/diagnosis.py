@@ -13,7 +13,16 @@ from loose_env.arms import Arm, arm_from_file
 from loose_env.envs import INK, MEASURED, MUTED, TRUTH, ArmDrawing
 from loose_env.errors import InvalidData, LooseEnvError, MissingExtra
 from loose_env.faults import Backlash, StructuralLooseness
-from loose_env.instrument import BOLTS, MODEL, RECORDING, Diagnosis, Place, RunSeen, read_plan
+from loose_env.instrument import (
+    BOLTS,
+    MODEL,
+    RECORDING,
+    Diagnosis,
+    Place,
+    RunSeen,
+    knock_limit,
+    read_plan,
+)
 from loose_env.io import begun, sentence, write_text
 from loose_env.report import figures
 from loose_env.report.figures import labels, legend
@@ -24,7 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _EVIDENCE = {
-    "rhythm": ("Correlation of the best place's foretold knocks with what was heard", "", "rhythm"),
+    "knocks": ("Evidence for the knocks of the best place", " nats", ""),
+    "rhythm": ("Correlation of the best place's foretold knocks with what was heard", "", ""),
     "top_db": ("Rise of the ringing over the healthy session", " dB", "top_db"),
     "even_db": ("Rise of the even lines", " dB", ""),
     "odd_db": ("Rise of the odd lines left out", " dB", ""),
@@ -186,9 +196,9 @@ def _evidence_table(d: Diagnosis) -> Table:
     rows = []
     for name, value in d.evidence.items():
         words, unit, setting = _EVIDENCE.get(name, (name, "", ""))
-        if setting == "rhythm" and d.reference:
-            setting = "rhythm_beside"  # a lower limit holds where it was quieter
         limit = d.settings.get(setting)
+        if name == "knocks" and "healthy" in d.settings:
+            limit = round(knock_limit(len(d.places), d.settings["healthy"]), 2)
         rows.append(
             {
                 "Statistic": words,

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NAMES = {
-    "rhythm": "rhythm of the best place: correlation",
+    "knocks": "evidence for the best place's knocks [nats]",
     "top_db": "ringing over the first session [dB]",
 }
-_SHORT = {"rhythm": "Rhythm", "top_db": "Top band"}
+_SHORT = {"knocks": "Knocks", "top_db": "Top band"}
 _TICKS = 8  # sessions named on an axis
 
 

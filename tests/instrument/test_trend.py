@@ -51,7 +51,7 @@ def test_healthy_months_raise_nothing(found: Trend, months: list[Recording]) -> 
 def test_a_trend_is_read_back(found: Trend, tmp_path: Path) -> None:
     read = read_trend(found.write(tmp_path / "trend.json"))
     assert read.to_json() == found.to_json() and read.since == found.since
-    assert set(found.bands) == {"rhythm", "top_db"}
+    assert set(found.bands) == {"knocks", "top_db"}
     assert all(np.isfinite(limit) for limit in found.bands.values())
 
 

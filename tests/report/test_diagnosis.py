@@ -71,11 +71,11 @@ def found(verdicts: str, **more: object) -> Diagnosis:
         "places": places,
         "reasons": ("the top band rings in the rhythm of a knock: correlation 0.60",),
         "remarks": ("run-01.csv: what rings does not repeat",),
-        "evidence": {"rhythm": 0.6, "gears_left": 0.02},
+        "evidence": {"knocks": 12.0, "rhythm": 0.6, "gears_left": 0.02},
         "runs": tuple(run(k, told=told) for k in (1, 2, 3)),
         "date": "2026-03-18T14:05:00+00:00",
         "version": "0.1.0",
-        "settings": {"rhythm": Numbers.rhythm, "sure": Numbers.sure},
+        "settings": {"healthy": Numbers.healthy, "sure": Numbers.sure},
         **more,
     }
     return Diagnosis(**given)  # type: ignore[arg-type]
@@ -165,10 +165,10 @@ def test_a_plan_is_a_sheet_for_the_machine(tmp_path: Path) -> None:
 def test_a_trend_names_what_left_its_band(tmp_path: Path) -> None:
     visits = [Visit(name="may", date="", values={}, alarm=False, diagnosis=None)]
     for name, top in (("june", 0.2), ("july", 9.0)):
-        values = {"rhythm": 0.1, "top_db": top}
+        values = {"knocks": 0.4, "top_db": top}
         case = CASES["settled" if top > 3 else "tight"]
         visits.append(Visit(name=name, date="", values=values, alarm=top > 3, diagnosis=case))
-    bands = {"rhythm": 0.4, "top_db": 3.0, "even_db": 1.5, "odd_db": 2.0}
+    bands = {"knocks": 4.0, "top_db": 3.0, "even_db": 1.5, "odd_db": 2.0}
     t = Trend(headline="Changed since july", visits=tuple(visits), bands=bands, since="july")
     page = report.write_trend_page(tmp_path / "trend.html", t).read_text("utf-8")
     checked(page)

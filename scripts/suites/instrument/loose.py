@@ -23,7 +23,7 @@ from loose_env.instrument import (
 from loose_env.recording import Recording, read_recording
 
 LEFT_OUT: Mapping[str, Mapping[str, float]] = {
-    "without rhythm": {"rhythm": 9.0, "rhythm_beside": -1.0, "samples": 0.0},
+    "without rhythm": {"samples": 0.0},
     "without direction": {"vectors": 0.0},
     "without top band": {"top_db": -999.0},
     "without softness": {"softer": 0.0},
