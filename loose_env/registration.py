@@ -39,9 +39,9 @@ __all__ = [
 IDS = (
     "loose_env/Vera-v0",
     "loose_env/Planar-v0",
-    "loose_env/SixAxis-v0",
-    "loose_env/Scara-v0",
-    "loose_env/Arm-v0",
+    "loose_env/SixAxis-v1",
+    "loose_env/Scara-v1",
+    "loose_env/Arm-v1",
 )
 """Ids by arm."""
 
@@ -53,12 +53,12 @@ TIERS: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
             "loose_env/Planar-v0",
             {"difficulty": "hard", **_ONE_EXCITER},
         ),
-        "loose_env/GravityTier-v0": (
-            "loose_env/SixAxis-v0",
+        "loose_env/GravityTier-v1": (
+            "loose_env/SixAxis-v1",
             {"gravity": (9.81, 0.0, 0.0), "levels": (1.0, 2.0), **_ONE_EXCITER},
         ),
-        "loose_env/WeakDriveTier-v0": (
-            "loose_env/SixAxis-v0",
+        "loose_env/WeakDriveTier-v1": (
+            "loose_env/SixAxis-v1",
             {"levels": (1.0, 2.0), **_ONE_EXCITER},
         ),
         "loose_env/SearchTier-v0": (

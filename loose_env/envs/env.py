@@ -196,7 +196,8 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     A flat float32 `Box` with finite bounds: the pose and what has been spent, then a slot for
     each record: pose, excitation, the record's statistics, and the same statistics as the
     nominal healthy arm would show them. A hinge's place is its sine and cosine, a slide's
-    runs from -1 at the low end of its range to 1; `layout.pose_of` reads it back. `layout`
+    runs from -1 at the low end of its range to 1, and so does a second one of hinges whose range
+    is more than a whole turn; `layout.pose_of` reads the pose back. `layout`
     lists every element with name, unit and scaling; `print(env.unwrapped.layout.table())` shows
     them. With `raw=True` a `Dict` of the same vector as `"statistics"` and the signals of the
     latest record. With
@@ -228,12 +229,12 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     brakes behind elastic gears. `levels` replaces the arm's excitation levels [m/s²]; the friction
     that is drawn stays relative to the arm's own top level, so that weaker levels open fewer seats.
     `gravity` is a vector in the world's axes [m/s²], such as (9.81, 0, 0) for an arm on a wall. For
-    the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v0` `model`, the path of an
+    the planar arm also `n_links` and `vertical`; for `loose_env/Arm-v1` `model`, the path of an
     MJCF or URDF file, `tool`, `tool_offset` and `joints`. Where the tool lies on a joint's axis it
     does not feel play there, which is no hypothesis then; `tool_offset`, three lengths in metres in
     the tool's frame, moves the accelerometer off it. `true_arm` is the arm that is measured, where
     the nominal model is wrong about more than `difficulty` says, an effect that it lacks above all;
-    for `loose_env/Arm-v0` `true_model`, the path of its file. Without it the nominal arm is
+    for `loose_env/Arm-v1` `true_model`, the path of its file. Without it the nominal arm is
     measured, with the difficulty's mismatch.
 
     Options of `reset` hold for one episode. `{"fault": ...}` seats a given fault, or one drawn
@@ -244,6 +245,8 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     it carries (`loose_env.faults.preloaded`), `{"pose": ...}` sets the first pose.
 
     ## Version History
+    * v1, of `SixAxis`, `Scara`, `Arm` and the tiers on six axes: hinges of more than a whole turn
+      show their place in their range, without which the pose was ambiguous
     * v0: first version
 
     Examples

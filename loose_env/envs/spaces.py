@@ -21,7 +21,7 @@ from loose_env.diagnosis import (
 )
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 
 def checked_indices(name: str, given: Any, choices: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -46,10 +46,10 @@ def checked_indices(name: str, given: Any, choices: NDArray[np.intp]) -> NDArray
 
 
 class JointPose:
-    """Two numbers for every joint, each from -1 to 1.
+    """Numbers from -1 to 1 for every joint, which tell its place.
 
-    A hinge is its sine and its cosine. A slide is its position within its range, -1 at the low
-    end and 1 at the high end, and a zero.
+    A hinge is its sine and its cosine, and one whose range is more than a whole turn also its
+    place in that range, -1 at the low end and 1 at the high end. A slide is its place, and a zero.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -61,6 +61,8 @@ class JointPose:
         """Middle of each joint's range; 0 for one that turns without end [rad or m] (n,)."""
         self.width = high - low
         """Width of each joint's range; 0 for one that turns without end [rad or m] (n,)."""
+        self.wide = np.flatnonzero(~arm.sliding & (self.width > 2 * np.pi))
+        """Hinges of more than a whole turn."""
         for j in self.slides:
             if not self.width[j] > 0:
                 raise InvalidSetting(
@@ -68,6 +70,11 @@ class JointPose:
                     f"{arm.joint_ranges[j]}; its moves and its place in an observation are "
                     "shares of a range: give (low, high) in metres"
                 )
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Groups of the numbers."""
+        return ("sin_pose", "cos_pose", "range_pose")[: 3 if len(self.wide) else 2]
 
     @property
     def elements(self) -> Iterator[tuple[str, str]]:
@@ -78,23 +85,25 @@ class JointPose:
         ):
             for joint, slides in zip(self.arm.joints, self.arm.sliding, strict=True):
                 yield (f"{part}.{joint}_{of_slide}", unit) if slides else (f"{part}.{joint}", "1")
+        for k in self.wide:
+            yield f"range_pose.{self.arm.joints[k]}", "of range"
 
-    def numbers(self, pose: Array) -> tuple[Array, Array]:
-        """Turn poses [rad or m] (..., n) into their first and their second numbers (..., n)."""
+    def numbers(self, pose: Array) -> tuple[Array, ...]:
+        """Turn poses [rad or m] (..., n) into the numbers of each of the `parts`."""
         first, second, k = np.sin(pose), np.cos(pose), self.slides
-        if len(k):
-            first[..., k] = 2 * (pose[..., k] - self.middle[k]) / self.width[k]
-            second[..., k] = 0.0
-        return first, second
+        first[..., k], second[..., k] = self._places(pose, k), 0.0
+        return (first, second, self._places(pose, self.wide))[: len(self.parts)]
 
-    def pose(self, first: Array, second: Array) -> Array:
-        """Turn numbers (..., n) back into poses (..., n) [rad or m].
+    def _places(self, pose: Array, k: IndexArray) -> Array:
+        return np.asarray(2 * (pose[..., k] - self.middle[k]) / self.width[k])
 
-        A hinge may be off by whole turns: it is given as near the middle of its range as can be.
-        """
-        found = np.arctan2(first, second)
-        found = found + 2 * np.pi * np.round((self.middle - found) / (2 * np.pi))
-        k = self.slides
+    def pose(self, first: Array, second: Array, place: Array | None = None) -> Array:
+        """Turn numbers back into poses (..., n) [rad or m]."""
+        found, k, wide = np.arctan2(first, second), self.slides, self.wide
+        near = np.broadcast_to(self.middle, found.shape).copy()
+        if place is not None:
+            near[..., wide] += 0.5 * self.width[wide] * place
+        found = found + 2 * np.pi * np.round((near - found) / (2 * np.pi))
         found[..., k] = self.middle[k] + 0.5 * self.width[k] * first[..., k]
         return np.asarray(found)
 
@@ -678,9 +687,6 @@ class ObservationLayout(RecordLayout):
     def pose_of(self, observation: NDArray[np.float32]) -> Array:
         """Pose in which an arm is now [rad, m where a joint slides].
 
-        A hinge is found up to whole turns: of the angles in its range, the one nearest the
-        range's middle.
-
         Parameters
         ----------
         observation : ndarray (..., size)
@@ -690,12 +696,12 @@ class ObservationLayout(RecordLayout):
         -------
         ndarray (..., n)
         """
-        parts = (self.physical(observation, f"now.{part}_pose") for part in ("sin", "cos"))
+        parts = (self.physical(observation, f"now.{part}") for part in self._joint_pose.parts)
         return self._joint_pose.pose(*parts)
 
     def record_poses_of(self, observation: NDArray[np.float32]) -> Array:
         """Poses of all records, as `pose_of`; an empty slot's means nothing (..., slots, n)."""
-        parts = (self.physical(observation, f"{part}_pose") for part in ("sin", "cos"))
+        parts = (self.physical(observation, part) for part in self._joint_pose.parts)
         return self._joint_pose.pose(*parts)
 
     def groups_of(self, slot: NDArray[np.float32]) -> dict[str, Array]:
@@ -705,7 +711,7 @@ class ObservationLayout(RecordLayout):
         """
         values = self._slot_scaling.backward(slot, slice(None))
         groups = {name: values[..., span] for name, span in self._slot_index.items()}
-        groups["pose"] = self._joint_pose.pose(groups["sin_pose"], groups["cos_pose"])
+        groups["pose"] = self._joint_pose.pose(*(groups[part] for part in self._joint_pose.parts))
         return groups
 
     def physical(self, observation: NDArray[np.float32], name: str) -> Array:

@@ -6,7 +6,7 @@ played twice over, until a handful is left. With several arms the return is aver
 what is found serves arms that were never tuned: the table shows each arm under the settings chosen
 without it. The seed of the training episodes is never one of the evaluation's.
 
-Usage: python scripts/agents/tune_link_finding.py --env loose_env/Planar-v0 loose_env/Scara-v0
+Usage: python scripts/agents/tune_link_finding.py --env loose_env/Planar-v0 loose_env/Scara-v1
 --methods classical --out agents/loose_agents/weights
 """
 

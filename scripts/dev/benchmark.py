@@ -34,7 +34,11 @@ _RECORDS = 5
 class Options:
     """Options of the timing."""
 
-    ids: tuple[str, ...] = tuple(f"loose_env/{n}-v0" for n in ("Planar", "WeakDriveTier", "Vera"))
+    ids: tuple[str, ...] = (
+        "loose_env/Planar-v0",
+        "loose_env/WeakDriveTier-v1",
+        "loose_env/Vera-v0",
+    )
     """Environments to time."""
     arms: tuple[int, ...] = (1, 64, 256)
     """Sizes of the batch."""

@@ -51,14 +51,15 @@ SCALINGS = {"linear": "value / {}", "log10": "log10(value / {})", "asinh": "asin
 TIER_WORDS = {
     "loose_env/ControlTier-v0": "a sanity check: one record of all joints nearly decides",
     "loose_env/StoppingTier-v0": "when to stop, more than which records",
-    "loose_env/GravityTier-v0": "joints and poses that open the seat against gravity, on a wall",
-    "loose_env/WeakDriveTier-v0": "joints and poses that open the seat at half the drive",
+    "loose_env/GravityTier-v1": "joints and poses that open the seat against gravity, on a wall",
+    "loose_env/WeakDriveTier-v1": "joints and poses that open the seat at half the drive",
     "loose_env/SearchTier-v0": "results: each move splits the links that are left in two",
 }
 """What tells agents apart on each tier."""
 MEANINGS = {
     "sin_pose": "sine of a hinge's position; of a slide its place in its range, -1 to 1",
     "cos_pose": "cosine of a hinge's position; 0 for a slide",
+    "range_pose": "place in its range of each hinge of more than a whole turn; here one at most",
     "valid": "1 where the record was measured, 0 in an empty slot",
     "level": "level asked for; 0 for a held joint",
     "torque": "rms torque over the limit (force of a slide)",

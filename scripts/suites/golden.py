@@ -73,20 +73,20 @@ ENVIRONMENTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("loose_env/Vera-v0", _SHORT | _REDUCED | {"difficulty": "easy"}),
     ("loose_env/Planar-v0", _SHORT | {"n_links": 3, "hold": "servo"}),
     ("loose_env/Planar-v0", _SHORT | _REDUCED | {"n_links": 4, "max_excited": 2}),
-    ("loose_env/SixAxis-v0", _SHORT | {"link_accelerometers": True}),
-    ("loose_env/SixAxis-v0", _SHORT | _REDUCED | {"difficulty": "hard"}),
-    ("loose_env/Scara-v0", _SHORT | {"difficulty": "easy"}),
-    ("loose_env/Scara-v0", _SHORT | _REDUCED | {"hold": "compliant"}),
-    ("loose_env/Arm-v0", _SHORT),
-    ("loose_env/Arm-v0", _SHORT | _REDUCED),
+    ("loose_env/SixAxis-v1", _SHORT | {"link_accelerometers": True}),
+    ("loose_env/SixAxis-v1", _SHORT | _REDUCED | {"difficulty": "hard"}),
+    ("loose_env/Scara-v1", _SHORT | {"difficulty": "easy"}),
+    ("loose_env/Scara-v1", _SHORT | _REDUCED | {"hold": "compliant"}),
+    ("loose_env/Arm-v1", _SHORT),
+    ("loose_env/Arm-v1", _SHORT | _REDUCED),
     ("loose_env/ControlTier-v0", _SHORT),
     ("loose_env/ControlTier-v0", _SHORT | _REDUCED),
     ("loose_env/StoppingTier-v0", {}),
     ("loose_env/StoppingTier-v0", _REDUCED),
-    ("loose_env/GravityTier-v0", {}),
-    ("loose_env/GravityTier-v0", _REDUCED),
-    ("loose_env/WeakDriveTier-v0", {}),
-    ("loose_env/WeakDriveTier-v0", _REDUCED),
+    ("loose_env/GravityTier-v1", {}),
+    ("loose_env/GravityTier-v1", _REDUCED),
+    ("loose_env/WeakDriveTier-v1", {}),
+    ("loose_env/WeakDriveTier-v1", _REDUCED),
 )
 """Environments whose episodes are kept, on both engines."""
 WIDTH, RECORDS = 3, 2
@@ -183,7 +183,7 @@ def posterior() -> dict[str, Any]:
     for env_id, arguments in (
         ("loose_env/Vera-v0", {}),
         ("loose_env/Planar-v0", {"n_links": 3}),
-        ("loose_env/SixAxis-v0", _REDUCED),
+        ("loose_env/SixAxis-v1", _REDUCED),
     ):
         more: dict[str, Any] = {**arguments, **_SHORT, "max_records": 3}
         found[f"{env_id} {json.dumps(more)}"] = _episodes(

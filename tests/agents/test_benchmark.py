@@ -230,7 +230,7 @@ def test_kinds_change_what_they_name_and_nothing_else() -> None:
 
 
 def test_unknown_tasks_and_sets_are_refused(tmp_path: Path) -> None:
-    for task, name in ((TASK, "none"), ("loose_env/Arm-v0", "test")):
+    for task, name in ((TASK, "none"), ("loose_env/Arm-v1", "test")):
         with pytest.raises(UnknownName, match="unknown"):
             play_results(task, name, "random", told=TOLD, folder=tmp_path)
 

@@ -193,8 +193,8 @@ def test_weaker_levels_leave_the_friction_of_the_seats() -> None:
     arm = six_axis()
     weak = arm.with_levels([1, 2]).with_levels((0.5,))
     assert (weak.levels, weak.top_level, arm.top_level) == ((0.5,), 4.0, 4.0)
-    env: Any = gymnasium.make("loose_env/SixAxis-v0", levels=[1, 2], engine="reduced").unwrapped
-    usual: Any = gymnasium.make("loose_env/SixAxis-v0", engine="reduced").unwrapped
+    env: Any = gymnasium.make("loose_env/SixAxis-v1", levels=[1, 2], engine="reduced").unwrapped
+    usual: Any = gymnasium.make("loose_env/SixAxis-v1", engine="reduced").unwrapped
     for made in (env, usual):
         made.reset(seed=3, options={"fault": "structural_looseness@link2"})
     assert env.batch.episode(0).fault == usual.batch.episode(0).fault

@@ -102,19 +102,19 @@ def test_it_can_be_made_by_name_and_by_file(tmp_path: Path) -> None:
     nominal, true = tmp_path / "nominal.xml", tmp_path / "true.xml"
     nominal.write_text(FILE.format(gear=""))
     true.write_text(FILE.format(gear=GEAR))
-    made = gymnasium.make("loose_env/Arm-v0", model=str(nominal), true_model=str(true))
+    made = gymnasium.make("loose_env/Arm-v1", model=str(nominal), true_model=str(true))
     batch = made.unwrapped.batch  # type: ignore[attr-defined]
     assert batch.arm.gear_joints == ()
     assert batch.true_arm.gear_joints == ("gear",)
     made.reset(seed=1)
     made.step(batch.actions.encode(levels=np.array([2, 0])))
     many = gymnasium.make_vec(
-        "loose_env/Arm-v0", num_envs=2, model=str(nominal), true_model=str(true)
+        "loose_env/Arm-v1", num_envs=2, model=str(nominal), true_model=str(true)
     )
     assert many.unwrapped.batch.true_arm.gear_joints == ("gear",)  # type: ignore[attr-defined]
     with pytest.raises(InvalidSetting, match="not as both"):
         gymnasium.make(
-            "loose_env/Arm-v0", model=str(nominal), true_model=str(true), true_arm=batch.true_arm
+            "loose_env/Arm-v1", model=str(nominal), true_model=str(true), true_arm=batch.true_arm
         )
 
 
@@ -208,7 +208,7 @@ def test_no_episode_hides_it_and_an_option_may(arm: Arm, on_axis: Path) -> None:
     several = [sampler.several(np.random.default_rng(seed)) for seed in range(60)]
     assert not {f.hypothesis for s in several for f in s.faults} & {"backlash@joint6"}
     with pytest.warns(UserWarning, match="turn"):
-        env: Any = gymnasium.make("loose_env/Arm-v0", model=on_axis, durations=(0.2,)).unwrapped
+        env: Any = gymnasium.make("loose_env/Arm-v1", model=on_axis, durations=(0.2,)).unwrapped
     env.reset(seed=0, options={"fault": "backlash@joint6"})
     info = {}
     for action in (env.actions.encode(levels=np.full(6, 2)), env.actions.encode(verdict=1)):
@@ -223,7 +223,7 @@ def test_an_offset_moves_the_tool_off_the_axis(on_axis: Path) -> None:
     np.testing.assert_allclose(
         moved.model.site(moved.tool).pos, usual.model.site(usual.tool).pos, atol=1e-12
     )
-    env: Any = gymnasium.make("loose_env/Arm-v0", model=on_axis, tool_offset=[0.06, 0, 0])
+    env: Any = gymnasium.make("loose_env/Arm-v1", model=on_axis, tool_offset=[0.06, 0, 0])
     assert "backlash@joint6" in env.unwrapped.hypotheses
 
 

@@ -28,7 +28,7 @@ FORMS: list[Any] = [
     ("loose_env/Planar-v0", {"n_links": 2, "vertical": True, "difficulty": "easy"}),
     ("loose_env/Planar-v0", {"n_links": 7, "hold": "servo"}),
     ("loose_env/Planar-v0", {"n_links": 2, "hold": "compliant"}),
-    ("loose_env/Arm-v0", {"joints": ["base", "elbow"], "tool": "hand"}),
+    ("loose_env/Arm-v1", {"joints": ["base", "elbow"], "tool": "hand"}),
 ]
 
 FEW = [IDS[0], *(pytest.param(env_id, marks=pytest.mark.slow) for env_id in IDS[1:])]
@@ -159,12 +159,13 @@ def test_arguments_reach_single_and_vector_environments() -> None:
         ):
             with pytest.raises((UnknownName, InvalidData), match=words):
                 make("loose_env/Planar-v0", **wrong)
-    for env_id, name, joints in (
-        ("Planar", "planar4", 4), ("SixAxis", "six_axis", 6), ("Scara", "scara", 4),
-        ("Vera", "vera", 2), ("Arm", "desk_arm", 6),
-    ):  # fmt: skip
-        env = gymnasium.make(f"loose_env/{env_id}-v0").unwrapped
+    arms = (("vera", 2), ("planar4", 4), ("six_axis", 6), ("scara", 4), ("desk_arm", 6))
+    for env_id, (name, joints) in zip(IDS, arms, strict=True):
+        env = gymnasium.make(env_id).unwrapped
         assert (env.arm.name, env.arm.n, env.arm.hold) == (name, joints, "brake")
+    for env_id in (own for own in (*IDS, *TIERS) if own.endswith("-v1")):
+        with pytest.raises(gymnasium.error.DeprecatedEnv, match=f"use `{env_id}` instead"):
+            gymnasium.spec(env_id.replace("-v1", "-v0"))
 
 
 # ---- stable-baselines3
@@ -178,7 +179,7 @@ def adapted(num: int, env_id: str = "loose_env/Planar-v0", **arguments: Any) -> 
     return env, Sb3VecEnv(env)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("env_id", ["loose_env/Planar-v0", "loose_env/SixAxis-v0"])
+@pytest.mark.parametrize("env_id", ["loose_env/Planar-v0", "loose_env/SixAxis-v1"])
 def test_an_ended_episode_hands_over_its_last_observation_and_the_next_first_one(
     env_id: str,
 ) -> None:

@@ -123,7 +123,7 @@ def test_the_best_settings_are_written_for_one_arm_and_for_several(
     # No terminal: a line for each arm, none written over.
     first, line = said.err.splitlines()
     assert first == "classical_literal" and "2 candidates, 2 episodes" in line
-    two = [*PLANAR, "loose_env/Scara-v0", "--methods", "classical", "--candidates", "9"]
+    two = [*PLANAR, "loose_env/Scara-v1", "--methods", "classical", "--candidates", "9"]
     short = ["--arguments", '{"engine": "reduced", "max_records": 2}', "--episodes", "2"]
     tune_link_finding.main([*two, *short, "--out", str(tmp_path)])
     ClassicalSettings(**json.loads((tmp_path / "planar-spatial-classical.json").read_text()))

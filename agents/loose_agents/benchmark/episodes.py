@@ -163,7 +163,7 @@ def noisier(sensors: SensorSuite, factor: float) -> SensorSuite:
     )
 
 
-TASKS = (*TIERS, "loose_env/Planar-v0", "loose_env/SixAxis-v0")
+TASKS = (*TIERS, "loose_env/Planar-v0", "loose_env/SixAxis-v1")
 """Ids of the tasks, each with its version. The control tier is ``loose_env/Vera-v0`` as it is."""
 
 ENGINE = "reduced"

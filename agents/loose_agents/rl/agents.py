@@ -131,8 +131,7 @@ class PolicyForm:
         """Mask of valid options, choice by choice (options,).
 
         No move past the range of a joint, no stop before ``least`` records, no going on after
-        the last. A pose read from an observation is known up to whole turns: of a joint that
-        turns more than once, a move may be masked that would be possible, or the other way round.
+        the last.
         """
         actions, most = self.problem.actions, self.problem.settings.max_records
         last = records >= most

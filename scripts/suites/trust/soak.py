@@ -28,9 +28,9 @@ from loose_env.cli.command import command
 ARMS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("loose_env/Vera-v0", {}),
     ("loose_env/Planar-v0", {"n_links": 3, "hold": "servo"}),
-    ("loose_env/SixAxis-v0", {"difficulty": "hard"}),
-    ("loose_env/Scara-v0", {"difficulty": "easy"}),
-    ("loose_env/Arm-v0", {"hold": "compliant"}),
+    ("loose_env/SixAxis-v1", {"difficulty": "hard"}),
+    ("loose_env/Scara-v1", {"difficulty": "easy"}),
+    ("loose_env/Arm-v1", {"hold": "compliant"}),
 )
 """Environments that take turns."""
 NAMED = 0.15
