@@ -149,8 +149,9 @@ def _model_file(plan: ImportMapping, mapping: Path, model: str | Path | None) ->
         )
     path = mapping.resolve().parent / plan.model if model is None else Path(model)
     if not path.is_file():
-        told = "; name it from the mapping's folder, or give another one by --model"
-        raise InvalidData(f"{plan.name}: there is no model {str(model or plan.model)!r:.200}{told}")
+        told = " from the mapping's folder; another one is given by --model" * (model is None)
+        words = f"{plan.name}: there is no model {str(model or plan.model)!r:.200}{told}"
+        raise InvalidSetting(words) if model else InvalidData(words)
     return path
 
 
