@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from loose_env.errors import InvalidData
 from loose_env.gap.core.balance import USUAL, Balance, Forces, scaled
-from loose_env.gap.core.catalogue import Term, shapes, terms_of
+from loose_env.gap.core.catalogue import Axes, Term, shapes, terms_of
 from loose_env.gap.core.evidence import Grid, grid_of
 from loose_env.gap.core.find import Say, silent
 from loose_env.gap.core.identifiability import unexplained
@@ -65,7 +65,7 @@ VISIBLE = (12.0, 160.0)
 """Visibility that a candidate must reach, and the largest that is considered [noise sd]."""
 _INDISTINGUISHABLE_Z = 2.0
 """Length of a signature beside that of another candidate below which both are one [noise sd]."""
-_FORMAT = "gap evidence 7"  # version of what is stored; a change of the computation changes it
+_FORMAT = "gap evidence 8"  # version of what is stored; a change of the computation changes it
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "loose_env" / "gap"
 """Folder of stored evidence."""
 
@@ -324,9 +324,7 @@ def _shapes_of(arm: ServoArm, motions: Sequence[Motion], kinds: Sequence[str]) -
     return found
 
 
-def _axes_of(
-    balance: Balance, effect: Effect
-) -> Iterator[tuple[tuple[tuple[float, ...], ...], bool]]:
+def _axes_of(balance: Balance, effect: Effect) -> Iterator[tuple[Axes, bool]]:
     """Axes of every shape, springs in a ladder of stiffnesses."""
     if not effect.adds_motion:
         least = _LEAST_S if effect.kind in _TIMES else 0.0
@@ -428,10 +426,8 @@ def _only(bank: MotionBank, kept: set[int]) -> MotionBank:
 
 
 def _indistinguishable(bank: MotionBank) -> set[str]:
-    """Candidates that no motion of the bank tells from an earlier one.
-
-    As the mass of a link that only turns about the vertical and the inertia of its rotor.
-    """
+    """Candidates that no motion of the bank tells from an earlier one."""
+    # As the mass of a link that only turns about the vertical and the inertia of its rotor.
     gram = beyond(np.sum([e.gram for e in bank.evidence], axis=0), bank.nuisances)
     own, most = np.diag(gram), VISIBLE[1] ** 2 / np.maximum(np.diag(bank.beyond), 1e-12)
     left = np.empty((len(bank.shapes), len(bank.shapes)))

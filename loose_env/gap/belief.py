@@ -132,10 +132,8 @@ class Belief:
             self.__dict__.pop(name, None)
 
     def _bent(self, found: MotionEvidence, measured: Along) -> Array:
-        """Residual of the best set that its columns lack along the nominal motion (R,).
-
-        The machine moves a little otherwise, and its forces with it.
-        """
+        """Residual of the best set that its columns lack along the nominal motion (R,)."""
+        # The machine moves a little otherwise, and its forces with it.
         own = self.posterior.best.shapes
         fit, free = self.products.fit(own), self.bank.nuisances
         terms = [self.bank.shapes[h].term for h in own]
@@ -245,11 +243,9 @@ class Products:
 
 
 def _posterior(products: Products) -> Posterior:
-    """Posterior over sets of at most two effects about the nominal model.
-
-    Singles are all evaluated. Pairs are those of any effect beside one of the best singles, then
-    beside one of the second members of the best pairs.
-    """
+    """Posterior over sets of at most two effects about the nominal model."""
+    # Singles are all evaluated. Pairs are those of any effect beside one of the best singles, then
+    # beside one of the second members of the best pairs.
     bank = products.bank
     candidate, count = bank.candidate, len(bank.names)
     chi2, half, _, _ = products.alone

@@ -14,7 +14,7 @@ from scipy.special import softmax
 from loose_env.doctor import Finding as Preflight
 from loose_env.errors import InvalidSetting
 from loose_env.gap.core import residual
-from loose_env.gap.core.catalogue import Term, shapes, shows, terms_of
+from loose_env.gap.core.catalogue import Term, shown
 from loose_env.gap.core.decision import Finding, decide, held_out_rms
 from loose_env.gap.core.evidence import weight_of
 from loose_env.gap.core.exact import LARGE, ExactFit
@@ -238,10 +238,8 @@ def try_effect(answer: Answer, effect: type[Effect] | str, where: str) -> NamedE
     name = own.kind, where
     with silent():
         terms = [t for t in evidence.terms if t.name == name and type(t.effect) is own]
-        forms = [own(machine, where, v) for v in own.variants_at(machine, where) if not terms]
-        for form in (form for form in forms if shows(balance, form)):
-            terms += [t for axes in shapes(balance, form) for t in terms_of(balance, form, *axes)]
-        if not terms:
+        forms = (own(machine, where, v) for v in own.variants_at(machine, where))
+        if not (terms := terms or shown(balance, forms)):
             raise InvalidSetting(
                 f"these motions do not show {own.kind} at {where}; record one in which it acts"
             )
@@ -351,7 +349,7 @@ def _fitted(term: Term, values: Array) -> FittedEffect:
 
 def _ranked(answer: Answer, fits: Iterable[SetFit | ExactFit]) -> list[RankedSet]:
     """Sets of effects at their values, the best first; each of kinds and locations once."""
-    evidence, once = answer.selection.evidence, dict[frozenset[object], SetFit | ExactFit]()
+    once = dict[frozenset[object], SetFit | ExactFit]()
     for fit in sorted(fits, key=lambda own: own.total):
         if isinstance(fit, ExactFit) or fit.allowed:
             once.setdefault(frozenset(term.name for term in fit.terms), fit)
@@ -359,14 +357,11 @@ def _ranked(answer: Answer, fits: Iterable[SetFit | ExactFit]) -> list[RankedSet
     behind -= behind[0]
     ranked = []
     for fit, above, chance in zip(once.values(), behind, softmax(-behind / 2), strict=True):
-        values = fit.values
-        if isinstance(fit, SetFit):
-            at = (fit.places(evidence.columns_of(term)) for term in fit.terms)
-            values = tuple(t.values(fit.values[k]) for t, k in zip(fit.terms, at, strict=True))
-        effects = sorted(map(_fitted, fit.terms, values), key=_name)
+        values = answer.selection.values_in(fit) if isinstance(fit, SetFit) else fit.values
         ranked.append(
             RankedSet(
-                effects=tuple(effects), behind=float(above), probability=float(chance),
+                effects=tuple(sorted(map(_fitted, fit.terms, values), key=_name)),
+                behind=float(above), probability=float(chance),
                 source="simulation" if isinstance(fit, ExactFit) else "force balance",
             )
         )  # fmt: skip
@@ -488,15 +483,12 @@ def _loudest(played: Played, joint: str) -> tuple[str, float]:
 
 def _pulled(answer: Answer) -> tuple[TolerancePull, ...]:
     """Tolerances pulled by more than two standard deviations, the most first."""
-    evidence = answer.selection.evidence
-    pulls = (evidence.mixed @ answer.decision.fit.values[: evidence.tolerances]).tolist()
-    pairs = zip(evidence.nuisances, pulls, strict=True)
     found = [
         TolerancePull(
-            name=n.name, deviations=pull, value=pull * n.size, tolerance=abs(n.size), unit=n.unit
+            name=n.name, deviations=x, value=x * n.size, tolerance=abs(n.size), unit=n.unit
         )
-        for n, pull in pairs
-        if abs(pull) > PULLED
+        for n, x in answer.selection.pulls(answer.decision.fit)
+        if abs(x) > PULLED
     ]
     return tuple(sorted(found, key=lambda each: -abs(each.deviations)))
 

@@ -108,10 +108,8 @@ class PairGain:
 
     @property
     def nats(self) -> float:
-        """Expected gain, by how probable each of the two is now.
-
-        Of an effect that may be beside the answer it is that if it is there.
-        """
+        """Expected gain, by how probable each of the two is now."""
+        # Of an effect that may be beside the answer it is that if it is there.
         odds = 0.0 if self.effect == NOTHING else float(expit(self.so_far_nats))
         return odds * self.if_effect_nats + (1 - odds) * self.if_rival_nats
 
@@ -213,7 +211,7 @@ def open_pairs(answer: Answer) -> tuple[OpenPair, ...]:
     found, beside = list[OpenPair](), {(kind, where) for _, kind, where in decision.rivals}
 
     def side(own: SetFit, term: Term, shapes: Set) -> Side:
-        return Side(term, own.values[own.places(evidence.columns_of(term))], shapes)
+        return Side(term, selection.shares(own, term), shapes)
 
     def against(effect: Side | None, rest: Set, names: Iterable[tuple[str, str]]) -> None:
         """Add pairs of an effect and those of some names, in their best shapes, beside others."""
@@ -261,7 +259,8 @@ class Questions:
         self.centre = np.append(np.zeros(free), evidence.centre[self._numbers])
         # of the tolerances themselves: a motion may feel what the runs did not
         spread = block_diag(evidence.mixed, np.eye(len(self._numbers)))
-        gram = Form(selection, fit.powers).block(every) - np.diag(evidence.precision[every])
+        gram = Form(selection, fit.powers).between(every, every)
+        gram -= np.diag(evidence.precision[every])
         self.recorded: Array = spread @ gram @ spread.T
         """Gram matrix of the recorded runs at the weights of the answer (K, K)."""
         self._missed = np.zeros(len(self.precision))
@@ -298,10 +297,8 @@ class Questions:
         return _Gains(pairs=tuple(found))
 
     def gram(self, motion: PlannedMotion) -> Array:
-        """Gram matrix along a planned motion, whitened as the recorded runs (K, K).
-
-        Cells in which the laws of the answer miss more than noise say less.
-        """
+        """Gram matrix along a planned motion, whitened as the recorded runs (K, K)."""
+        # Cells in which the laws of the answer miss more than noise say less.
         known = self.answer.selection.evidence
         machine = known.balance.machine
         run = self.player.run(NEXT_MOTION, motion)
@@ -323,10 +320,9 @@ class Questions:
                 continue
             grid = grid_of(balance, channel)
             rows = grid.whitened(np.stack([columns[k].at(channel) for k in at], axis=1))
-            cell, count = grid.rows.cell, grid.rows.count
-            missed = np.bincount(cell, rows**2 @ self._missed[at] ** 2)
-            weight = self._weight(channel, grid.rows.turn) * count / (count + missed)
-            found[np.ix_(at, at)] += (rows * weight[cell][:, None]).T @ rows
+            missed = np.bincount(grid.cell, rows**2 @ self._missed[at] ** 2)
+            weight = self._weight(channel, grid.turn) * grid.count / (grid.count + missed)
+            found[np.ix_(at, at)] += (rows * weight[grid.cell][:, None]).T @ rows
         return found
 
     def _moves(self, balance: Balance, channel: int) -> bool:
@@ -335,9 +331,8 @@ class Questions:
             return True
         if not balance.seen[:, channel].any() or not grid_of(balance, channel).pieces:
             return False
-        both = balance, self.answer.selection.evidence.balance
-        usual = [float(np.percentile(np.abs(own.speed[:, channel]), 95)) for own in both]
-        return usual[0] > _STANDS * max(usual)
+        known = self.answer.selection.evidence.balance.usual[channel]
+        return bool(balance.usual[channel] > _STANDS * max(balance.usual[channel], known))
 
     def _weight(self, channel: int, turn: Array) -> Array:
         """Weight of each cell: that of its band in the answer's fit of the recorded runs (C,)."""
@@ -351,11 +346,9 @@ class Questions:
         return np.ones(len(turn))
 
     def _apart(self, true: Side | None, other: Side | None, rest: Set, joint: Array) -> float:
-        """Half of the squared distance that a motion adds between one set and the other [nats].
-
-        Of what one effect does, in noise standard deviations, beyond the other effect in any of
-        its shapes, the common effects and all tolerances.
-        """
+        """Half of the squared distance that a motion adds between one set and the other [nats]."""
+        # Of what one effect does, in noise standard deviations, beyond the other effect in any of
+        # its shapes, the common effects and all tolerances.
         if true is None:
             return 0.0
         at, force, ends = self._at(true.term), true.coefficients, np.full(2, np.inf)

@@ -33,11 +33,9 @@ record is unknown, and a clock that jumps would be simulated through."""
 _PAUSE_STEPS = 20.0  # the same in median steps [1]: a slow recorder does not pause between its rows
 
 
-def measured_runs(
-    runs: Sequence[Run], model: mujoco.MjModel
-) -> tuple[list[list[Run]], tuple[str, ...]]:
-    """Pieces of every run that are compared, with a note on what was left out."""
-    found, words = [], []
+def measured_runs(runs: Sequence[Run], model: mujoco.MjModel) -> tuple[list[Run], tuple[str, ...]]:
+    """Pieces of all runs that are compared, with a note on what was left out."""
+    found, words = list[Run](), list[str]()
     for run in runs:
         clean, corrupt = set_aside(run, model)
         pieces = pieces_of(clean)
@@ -50,7 +48,7 @@ def measured_runs(
                 + f", without {lost} samples of shorter ones"
                 * bool(lost)
             )
-        found.append(pieces)
+        found += pieces
     return found, tuple(words)
 
 
@@ -77,11 +75,10 @@ _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT
 
 
 def steady_activations(model: mujoco.MjModel, command: Array) -> Array:
-    """Activations (model.na,) of filters at steady state under a command (actuators,).
-
-    Zero, as MuJoCo starts, where the state does not follow from the command: that of an integrator
-    depends on its unknown initial value, muscles and others on more than their commands.
-    """
+    """Activations (model.na,) of filters at steady state under a command (actuators,)."""
+    # Zero, as MuJoCo starts, where the state does not follow from the command: that of an
+    # integrator depends on its unknown initial value, muscles and others on more than their
+    # commands.
     found = np.zeros(model.na)
     for k in np.flatnonzero(model.actuator_actnum):
         if int(model.actuator_dyntype[k]) not in _FILTERS or model.actuator_actnum[k] != 1:
@@ -195,11 +192,9 @@ def _even_interval(time: Array) -> float | None:
 def align_run(
     run: Run, machine: NominalModel, channels: tuple[Channel, ...], *, step: float
 ) -> Trial:
-    """Align a run with simulation steps.
-
-    Commands are the means over each step of what acts. Stamps that are even but for their rounding
-    become even. The initial state is for the caller to set.
-    """
+    """Align a run with simulation steps."""
+    # Commands are the means over each step of what acts. Stamps that are even but for their
+    # rounding become even. The initial state is for the caller to set.
     time, interval = run.time - run.time[0], _even_interval(run.time)
     if interval is not None:
         time = interval * np.arange(len(time))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from loose_env.arms import load_spec
 from loose_env.errors import InvalidData
 from loose_env.gap.model.hypothesis import JOINT, Hypothesis, scale
-from loose_env.gap.model.nominal_model import NominalModel, mass_matrix
+from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.runs import SETTLE, Channel, align_run
 from loose_env.gap.simulator import Simulator
 from loose_env.io import Checked, Positive, Rule
@@ -126,10 +126,8 @@ def followed(
     *,
     held: bool = True,
 ) -> PlannedMotion:
-    """Simulate a motion from a state, with a command at each sample, contacts included.
-
-    Held by its first command before, unless that depends on the state.
-    """
+    """Simulate a motion from a state, with a command at each sample, contacts included."""
+    # Held by its first command before, unless that depends on the state.
     at, dofs = where
     if held:
         command(0)
@@ -194,13 +192,12 @@ class ServoArm(Checked):
 
     @cached_property
     def _prepared(self) -> mujoco.MjSpec:
-        """Copy with an encoder at every driven joint and with a step that divides the samples.
-
-        Runge-Kutta at 2 ms errs by less than a fifth of the noise; the implicit integrator by six
-        times the noise, and differently for effects that need other steps. It is stable up to a
-        rate times the step of 2.8 (E. Hairer and G. Wanner, Solving Ordinary Differential Equations
-        II, IV.2), and the fastest rate is that of a drive whose rotor a compliance sets free.
-        """
+        """Copy with an encoder at every driven joint and with a step that divides the samples."""
+        # Runge-Kutta at 2 ms errs by less than a fifth of the noise; the implicit integrator by six
+        # times the noise, and differently for effects that need other steps. It is stable up to a
+        # rate times the step of 2.8 (E. Hairer and G. Wanner, Solving Ordinary Differential
+        # Equations II, IV.2), and the fastest rate is that of a drive whose rotor a compliance sets
+        # free.
         spec = self.spec.copy()
         model, interval = spec.copy().compile(), 1.0 / RATE
         for sensor in list(spec.sensors):
@@ -215,10 +212,8 @@ class ServoArm(Checked):
 
     @cached_property
     def machine(self) -> NominalModel:
-        """Nominal model of the identification, without contacts.
-
-        Motions are checked to stay clear of them (`check_motion`), and simulations are faster.
-        """
+        """Nominal model of the identification, without contacts."""
+        # Motions are checked to stay clear of them (`check_motion`), and simulations are faster.
         spec = self._prepared.copy()
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         # typical loads and speeds scale the effects' starts
@@ -267,10 +262,8 @@ class ServoArm(Checked):
 
     @cached_property
     def rest(self) -> tuple[Array, Array]:
-        """Home pose of all joints (nq,), with the inputs of all actuators there (nu,).
-
-        Key "home", else the first key, else the middle of the range of each driven joint.
-        """
+        """Home pose of all joints (nq,), with the inputs of all actuators there (nu,)."""
+        # Key "home", else the first key, else the middle of the range of each driven joint.
         model = self.model
         names = [model.key(k).name for k in range(model.nkey)]
         if names:
@@ -308,12 +301,9 @@ class ServoArm(Checked):
     @cached_property
     def _all_torque_limits(self) -> Array:
         """Torque limits of all joints (nv,) [N·m, N]."""
-        model = self.model
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        limits = 2.0 * np.abs(data.qfrc_bias) + 20.0 * np.diag(mass_matrix(model, data))
-        own = NominalModel(self._prepared).torque_limits
-        return np.where(np.isfinite(own), own, limits)
+        machine = NominalModel(self._prepared)
+        own, bias = machine.torque_limits, machine.at_zero.qfrc_bias
+        return np.where(np.isfinite(own), own, 2.0 * np.abs(bias) + 20.0 * machine.inertias)
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:

@@ -85,12 +85,10 @@ class _Stepped:
             self._base = self._friction[:, self._dofs].copy()
 
     def rollout(self, count: int, control: Array, *, record: Sequence[str]) -> dict[str, Array]:
-        """Advance the simulations, as `mujoco.batch.Batch.rollout` does.
-
-        Readings and forces are those at the beginning of each step, under its own command. A
-        simulation with a MuJoCo warning is NaN from the beginning, since a term may make it
-        diverge.
-        """
+        """Advance the simulations, as `mujoco.batch.Batch.rollout` does."""
+        # Readings and forces are those at the beginning of each step, under its own command. A
+        # simulation with a MuJoCo warning is NaN from the beginning, since a term may make it
+        # diverge.
         batch, places, dofs = self.batch, self._places, self._dofs
         # requested first: a field is computed from the next call on
         loads = _LOADS if self._rubs else ()
@@ -246,9 +244,8 @@ class Simulator:
         """What simulations of one batch share; those stepped from Python cost by their steps."""
         terms, trial = any(x.overrides(*_TERMS) for x in slot.hypothesis.effects), slot.trial
         joints = slot.model.jnt_bodyid.tobytes(), slot.model.body_parentid.tobytes()
-        sizes = tuple(getattr(slot.model, name, 0) for name in _SIZES)
         steps = trial.step, terms or trial.steps
-        return sizes, joints, steps, trial.form, trial.resting
+        return sizes_of(slot.model), joints, steps, trial.form, trial.resting
 
     def _at_once(self, slots: Sequence[_Slot]) -> int:
         """Number of simulations that fit into the memory of `_AT_ONCE`, one a thread at least."""
@@ -312,9 +309,13 @@ def sensed(model: mujoco.MjModel, name: str, readings: Array) -> Array:
 
 _SIZES = (
     "nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "nsensor", "nsensordata", "neq", "nhistory",
-    "nM", "ngeom", "ntendon", "nJmom", "nC",
+    "nM", "ngeom", "ntendon", "nJmom", "nC", "nactuator",
 )  # fmt: skip
-"""Sizes of models that are simulated in one batch."""
+
+
+def sizes_of(model: mujoco.MjModel) -> tuple[int, ...]:
+    """Sizes that models share in one batch."""
+    return tuple(int(getattr(model, name, 0)) for name in _SIZES)
 
 
 def _advance(

@@ -243,11 +243,9 @@ def test_a_column_of_one_joints_motion_has_its_share_of_the_noise_of_a_reading()
     """Also of its second rate, which a delay and its slope leave together, by the frequency."""
     log = Recording(folder=Path(), model_path=Path(), runs=(plain("inverse"),))
     balance, joints = Balance(machine(), smooth(log, machine())), len(machine().joints)
-    reading = next(
-        k for k in range(len(balance.readings.names)) if balance.readings.accelerated_by(k)
-    )
+    reading = next(k for k in range(len(balance.readings.names)) if balance.readings.accelerated(k))
     grid = grid_of(balance, joints + reading)
-    bands = np.unique(grid.rows.turn)
+    bands = np.unique(grid.turn)
     parts = balance.readings.by_joint[:, :, reading].T
     second = rates(parts, balance.motion.step, 2)
     same, bent = (

@@ -8,25 +8,27 @@ rest is a reaction, but the friction loss times the direction of sliding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
 import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 from scipy.optimize import minimize
 
-from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passed, rates
+from loose_env.gap.core.motion import FINER, Motion, RunMotion, finer, low_passed, mirrored
 from loose_env.gap.core.readings import Readings
-from loose_env.gap.model.effect import DrivenEffect, Effect
+from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.drives import CommandInterpolation, DriveLimit
 from loose_env.gap.model.effects.inertia import MountedPayload
 from loose_env.gap.model.effects.sensors import EncoderOffset, column_of
 from loose_env.gap.model.hypothesis import compiled
 from loose_env.gap.model.nominal_model import NominalModel
-from loose_env.typing import Array, ComplexArray
+from loose_env.gap.simulator import sizes_of
+from loose_env.typing import Array
 
 _OFF = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 _DRIVES = 29  # group of the machine's own drives, off in runs without commands
@@ -43,12 +45,6 @@ _ROUNDS, _CONVERGED = 12, 0.02
 """Rounds of the motion of an added joint whose inertia varies, at most, and the share of its
 acceleration that may be left."""
 _RESONANCES = 3  # springs that are started from
-
-_SIZES = (
-    *("nq", "nv", "nu", "na", "nbody", "njnt", "nsite", "ntendon", "nC", "ngeom", "neq"),
-    *("nhistory", "nM", "nJmom", "nsensordata", "nactuator"),
-)
-"""Sizes that models share in one batch."""
 
 CONTACTS: dict[str, tuple[str, float]] = {
     "sliding 0.2%": ("speed", 0.002),
@@ -126,15 +122,17 @@ class Balance:
         self.found: Found = ()
         self._known: dict[tuple[object, ...], Forces] = {}
         self.position, self.speed = motion.stacked("position"), motion.stacked("speed")
+        self._poses = np.linspace(0, len(self.position) - 1, _POSES).astype(int)
         self.acceleration = motion.stacked("acceleration")
         self.commands, self.torques = motion.stacked("commands"), motion.stacked("torques")
         sizes = [len(run.position) for run in motion.runs]
         self.forms = np.repeat([run.form for run in motion.runs], sizes)
         self.released = self.forms != "forward"
         span = np.ptp(self.position, axis=0)
-        usual = np.maximum(np.percentile(np.abs(self.speed), 95, axis=0), 1e-9)
+        self.usual = np.percentile(np.abs(self.speed), 95, axis=0)  # speed of each joint
+        sizes_ = np.maximum(self.usual, 1e-9), span
         self.directions = {
-            name: np.concatenate([_direction(motion, r, law, usual, span) for r in motion.runs])
+            name: np.concatenate([_direction(motion, run, law, *sizes_) for run in motion.runs])
             for name, law in CONTACTS.items()
         }
         model = compiled(machine.fresh())
@@ -146,7 +144,7 @@ class Balance:
         self._nominal = model
         self.stiffness = np.zeros(len(machine.joints))
         if not self.released.all():
-            self.stiffness = np.diag(self._operator(model, drives=True)[2]).copy()
+            self.stiffness = np.diag(self._operators(model, drives=True)[0, 2]).copy()
         self.encoders = {n: machine.joints.index(j) for n, j in machine.encoders.items()}
         measured = np.isfinite(self.torques)
         inverse = (self.forms == "inverse")[:, None]
@@ -212,8 +210,7 @@ class Balance:
         encoder = self._misread(effect, values)
         if encoder:
             return self._read_otherwise(encoder, commands, effect, values)
-        if isinstance(effect, DrivenEffect):
-            commands = effect.feedback(commands, self.position, self.speed, values)
+        commands = effect.feedback(commands, self.position, self.speed, values)
         return self._change(model, commands, effect, values)
 
     def _by_run(self, effect: MountedPayload, values: Array) -> Forces:
@@ -222,17 +219,14 @@ class Balance:
         names = np.repeat([run.name for run in self.motion.runs], sizes)
         parts = [self.forces(*effect.plain(values, way)) for way in range(len(effect.mountings))]
         its = [np.isin(names, runs)[:, None] for runs in effect.mountings]
-        smooth, dry, readings = (
-            sum(
-                np.where(own, getattr(part, name), 0.0)
-                for own, part in zip(its, parts, strict=True)
-            )
-            for name in ("smooth", "dry", "readings")
-        )
-        operator = sum(own.mean() * part.operator for own, part in zip(its, parts, strict=True))
+        pairs = list(zip(its, parts, strict=True))
+
+        def mixed(name: str) -> Array:
+            return np.asarray(sum(np.where(own, getattr(part, name), 0.0) for own, part in pairs))
+
         return Forces(
-            smooth=np.asarray(smooth), dry=np.asarray(dry), readings=np.asarray(readings),
-            operator=np.asarray(operator),
+            smooth=mixed("smooth"), dry=mixed("dry"), readings=mixed("readings"),
+            operator=np.asarray(sum(own.mean() * part.operator for own, part in pairs)),
         )  # fmt: skip
 
     def _misread(self, effect: Effect, values: Array) -> str:
@@ -247,33 +241,27 @@ class Balance:
     def _read_otherwise(
         self, encoder: str, commands: Array, effect: Effect, values: Array
     ) -> Forces:
-        """Change by a position sensor that reads otherwise than the joint moves.
-
-        The balance along the motion that the joint then made. Its drive knew that motion, or by the
-        effect's feedback what the sensor showed.
-        """
+        """Change by a position sensor that reads otherwise than the joint moves."""
+        # The balance along the motion that the joint then made. Its drive knew that motion, or by
+        # the effect's feedback what the sensor showed.
         joint, column = self.encoders[encoder], column_of(encoder)
         parts, shares = [], []
         for run, q in zip(self.motion.runs, self.motion.split(self.position), strict=True):
             own = q[:, joint]
-            mirrored = np.concatenate([own, own[::-1]])
-            turn = 2 * np.pi * np.fft.rfftfreq(len(mirrored), self.motion.step)
-            if effect.is_time_shift:
-                ahead = np.exp(1j * turn * values[0]) - 1
-                wave = ahead * np.fft.rfft(mirrored - own.mean())
-            else:
+            swing = off = own - own.mean()
+            if not effect.is_time_shift:
                 off = self._unread(run, own, column, effect, values)
-                wave = np.fft.rfft(np.concatenate([off, off[::-1]]))
+            turn, wave = mirrored(off, self.motion.step)
+            if effect.is_time_shift:
+                wave = (np.exp(1j * turn * values[0]) - 1) * wave
             parts.append([np.fft.irfft((1j * turn) ** k * wave)[: len(own)] for k in range(3)])
-            swing = own - own.mean()
             shares.append((float(swing @ parts[-1][0]), float(swing @ swing)))
         moved = [np.concatenate([part[k] for part in parts]) for k in range(3)]
         states = []
         for known, more in zip((self.position, self.speed, self.acceleration), moved, strict=True):
             states.append(known.copy())
             states[-1][:, joint] += more
-        if isinstance(effect, DrivenEffect):
-            commands = effect.feedback(commands, states[0], states[1], values)
+        commands = effect.feedback(commands, states[0], states[1], values)
         needed, given = self._forces(self._nominal, commands, (states[0], states[1], states[2]))
         # the noise of a joint that moves less than is read is less, too
         more, whole = np.sum(shares, axis=0)
@@ -312,12 +300,9 @@ class Balance:
         self, model: mujoco.MjModel | None, commands: Array, effect: Effect | None, values: Array
     ) -> Forces:
         felt = self.readings.nothing
-        if model is None and commands is self.commands:
-            needed, given = self.needed.copy(), self.given
-        elif model is None:
-            needed, given = self.needed.copy(), self.given_by(commands)
-        elif commands is self.commands and _same_forces(model, self._nominal):
-            needed, given = self.needed.copy(), self.given
+        told = commands is self.commands
+        if model is None or (told and _same_forces(model, self._nominal)):
+            needed, given = self.needed.copy(), self.given if told else self.given_by(commands)
         elif model.nv > self.needed.shape[1]:
             needed, given, felt = self._with_hidden_joint(model, commands, effect)
         else:
@@ -333,7 +318,7 @@ class Balance:
             reached = np.mean(np.abs(given - self.given) > _MODEL * np.abs(self.given), axis=0)
             eased = reached * (self.stiffness != 0)
         elif edited and model is not None and model.nv == self.needed.shape[1]:
-            operator = self._operator(model) - self.operator
+            operator = self._operators(model)[0] - self.operator
         elif model is not None and model.nv > self.needed.shape[1] and (self.forms == "free").all():
             # what a hidden joint leaves of the forces that the motion takes
             ratio = np.sum(needed * self.needed, axis=0) / np.sum(self.needed**2, axis=0)
@@ -345,10 +330,9 @@ class Balance:
                     self.motion.split(self.position), self.motion.split(self.speed), strict=True
                 )
                 needed -= np.concatenate([effect.torque_along(q, v, values) for q, v in paths])
-            if isinstance(effect, DrivenEffect):
-                dry += effect.dry_friction(
-                    self._loads(effect, values), self.bias, self.speed, values
-                )
+            if effect.overrides("dry_friction"):
+                loads = self._loads(effect, values)
+                dry += effect.dry_friction(loads, self.bias, self.speed, values)
             if effect.overrides("sensed_torque"):
                 inverse = self.forms == "inverse"
                 for joint, name in enumerate(self.machine.joints):
@@ -365,11 +349,9 @@ class Balance:
             eased=eased,
         )
 
-    def _loads(self, effect: DrivenEffect, values: Array) -> Array:
-        """Drive torques that carry a friction by load beside what the model needs (T, joints).
-
-        Not the drive's own torque, which contains all other friction as well.
-        """
+    def _loads(self, effect: Effect, values: Array) -> Array:
+        """Drive torques that carry a friction by load beside what the model needs (T, joints)."""
+        # Not the drive's own torque, which contains all other friction as well.
         none, one = (
             effect.dry_friction(np.full_like(self.needed, load), self.bias, self.speed, values)
             for load in (0.0, 1.0)
@@ -418,16 +400,10 @@ class Balance:
         The first, or the second without its sign.
         """
         changed = self.commands.copy()
-        slopes = [rates(r.commands[:, actuator], r.step, order) for r in self.motion.runs]
         # small, so that no limit is reached by it
         size = (_NUDGE * self.motion.step) ** order
-        changed[:, actuator] -= size * np.concatenate(slopes)
+        changed[:, actuator] -= size * self.motion.rates(self.commands[:, actuator], order)
         return (self.given - self.given_by(changed)) / size
-
-    def feels(self, channel: int) -> bool:
-        """Whether a channel is a reading that depends on the joints' acceleration."""
-        reading = channel - len(self.machine.joints)
-        return reading >= 0 and self.readings.accelerated_by(reading)
 
     def at_samples(self) -> Iterator[tuple[Array, Array]]:
         """Acceleration at the samples beyond its mean between them, by each actuator (T, joints).
@@ -458,7 +434,7 @@ class Balance:
 
     def _batch(self, model: mujoco.MjModel, count: int) -> tuple[Batch, list[Array]]:
         """Batch with room for all samples, and its mass matrices and forces."""
-        key = (*(int(getattr(model, name)) for name in _SIZES), count, tuple(model.jnt_bodyid))
+        key = (sizes_of(model), count, tuple(model.jnt_bodyid))
         if key not in self._batches:
             if len(self._batches) > 3:
                 self._batches.pop(next(iter(self._batches)))
@@ -467,42 +443,41 @@ class Balance:
             self._batches[key] = batch, [batch.bind(name) for name in names]
         return self._batches[key]
 
-    def _operator(self, model: mujoco.MjModel, *, drives: bool = False) -> Array:
-        """Mean inertia, damping and stiffness, drives included or alone (3, joints, joints)."""
-        return np.asarray(self._operators(model, drives=drives)[0])
+    def _slopes(
+        self, model: mujoco.MjModel, states: Sequence[Array], rows: Array, joints: Sequence[int]
+    ) -> Array:
+        """Forces needed and given, by acceleration, speed and position of joints (2, 3, K, T, nv).
+
+        Per unit of each, at some samples of the motion.
+        """
+        sizes = np.array([1.0, _NUDGE, _NUDGE])
+        base = [x[rows] for x in states[::-1]]
+        every = [base]
+        for order, joint in product(range(3), joints):
+            every.append([x.copy() for x in base])
+            every[-1][order][:, joint] += sizes[order]
+        a, v, q = (np.concatenate([s[k] for s in every]) for k in range(3))
+        forces = np.array(
+            self._forces(model, np.tile(self.commands[rows], (len(every), 1)), (q, v, a))
+        ).reshape(2, len(every), len(rows), -1)
+        changes = (forces[:, 1:] - forces[:, :1]).reshape(2, 3, len(joints), len(rows), -1)
+        return np.asarray(changes / sizes[:, None, None, None])
 
     def _operators(self, model: mujoco.MjModel, *, drives: bool = False) -> Array:
-        """The same with their variance over the motion (2, 3, joints, joints)."""
-        rows = np.linspace(0, len(self.position) - 1, _POSES).astype(int)
-        joints = len(self.machine.joints)
-        found = np.zeros((2, 3, joints, joints))
-        base = [x[rows] for x in (self.acceleration, self.speed, self.position)]
-        states, commands = [base], self.commands[rows]
-        for order in range(3):
-            for joint in range(joints):
-                moved = [x.copy() for x in base]
-                moved[order][:, joint] += 1.0 if order == 0 else _NUDGE
-                states.append(moved)
-        a, v, q = (np.concatenate([s[k] for s in states]) for k in range(3))
-        needed, given = self._forces(model, np.tile(commands, (len(states), 1)), (q, v, a))
-        force = (-given if drives else needed - given).reshape(len(states), len(rows), joints)
-        force = self.folded(force, rows)
-        for order in range(3):
-            for joint in range(joints):
-                change = force[1 + order * joints + joint] - force[0]
-                change /= 1.0 if order == 0 else _NUDGE
-                found[:, order, :, joint] = change.mean(axis=0), change.var(axis=0)
-        return found
+        """Inertia, damping and stiffness, drives included or alone (2, 3, joints, joints)."""
+        # Their mean and their variance over the motion.
+        states, joints = (self.position, self.speed, self.acceleration), len(self.machine.joints)
+        needed, given = self._slopes(model, states, self._poses, range(joints))
+        change = self.folded(-given if drives else needed - given, self._poses)
+        return np.stack([change.mean(axis=2), change.var(axis=2)]).swapaxes(2, 3)
 
     def _with_hidden_joint(
         self, model: mujoco.MjModel, commands: Array, effect: Effect | None
     ) -> tuple[Array, Array, Array]:
-        """Forces and readings of a model with one more joint, which moves as its spring lets it.
-
-        The joint's own motion is its response to the force that the measured motion puts on it,
-        with an inertia that varies with the pose, by generalised conjugate residuals (Eisenstat,
-        Elman and Schultz, SIAM J. Numer. Anal. 20, 1983) from the response of the mean.
-        """
+        """Forces and readings of a model with one more joint, which moves as its spring lets it."""
+        # The joint's own motion is its response to the force that the measured motion puts on it,
+        # with an inertia that varies with the pose, by generalised conjugate residuals (Eisenstat,
+        # Elman and Schultz, SIAM J. Numer. Anal. 20, 1983) from the response of the mean.
         hidden = self._hidden(model, commands)
         zero, varied = np.zeros(len(self.position)), hidden.inertia - hidden.own[0]
         moved, rest = np.zeros((3, len(zero))), self._response(hidden, hidden.force)
@@ -525,12 +500,12 @@ class Balance:
         """Motion of a joint of the mean inertia, damping and stiffness under a force (3, T)."""
         inertia, damping, stiffness = hidden.own
         parts = []
-        for run, (turn, own) in zip(self.motion.runs, self._spectra(force[:, None]), strict=True):
-            wave = -own[:, 0] / (
+        for own in self.motion.split(force):
+            turn, wave = mirrored(own, self.motion.step)
+            wave = -wave / (
                 stiffness + 1j * turn * damping - inertia * turn**2 + 1e-12 * abs(stiffness)
             )
-            size = len(run.position)
-            parts.append([np.fft.irfft((1j * turn) ** k * wave)[:size] for k in (0, 1, 2)])
+            parts.append([np.fft.irfft((1j * turn) ** k * wave)[: len(own)] for k in range(3)])
         return np.concatenate(parts, axis=1)
 
     def _hidden_readings(
@@ -541,13 +516,8 @@ class Balance:
             return self.readings.nothing
         key = (effect.kind, effect.where, effect.variant)
         if key not in self._sensed:
-            zero, one = np.zeros(len(self.position)), np.ones(len(self.position))
-            still = self.readings.of(model, *hidden.states(zero, zero, zero))
-            sides = ((_NUDGE * one, zero, zero), (zero, _NUDGE * one, zero), (zero, zero, one))
-            self._sensed[key] = [
-                (self.readings.of(model, *hidden.states(*side)) - still) / size
-                for side, size in zip(sides, (_NUDGE, _NUDGE, 1.0), strict=True)
-            ]
+            states = hidden.states(*np.zeros((3, len(self.position))))
+            self._sensed[key] = self.readings.slopes(model, states, hidden.number)
         found = zip(self._sensed[key], moved, strict=True)
         return np.asarray(sum(slope * part[:, None] for slope, part in found))
 
@@ -556,42 +526,23 @@ class Balance:
         seen = self._dofs(model)
         number = int(np.setdiff1d(np.arange(model.nv), seen)[0])
         states = partial(_states, (self.position, self.speed, self.acceleration), seen, number)
-        zero, one = np.zeros(len(self.position)), np.ones(len(self.position))
-        rest = self._resting
+        still, rest = states(*np.zeros((3, len(self.position)))), self._resting
         # its own spring and damper give nothing at rest: the next shape has the same forces
         if rest is None or not _same_at_rest(model, rest[0], seen):
-            base = self._forces(model, commands, states(zero, zero, zero))[0].copy()
+            base = self._forces(model, commands, still)[0].copy()
             packed = model.M_rowadr[number] + model.M_rownnz[number] - 1
-            inertia = self._masses(model, states(zero, zero, zero)[0])[:, packed]
-            rest = self._resting = model, base, inertia
+            rest = self._resting = model, base, self._masses(model, still[0])[:, packed]
         _, base, inertia = rest
-        poses = np.linspace(0, len(zero) - 1, _POSES).astype(int)
-        moved = ((zero, zero, one, 1.0), (zero, _NUDGE * one, zero, _NUDGE),
-                 (_NUDGE * one, zero, zero, _NUDGE))  # fmt: skip
-        changes = []
-        for x, rate, second, size in moved:
-            q, v, a = (part[poses] for part in states(x, rate, second))
-            changed = self._forces(model, commands[poses], (q, v, a))[0]
-            changes.append(np.mean(changed - base[poses], axis=0) / size)
-        every = np.stack(changes)
+        every = self._slopes(model, still, self._poses, [number])[0, :, 0].mean(axis=1)
         return _Hidden(
             number=number, seen=seen, states=states, force=base[:, number], inertia=inertia,
             own=every[:, number], coupled=every[:, seen],
         )  # fmt: skip
 
-    def _spectra(self, values: Array) -> Iterator[tuple[Array, ComplexArray]]:
-        """Frequencies [rad/s] and spectra (F, K) of each run, mirrored, so that it has no ends."""
-        for own in self.motion.split(values):
-            mirrored = np.concatenate([own, own[::-1]])
-            turn = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(mirrored), self.motion.step), float)
-            yield turn, np.fft.rfft(mirrored, axis=0)
-
     def resonances(self, effect: Effect) -> list[tuple[float, ...]]:
-        """Starts of an added spring whose ringing leaves least of the residual.
-
-        All stiffnesses and dampings are tried by the joint's linear response: a lightly damped
-        spring agrees with a measurement only within some per cent of its true frequency.
-        """
+        """Starts of an added spring whose ringing leaves least of the residual."""
+        # All stiffnesses and dampings are tried by the joint's linear response: a lightly damped
+        # spring agrees with a measurement only within some per cent of its true frequency.
         first = np.array(effect.starts[0])
         spec = self.machine.fresh()
         effect.edit(spec, first)
@@ -608,7 +559,8 @@ class Balance:
         grid = np.geomspace(own.low, max(high, 2 * own.low), _SPRINGS)
         turns, forces, left, noises = [], [], [], []
         wide = np.column_stack([hidden.force, self.residual[:, :joints]])
-        for turn, spectrum in self._spectra(wide):
+        for each in self.motion.split(wide):
+            turn, spectrum = mirrored(each, self.motion.step)
             kept = turn <= top
             turns.append(turn[kept])
             forces.append(spectrum[kept, 0])
@@ -643,11 +595,9 @@ class Balance:
         return found
 
     def noise(self, joint: int, frequency: Array, *, floor: bool = True) -> Array:
-        """Standard deviation of a channel's balance by the sensors' noise (F,).
-
-        What the operator makes of the noise of positions and speeds, beside that of the torque;
-        with a floor of rounding, which a balance that shrinks would shrink as well.
-        """
+        """Standard deviation of a channel's balance by the sensors' noise (F,)."""
+        # What the operator makes of the noise of positions and speeds, beside that of the torque;
+        # with a floor of rounding, which a balance that shrinks would shrink as well.
         joints = len(self.machine.joints)
         if joint >= joints:
             return self.readings.noise(joint - joints, frequency)
@@ -660,10 +610,8 @@ class Balance:
         return np.asarray(np.sqrt(total))
 
     def noise_of(self, joint: int, frequency: Array) -> Array:
-        """Variance of a joint's balance by the noise of each joint's motion (F, joints).
-
-        Where stiffness and inertia cancel, the damping is left, and by how much they vary.
-        """
+        """Variance of a joint's balance by the noise of each joint's motion (F, joints)."""
+        # Where stiffness and inertia cancel, the damping is left, and by how much they vary.
         turn = 2 * np.pi * frequency[:, None]
         (mass, damping, stiffness), varied = self.operator[:, joint], self.varied[:, joint]
         gain = (stiffness - mass * turn**2) ** 2 + (damping * turn) ** 2
@@ -724,8 +672,7 @@ def scaled(balance: Balance) -> NominalModel:
     """Machine with the typical loads and speeds of its motion, which scale its effects' starts."""
     size = balance.drive if np.any(balance.drive) else balance.needed
     loads = np.sqrt(np.mean(size**2, axis=0))
-    speeds = np.percentile(np.abs(balance.speed), 95, axis=0)
-    return NominalModel(balance.machine.spec, loads=loads, speeds=speeds)
+    return NominalModel(balance.machine.spec, loads=loads, speeds=balance.usual)
 
 
 _FORCES = ("body_", "jnt_", "dof_", "qpos", "tendon_", "wrap_", "site_", "actuator_", "eq_")
@@ -762,10 +709,8 @@ def _dense(model: mujoco.MjModel, packed: Array) -> Array:
 def _direction(
     motion: Motion, run: RunMotion, law: tuple[str, float], usual: Array, span: Array
 ) -> Array:
-    """Direction of sliding of a run, in the band of everything else (T, joints).
-
-    At a reversal it turns faster than the band, so it is made on a finer grid.
-    """
+    """Direction of sliding of a run, in the band of everything else (T, joints)."""
+    # At a reversal it turns faster than the band, so it is made on a finer grid.
     kind, share = law
     if kind == "speed":
         fine = np.tanh(finer(run.speed) / (share * usual))

@@ -58,6 +58,8 @@ class Column:
     late: Late = None  # Joint whose positions are read late, and by how much [s]
 
 
+Axes = tuple[tuple[float, ...], ...]
+"""Parameter values whose changes are the columns of an effect."""
 Claim = tuple[str, bool]
 """Kind, and whether it is said of all places at once."""
 
@@ -67,11 +69,11 @@ class Term:
     """A candidate: an effect, the axes that its coefficients share out, and its columns."""
 
     effect: Effect  # The effect
-    axes: tuple[tuple[float, ...], ...]  # Parameter values whose changes are the columns
+    axes: Axes  # Parameter values whose changes are the columns
     contact: str  # Direction of sliding that its dry friction has; "" without dry friction
     law: bool  # Whether it is a law with a coefficient of about one
     columns: tuple[Column, ...]  # Columns, one for each axis
-    unseen: tuple[tuple[float, ...], ...] = ()  # Axes that the motion does not tell from these
+    unseen: Axes = ()  # Axes that the motion does not tell from these
 
     @property
     def name(self) -> tuple[str, str]:
@@ -111,10 +113,8 @@ class Term:
 
     @property
     def undetermined(self) -> NDArray[np.bool_]:
-        """Which parameters (P,) only axes change that the motion does not tell from its own.
-
-        A size is known as it would be at zero of its coordinates.
-        """
+        """Which parameters (P,) only axes change that the motion does not tell from its own."""
+        # A size is known as it would be at zero of its coordinates.
         effect = self.effect
         if not self.unseen:
             return np.zeros(len(effect.parameters), bool)
@@ -124,13 +124,14 @@ class Term:
 
 def catalogue(balance: Balance, kinds: Iterable[str] | None = None) -> list[Term]:
     """List all effects that the balance shows, at all locations, in all variants and shapes."""
-    found: list[Term] = []
-    for effect in candidates(balance.machine, EFFECTS if kinds is None else kinds):
-        if not shows(balance, effect):
-            continue
-        for axes, law in shapes(balance, effect):
-            found += terms_of(balance, effect, axes, law)
-    return found
+    return shown(balance, candidates(balance.machine, EFFECTS if kinds is None else kinds))
+
+
+def shown(balance: Balance, effects: Iterable[Effect]) -> list[Term]:
+    """List those of some effects that the balance shows, in all shapes."""
+    found = (e for e in effects if shows(balance, e))
+    each = ((e, axes, law) for e in found for axes, law in shapes(balance, e))
+    return [term for own in each for term in terms_of(balance, *own)]
 
 
 def shows(balance: Balance, effect: Effect) -> bool:
@@ -145,7 +146,7 @@ def shows(balance: Balance, effect: Effect) -> bool:
         if isinstance(effect, SensorBias) and effect.where in balance.encoders:
             # where no drive uses the reading, it is the zero of the joint, another effect
             return not balance.released.all()
-        return effect.where in balance.encoders or balance.readings.has(effect.where)
+        return effect.where in balance.encoders or effect.where in dict(balance.readings.sensors)
     if isinstance(effect, CommandInterpolation):  # the commands may be known to be lines
         motion = balance.motion
         return not np.array_equal(motion.stacked("straight"), motion.stacked("commands"))
@@ -154,7 +155,7 @@ def shows(balance: Balance, effect: Effect) -> bool:
         return False
     joint = effect.where if effect.part == "joint" else ""
     if isinstance(effect, DriveLimit):
-        joint = balance.machine.actuated_joint[effect.where]
+        joint = effect.joint
     # at rest all forces are constant
     if joint and not moves_at(balance, balance.machine.joint_number(joint)):
         return False
@@ -173,7 +174,7 @@ def moves_at(balance: Balance, joint: int) -> bool:
     return moved > _MOVING**2 * share * float(np.mean(noise))
 
 
-def shapes(balance: Balance, effect: Effect) -> list[tuple[tuple[tuple[float, ...], ...], bool]]:
+def shapes(balance: Balance, effect: Effect) -> list[tuple[Axes, bool]]:
     """Axes of every shape in which an effect is tried, and whether it is a law."""
     if effect.axes:
         return [(effect.axes, False)]
@@ -199,19 +200,12 @@ def _starts(balance: Balance, effect: Effect) -> Sequence[tuple[float, ...]]:
         rows = rows[:: max(1, len(rows) // _LOOKED_AT)]
         if not len(rows):  # a follower: its forces are those of other joints
             return () if effect.needs_data_starts else effect.starts
-        proposed = effect.propose(
-            balance.position[rows, joint],
-            balance.speed[rows, joint],
-            balance.acceleration[rows, joint],
-            balance.residual[rows, joint],
-        )
-        if effect.needs_data_starts:
-            return proposed
-        return (*effect.starts, *proposed)
+        motion = balance.position, balance.speed, balance.acceleration, balance.residual
+        proposed = effect.propose(*(values[rows, joint] for values in motion))
+        return proposed if effect.needs_data_starts else (*effect.starts, *proposed)
     if isinstance(effect, DriveLimit):
-        joint = balance.machine.joint_number(balance.machine.actuated_joint[effect.where])
-        asked, needed = balance.given[:, joint], balance.needed[:, joint]
-        return (*effect.starts, *effect.propose_limit(balance.speed[:, joint], asked, needed))
+        signals = (x[:, effect.number] for x in (balance.speed, balance.given, balance.needed))
+        return (*effect.starts, *effect.propose_limit(*signals))
     return effect.starts
 
 
@@ -236,9 +230,7 @@ def _is_linear(balance: Balance, effect: Effect, starts: list[tuple[float, ...]]
         return True
     null = float(_null(effect)[0])
     starts = [s for s in starts if s[0] != null]
-    small, large = (min(starts, key=lambda s: abs(s[0] - null)), max(
-        starts, key=lambda s: abs(s[0] - null)
-    ))  # fmt: skip
+    small, large = (pick(starts, key=lambda s: abs(s[0] - null)) for pick in (min, max))
     if effect.parameters[0].log or small == large:
         return not effect.parameters[0].log
     one, other = (
@@ -272,7 +264,7 @@ def at_joint(machine: NominalModel, joint: str) -> set[str]:
 def terms_of(
     balance: Balance,
     effect: Effect,
-    axes: tuple[tuple[float, ...], ...],
+    axes: Axes,
     law: bool,
     contacts: Iterable[str] = tuple(CONTACTS),
 ) -> list[Term]:
@@ -303,10 +295,8 @@ def terms_of(
 
 def _reached(balance: Balance, effect: DriveLimit) -> float:
     """Force of an actuator that the motion took: its limit cannot be far below."""
-    machine = balance.machine
-    joint = machine.joint_number(machine.actuated_joint[effect.where])
-    gear = abs(float(machine.model.actuator_gear[machine.actuators.index(effect.where), 0])) or 1.0
-    return _REACHED * float(np.percentile(np.abs(balance.needed[:, joint]), 99)) / gear
+    usual = float(np.percentile(np.abs(balance.needed[:, effect.number]), 99))
+    return _REACHED * usual / abs(effect.gear)
 
 
 def _independent(columns: Sequence[Column]) -> list[int]:

@@ -112,12 +112,10 @@ class Cells:
     columns: _Columns
 
     def state(self, values: Array) -> State:
-        """The cells at some coefficients.
-
-        A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
-        drive that holds less, whose discrepancy stays the same motion. What was read does not
-        shrink, and its discrepancy stays the same reading.
-        """
+        """The cells at some coefficients."""
+        # A balance whose every term shrinks makes less noise, too, and gains nothing; nor does a
+        # drive that holds less, whose discrepancy stays the same motion. What was read does not
+        # shrink, and its discrepancy stays the same reading.
         own, all_ = self.columns, self.layout
         left = own.rows @ values - all_.residual
         power = np.add.reduceat(left**2, all_.first)
@@ -135,11 +133,9 @@ class Cells:
         return State(left, power, change, noisier, held, scale, excess, quieter)
 
     def steps(self, at: State, weight: Array) -> tuple[Array, Array]:
-        """Normal matrix and half the derivative of the weighted excess of all cells.
-
-        Noise that grows with the operator is in the columns: least squares would attenuate their
-        coefficients (errors in variables).
-        """
+        """Normal matrix and half the derivative of the weighted excess of all cells."""
+        # Noise that grows with the operator is in the columns: least squares would attenuate their
+        # coefficients (errors in variables).
         own, all_ = self.columns, self.layout
         weight = weight / at.scale
         softer = (at.scale < 1) & ~at.quieter

@@ -143,10 +143,8 @@ def decide(selection: Selection, fit: SetFit, exact: ExactFit | None = None) -> 
 
 
 def rounded(recording: Recording, machine: NominalModel, zero: float) -> tuple[Finding, ...]:
-    """Encoders whose readings are whole steps of more than twice the tolerance of a zero.
-
-    They show it by themselves: rounding is noise, which no force tells from other noise.
-    """
+    """Encoders whose readings are whole steps of more than twice the tolerance of a zero."""
+    # They show it by themselves: rounding is noise, which no force tells from other noise.
     found = []
     for name in machine.encoders:
         read = [run.sensors[name] for run in recording.runs if name in run.sensors]
@@ -202,10 +200,8 @@ def _decision(
 
 
 def _deviation(x: Array, covariance: Array) -> float:
-    """Standard deviations by which coefficients together differ from zero: Wald's test.
-
-    Axes may be nearly parallel: none of their coefficients is known then, while their sum is.
-    """
+    """Standard deviations by which coefficients together differ from zero: Wald's test."""
+    # Axes may be nearly parallel: none of their coefficients is known then, while their sum is.
     return float(-ndtri(chdtrc(len(x), x @ np.linalg.solve(covariance, x)) / 2))
 
 
@@ -216,10 +212,8 @@ def _at_end(term: Term, values: Array, ends: Array) -> bool:
 
 
 def _doubt(chance: float, sure: bool, gain: float, left: bool, at_end: bool = False) -> str:
-    """Reason why an effect of some probability and held-out gain is not named; "" if it is.
-
-    What leaves most of its channel as it was is beside something that nothing explains.
-    """
+    """Reason why an effect of some probability and held-out gain is not named; "" if it is."""
+    # What leaves most of its channel as it was is beside something that nothing explains.
     reasons = {
         "improbable": chance < NAMED,
         "its interval includes no effect": not sure,
@@ -339,10 +333,8 @@ def pruned(selection: Selection, fit: SetFit) -> SetFit:
 
 
 def folds_of(selection: Selection, terms: Set) -> list[list[list[NDArray[np.bool_]]]]:
-    """Held-out cells, scheme by scheme and fold by fold: whole runs, and alternate stretches.
-
-    Stretches alone of a set by which runs differ: a run that is held out would say nothing of it.
-    """
+    """Held-out cells, scheme by scheme and fold by fold: whole runs, and alternate stretches."""
+    # Stretches alone of a set by which runs differ: a run that is held out would say nothing of it.
     channels = selection.evidence.channels
     schemes = []
     runs = sorted({int(r) for c in channels for r in c.run})
@@ -379,13 +371,6 @@ def _held_out(
     return total
 
 
-def held_out_gain(selection: Selection, before: SetFit, after: SetFit) -> float:
-    """Rise of twice the log likelihood of held-out stretches from one set to another."""
-    halves = folds_of(selection, after.terms)[-1]
-    costs = (_held_out(selection, fit, halves) for fit in (before, after))
-    return next(costs) - next(costs)
-
-
 def _gains(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
     """Rise of twice the held-out log likelihood with each member, by runs and by stretches."""
     rests = (tuple(t for t in fit.terms if t is not term) for term in fit.terms)
@@ -400,10 +385,8 @@ def _gains(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
 def _near(
     selection: Selection, fit: SetFit, simulated: bool
 ) -> list[tuple[set[tuple[str, str]], float]]:
-    """Effects and probability of the sets near the answer.
-
-    Of unlike kinds that cells prefer simulations have decided.
-    """
+    """Effects and probability of the sets near the answer."""
+    # Of unlike kinds that cells prefer simulations have decided.
     form = Form(selection, fit.powers, fit)
     forms = {t.form for t in fit.terms}
     pool = [t for t in selection.evidence.terms if t.form not in forms]
@@ -441,10 +424,8 @@ def _confusable(
 
 
 def _left_to_cells(selection: Selection, fit: SetFit) -> dict[tuple[str, str], Array]:
-    """Half widths of intervals by what a simulation holds: tolerances, and what laws miss (P,).
-
-    Of the effects that the cells show: not of a limit below the force that the motion took.
-    """
+    """Half widths of intervals by what a simulation holds: tolerances, and what laws miss (P,)."""
+    # Of the effects that the cells show: not of a limit below the force that the motion took.
     _, sized = selection.sized(fit)
     own = np.arange(len(sized.numbers)) >= selection.evidence.tolerances
     covariance, effects = _missed(selection, sized), np.ix_(own, own)
@@ -494,10 +475,8 @@ def _with_shapes(selection: Selection, fit: SetFit, term: Term, ends: Array) -> 
 
 
 def _curvature(selection: Selection, fit: SetFit, term: Term, shaped: Sequence[int]) -> Array:
-    """Half the second derivatives of the evidence by relative steps of a member's shape (K, K).
-
-    Of the shapes beside each other: one may make up for another.
-    """
+    """Half the second derivatives of the evidence by relative steps of a member's shape (K, K)."""
+    # Of the shapes beside each other: one may make up for another.
 
     def rise(*steps: tuple[int, float]) -> float:
         own = selection.reshaped(fit, term, dict(steps))
@@ -523,11 +502,9 @@ def _curvature(selection: Selection, fit: SetFit, term: Term, shaped: Sequence[i
 
 
 def _covariance(selection: Selection, fit: SetFit) -> Array:
-    """Covariance of the coefficients: Laplace's, wider where the jackknife's deviations are.
-
-    A discrepancy that repeats makes stretches disagree by more than their noise does (Efron and
-    Stein, Annals of Statistics 9, 1981).
-    """
+    """Covariance of the coefficients: Laplace's, wider where the jackknife's deviations are."""
+    # A discrepancy that repeats makes stretches disagree by more than their noise does (Efron and
+    # Stein, Annals of Statistics 9, 1981).
     laplace = np.linalg.inv(fit.normal)
     channels = selection.evidence.channels
     stretches = sorted({int(s) for c in channels for s in c.stretch})
@@ -546,11 +523,9 @@ def _covariance(selection: Selection, fit: SetFit) -> Array:
 
 
 def _missed(selection: Selection, fit: SetFit) -> Array:
-    """Covariance by what the columns of tolerances and laws miss.
-
-    Of what a law misses about half looks like more or less of the effect; and a torque constant
-    scales what the effects take, not only what the nominal model needs.
-    """
+    """Covariance by what the columns of tolerances and laws miss."""
+    # Of what a law misses about half looks like more or less of the effect; and a torque constant
+    # scales what the effects take, not only what the nominal model needs.
     evidence = selection.evidence
     missed = 0.5 * evidence.inexact[fit.numbers] * fit.values
     found = np.diag(missed**2)
@@ -635,11 +610,9 @@ def places_of(balance: Balance, channel: int) -> set[str]:
 
 
 def held_out_rms(selection: Selection, fit: SetFit) -> Array:
-    """Residual of each channel on held-out data, run by run if there are several (2, C).
-
-    Without the set's effects, with the tolerances as beside them, and with them. Alone, tolerances
-    would be pulled far to stand in for what is missing.
-    """
+    """Residual of each channel on held-out data, run by run if there are several (2, C)."""
+    # Without the set's effects, with the tolerances as beside them, and with them. Alone,
+    # tolerances would be pulled far to stand in for what is missing.
     evidence = selection.evidence
     total, count = np.zeros((2, len(evidence.channels))), np.zeros(len(evidence.channels))
     for held in folds_of(selection, fit.terms)[0]:
@@ -662,12 +635,11 @@ Ways = tuple[tuple[int, ...], ...]
 
 
 def by_runs(selection: Selection, best: SetFit) -> SetFit:
-    """The best set with a payload that differs between runs, where data ask for it; else itself.
-
-    Each run gets columns of a payload of its own. Of the Gaussian posterior of their coefficients,
-    mass and first moments run by run, runs that agree are merged step by step, down to one mass
-    with a centre each way. The most probable way is a term like any other, and pays for its choice.
-    """
+    """The best set with a payload that differs between runs, where data ask for it; else itself."""
+    # Each run gets columns of a payload of its own. Of the Gaussian posterior of their
+    # coefficients, mass and first moments run by run, runs that agree are merged step by step, down
+    # to one mass with a centre each way. The most probable way is a term like any other, and pays
+    # for its choice.
     evidence = selection.evidence
     runs = tuple(dict.fromkeys(run.name for run in evidence.balance.motion.runs))
     known = any(isinstance(term.effect, Payload) for term in evidence.terms)
@@ -691,11 +663,14 @@ def by_runs(selection: Selection, best: SetFit) -> SetFit:
                 state = pruned(trial, trial.search(state.terms))
                 found = min(found, state, key=lambda f: f.total)
     mounted = [term for term in found.terms if term.effect.mountings]
-    if not mounted or held_out_gain(selection, best, found) < HELD_OUT:
-        mounted, found = [], best
-    evidence.terms[:] = [*before, *mounted]
+    evidence.terms[:] = before
     if not mounted:
         return best
+    halves = folds_of(selection, found.terms)[-1]
+    costs = [_held_out(selection, fit, halves) for fit in (best, found)]
+    if costs[0] - costs[1] < HELD_OUT:
+        return best
+    evidence.terms += mounted
     selection.fits.update(trial.fits)
     return found
 

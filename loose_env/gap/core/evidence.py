@@ -7,16 +7,16 @@ part and every question of identifiability is then a small linear problem in the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.signal.windows import tukey
 
 from loose_env.gap.core.balance import USUAL, Balance, Change
 from loose_env.gap.core.catalogue import Late, Term, moves_at
-from loose_env.gap.core.motion import rates
 from loose_env.gap.core.tolerances import Nuisance, together
 from loose_env.gap.model.effect import Effect
 from loose_env.typing import Array, ComplexArray
@@ -45,18 +45,24 @@ felt."""
 
 
 @dataclass(eq=False, kw_only=True)
-class Channel:
+class Cut:
+    """Cells into which the rows of a channel are cut."""
+
+    cell: NDArray[np.intp]  # Cell of each row (R,)
+    count: Array  # Independent values of each cell (C,)
+    stretch: NDArray[np.intp]  # Stretch of each cell (C,)
+    run: NDArray[np.intp]  # Run of each cell (C,)
+    turn: Array  # Centre of each cell's band [rad/s] (C,)
+
+
+@dataclass(eq=False, kw_only=True)
+class Channel(Cut):
     """Whitened rows and Gram matrices of one joint's balance."""
 
     joint: int  # Index of the joint
     columns: NDArray[np.intp]  # Which columns of the problem it has (K,)
     rows: Array  # Whitened columns (R, K)
     residual: Array  # Whitened residual (R,)
-    cell: NDArray[np.intp]  # Cell of each row (R,)
-    count: Array  # Independent values of each cell (C,)
-    stretch: NDArray[np.intp]  # Stretch of each cell (C,)
-    run: NDArray[np.intp]  # Run of each cell (C,)
-    turn: Array  # Centre of each cell's band [rad/s] (C,)
     growth: Array
     """Relative change of each cell's noise by a coefficient of one of each column (C, K)."""
     held: Array
@@ -86,10 +92,6 @@ class Channel:
         self.square = _widened(self.square, self.by_cell(rows**2))
         for name, part in noise.items():
             setattr(self, name, np.concatenate([getattr(self, name), part], axis=-1))
-
-    def noise(self, columns: slice) -> dict[str, Any]:
-        """What some of its columns change of its noise."""
-        return {name: getattr(self, name)[..., columns] for name in ("growth", "held", "beside")}
 
     def by_cell(self, values: Array) -> Array:
         """Sums of rows over each cell."""
@@ -151,107 +153,54 @@ class Evidence:
 
 
 def whiten(
-    balance: Balance, terms: Sequence[Term], tolerances: Sequence[Nuisance], *, law: float = 0.0
+    balance: Balance,
+    terms: Sequence[Term],
+    tolerances: Sequence[Nuisance],
+    *,
+    law: float = 0.0,
+    missed: Sequence[Nuisance] = (),
 ) -> Evidence:
-    """Whiten the residual, the tolerances and the columns of all terms into cells.
-
-    Less what the effects found change together beyond the sum of what each does.
-    """
-    residual = balance.residual - together(balance)
-    wide = [n.change for n in tolerances]
-    operators = np.stack([n.operator for n in tolerances])
-    delays = _delays(balance, [n.read_late for n in tolerances], by_rate=True)
-    moved = np.array([not n.of_commands for n in tolerances])
-    compared = [joint for joint in range(len(balance.channels)) if _compared(balance, joint)]
+    """Whiten the residual, the tolerances and the columns of all terms into cells."""
+    # Less what the effects found change together beyond the sum of what each does; with what their
+    # laws may have missed, each by itself.
+    residual, count = balance.residual - together(balance), len(tolerances)
+    every = (*tolerances, *missed)
+    operators = np.stack([n.operator for n in every])
+    delays = _delays(balance, [n.read_late for n in every], by_rate=True)
+    moved = np.array([not n.of_commands for n in every])
     rows = {
-        joint: _rows(balance, joint, np.column_stack([_at(wide, joint), residual[:, joint]]))
-        for joint in compared
+        joint: _rows(balance, joint, [n.change for n in every], residual[:, [joint]])
+        for joint in range(len(balance.channels))
+        if _compared(balance, joint)
     }
     # combinations of unit prior width that the data feel, beside the true effects: beside what the
     # nominal model leaves most would not be felt
-    grams = (own.whitened[:, :-1].T @ own.whitened[:, :-1] for own in rows.values())
-    values, vectors = np.linalg.eigh(sum(grams, np.zeros((len(wide), len(wide)))))
-    mixed = np.asarray(vectors[:, values > _FELT])
+    grams = (own[:, :count].T @ own[:, :count] for own in rows.values())
+    values, vectors = np.linalg.eigh(sum(grams, np.zeros((count, count))))
+    mixed = block_diag(vectors[:, values > _FELT], np.eye(len(missed)))
     kept = mixed.shape[1]
     channels = []
     for joint, own in rows.items():
-        noisy = moved * own.whitened[:, :-1]
-        noise = _noise_of(balance, joint, own.turn, noisy, operators, delays)
+        grid = grid_of(balance, joint)
+        noise = _noise_of(balance, joint, grid.turn, moved * own[:, :-1], operators, delays)
         channels.append(
             Channel(
-                joint=joint,
-                columns=np.arange(kept),
-                rows=own.whitened[:, :-1] @ mixed,
-                residual=own.whitened[:, -1],
-                cell=own.cell,
-                count=own.count,
-                stretch=own.stretch,
-                run=own.run,
-                turn=own.turn,
+                **{each.name: getattr(grid, each.name) for each in fields(Cut)}, joint=joint,
+                columns=np.arange(kept), rows=own[:, :-1] @ mixed, residual=own[:, -1],
                 **{name: part @ mixed for name, part in noise.items()},
-                foretold=_foretold(balance, joint, own.turn).sum(axis=1),
+                foretold=_foretold(balance, joint, grid.turn).sum(axis=1),
                 blanked=float(np.mean(weight_of(balance, joint) < 0.5)),
             )
-        )
+        )  # fmt: skip
     evidence = Evidence(
-        balance=balance,
-        channels=channels,
-        terms=[],
-        places={},
-        centre=np.zeros(kept),
-        precision=np.ones(kept),
-        low=np.full(kept, -np.inf),
-        high=np.full(kept, np.inf),
-        inexact=np.zeros(kept),
-        operators=np.tensordot(mixed.T, operators, 1),
-        delays=np.tensordot(mixed.T, delays, 1),
-        law=law,
-        tolerances=kept,
-        mixed=mixed,
-        nuisances=tuple(tolerances),
-    )
+        balance=balance, channels=channels, terms=[], places={}, centre=np.zeros(kept),
+        precision=np.ones(kept), low=np.full(kept, -np.inf), high=np.full(kept, np.inf),
+        inexact=np.zeros(kept), operators=np.tensordot(mixed.T, operators, 1),
+        delays=np.tensordot(mixed.T, delays, 1), law=law, tolerances=kept, mixed=mixed,
+        nuisances=every,
+    )  # fmt: skip
     append(evidence, *terms)
     return evidence
-
-
-def with_tolerances(evidence: Evidence, more: Sequence[Nuisance]) -> Evidence:
-    """The same with more tolerances behind its own."""
-    if not more:
-        return evidence
-    first, count, balance = evidence.tolerances, len(more), evidence.balance
-    at = np.full(count, first)
-
-    def opened(known: Array, new: Array | float = 0.0) -> Array:
-        return np.insert(known, at, new, axis=0)
-
-    operators = np.stack([n.operator for n in more])
-    delays = _delays(balance, [n.read_late for n in more], by_rate=True)
-    channels = []
-    for known in evidence.channels:
-        joint = known.joint
-        rows = _rows(balance, joint, _at([n.change for n in more], joint)).whitened
-        noise = _noise_of(balance, joint, known.turn, rows, operators, delays)
-        own = known.noise(slice(first))
-        changed: dict[str, Any] = {
-            name: np.concatenate([own[name], noise[name]], axis=-1) for name in own
-        }
-        rows = np.hstack([known.rows[:, :first], rows])
-        channel = replace(known, columns=np.arange(first + count), rows=rows, **changed)
-        rest = slice(first, None)
-        channel.add(known.columns[rest] + count, known.rows[:, rest], known.noise(rest))
-        channels.append(channel)
-    mixed = evidence.mixed
-    wide = np.zeros((mixed.shape[0] + count, mixed.shape[1] + count))
-    wide[: len(mixed), :first], wide[len(mixed) :, first:] = mixed, np.eye(count)
-    return replace(
-        evidence, channels=channels, terms=list(evidence.terms),
-        places={key: tuple(k + count for k in own) for key, own in evidence.places.items()},
-        centre=opened(evidence.centre), precision=opened(evidence.precision, 1.0),
-        low=opened(evidence.low, -np.inf), high=opened(evidence.high, np.inf),
-        inexact=opened(evidence.inexact), operators=opened(evidence.operators, operators),
-        delays=opened(evidence.delays, delays), tolerances=first + count, mixed=wide,
-        nuisances=(*evidence.nuisances, *more),
-    )  # fmt: skip
 
 
 def is_exact(effect: Effect) -> bool:
@@ -285,8 +234,7 @@ def append(evidence: Evidence, *terms: Term) -> None:
         own = [k for k, c in enumerate(columns) if c.change.reaches(channel.joint)]
         if not own:
             continue
-        wide = [columns[k].change for k in own]
-        new = _rows(balance, channel.joint, _at(wide, channel.joint)).whitened
+        new = _rows(balance, channel.joint, [columns[k].change for k in own])
         noise = _noise_of(
             balance, channel.joint, channel.turn, new, changes[own], delays[own],
             [columns[k].eased for k in own],
@@ -344,36 +292,20 @@ def _widened(known: Array, more: Array) -> Array:
     return np.asarray(base[:, :whole])
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    whitened: Array
-    cell: NDArray[np.intp]
-    count: Array
-    stretch: NDArray[np.intp]
-    run: NDArray[np.intp]
-    turn: Array
+def _rows(balance: Balance, joint: int, wide: Sequence[Change], *more: Array) -> Array:
+    """Whitened rows of some columns at a channel, and of more of them (T, K)."""
+    stacked = np.column_stack([*(change.at(joint) for change in wide), *more])
+    return grid_of(balance, joint).whitened(stacked)
 
 
-def _at(wide: Sequence[Change], joint: int) -> Array:
-    """Columns at one channel (T, K)."""
-    return np.stack([change.at(joint) for change in wide], axis=1)
-
-
-def _rows(balance: Balance, joint: int, stacked: Array) -> _Rows:
-    """Whitened rows of some columns (T, K) of a channel."""
-    grid = grid_of(balance, joint)
-    return replace(grid.rows, whitened=grid.whitened(stacked))
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
+@dataclass(eq=False, kw_only=True)
+class Grid(Cut):
     """How a channel is cut into cells."""
 
     pieces: list[tuple[slice, Array, Array, NDArray[np.intp]]]
     """Samples, taper, scale and kept frequencies of each stretch."""
     order: NDArray[np.intp]  # Order of the rows by cells
     width: float  # End of a band over its beginning
-    rows: _Rows  # Cells, without rows
 
     def whitened(self, stacked: Array) -> Array:
         """Columns (T, K) of the channel as rows in noise standard deviations (R, K)."""
@@ -396,7 +328,7 @@ def grid_of(balance: Balance, joint: int, *, taper: float = 0.25) -> Grid:
     counts: dict[tuple[int, int], float] = {}
     for number, (run, own) in enumerate(whole):
         rows = slice(int(first[run]) + own.start, int(first[run]) + own.stop)
-        window = _taper(own.stop - own.start, taper) * weight[rows]
+        window = tukey(own.stop - own.start, 2 * taper) * weight[rows]
         if np.mean(window**2) < _LEAST_SHARE:
             continue
         frequency = np.asarray(np.fft.rfftfreq(len(window), motion.step), float)
@@ -419,11 +351,11 @@ def grid_of(balance: Balance, joint: int, *, taper: float = 0.25) -> Grid:
     runs = np.array([k if pooled else run for k, (run, _) in enumerate(whole)])
     bands = np.array([band for band, _ in keys], dtype=int)
     centres = 2 * np.pi * np.sqrt(np.maximum(edges[:-1], edges[1] / 2) * edges[1:])
-    found = _Rows(
-        whitened=np.empty(0), cell=cell[order], count=np.array(list(counts.values())),
-        stretch=stretch, run=runs[stretch], turn=centres[bands],
+    cache[joint] = Grid(
+        cell=cell[order], count=np.array(list(counts.values())), stretch=stretch,
+        run=runs[stretch], turn=centres[bands], pieces=pieces, order=order,
+        width=float(edges[-1] / edges[-2]),
     )  # fmt: skip
-    cache[joint] = Grid(pieces, order, float(edges[-1] / edges[-2]), found)
     return cache[joint]
 
 
@@ -450,12 +382,6 @@ def stretches_of(balance: Balance) -> list[tuple[int, slice]]:
     return found
 
 
-def _taper(count: int, share: float) -> Array:
-    """Cosine taper over a share of a stretch at either end."""
-    at = np.linspace(0, 1, count)
-    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(at, 1 - at) / share, 0, 1)))
-
-
 def _edges(balance: Balance) -> Array:
     longest = max(rows.stop - rows.start for _, rows in stretches_of(balance))
     top = balance.motion.band
@@ -465,8 +391,9 @@ def _edges(balance: Balance) -> Array:
 
 def cell_powers(balance: Balance, channel: int, change: Array) -> Array:
     """Power of a change of the balance in each cell of a channel, in noise variances (C,)."""
-    found = _rows(balance, channel, change[:, [channel]])
-    return np.bincount(found.cell, found.whitened[:, 0] ** 2, len(found.count)).astype(float)
+    grid = grid_of(balance, channel)
+    rows = grid.whitened(change[:, [channel]])[:, 0]
+    return np.bincount(grid.cell, rows**2, len(grid.count)).astype(float)
 
 
 def _held(balance: Balance, joint: int, operators: Array, eased: Sequence[Array | float]) -> Array:
@@ -486,10 +413,7 @@ def _parts(balance: Balance, channel: int) -> Array:
     if channel not in cache:
         motion, reading = balance.motion, channel - len(balance.machine.joints)
         parts = balance.readings.by_joint[:, :, reading].T
-        orders = [parts] + [
-            np.concatenate([rates(own, motion.step, order) for own in motion.split(parts)])
-            for order in (1, 2)
-        ]
+        orders = parts, motion.rates(parts), motion.rates(parts, 2)
         rows = grid_of(balance, channel).whitened(np.hstack(orders))
         size = np.sqrt(np.sum(rows**2, axis=0)) + 1e-300
         cache[channel] = np.linalg.pinv(rows / size, rcond=1e-6) / size[:, None]
@@ -506,11 +430,9 @@ def _foretold(balance: Balance, channel: int, turn: Array) -> Array:
 
 
 def noise_beside(balance: Balance, channel: int, turn: Array, rows: Array) -> Array:
-    """Relative change of a reading's noise by that of the foretold one (C, K).
-
-    A column that is a share of a joint's part of it takes as much of that joint's noise away; one
-    of its second rate, as a delay and its slope have together, at high frequencies.
-    """
+    """Relative change of a reading's noise by that of the foretold one (C, K)."""
+    # A column that is a share of a joint's part of it takes as much of that joint's noise away; one
+    # of its second rate, as a delay and its slope have together, at high frequencies.
     if channel < len(balance.machine.joints):
         return np.zeros((len(turn), rows.shape[1]))
     still, _, bent = np.split(_parts(balance, channel) @ rows, 3)
@@ -529,11 +451,9 @@ def _within(balance: Balance, channel: int, turn: Array) -> Array:
 def operator_noise(
     balance: Balance, joint: int, turn: Array, operators: Array, delays: Array
 ) -> tuple[Array, Array]:
-    """What an operator makes of the noise of motion in some bands; its change by columns.
-
-    In the channel's noise standard deviations, in phase and a quarter period ahead, at several
-    frequencies of each band: (B, F) and (B, F, K), of which the squares add up.
-    """
+    """What an operator makes of the noise of motion in some bands; its change by columns."""
+    # In the channel's noise standard deviations, in phase and a quarter period ahead, at several
+    # frequencies of each band: (B, F) and (B, F, K), of which the squares add up.
     joints = len(balance.machine.joints)
     if joint >= joints:
         return np.zeros((len(turn), 1)), np.zeros((len(turn), 1, len(operators)))
@@ -557,19 +477,16 @@ def operator_noise(
 
 
 def weight_of(balance: Balance, joint: int) -> Array:
-    """Weight of each sample (T,): none at rest, in knocks, or where a drive is at its limit.
-
-    At rest dry friction takes any value within its bound, so a balance says nothing. Knocks are
-    short stretches in which everything at once leaves many times the usual residual. A limit cuts
-    what is faster than the band.
-    """
+    """Weight of each sample (T,): none at rest, in knocks, or where a drive is at its limit."""
+    # At rest dry friction takes any value within its bound, so a balance says nothing. Knocks are
+    # short stretches in which everything at once leaves many times the usual residual. A limit cuts
+    # what is faster than the band.
     if joint >= len(balance.machine.joints):
         return np.ones(len(balance.residual))
     cache = balance.__dict__.setdefault("_quiet", {})
     if joint not in cache:
-        cache[joint] = (
-            _knocks(balance, joint) * _sliding(balance, joint) * _unlimited(balance, joint)
-        )
+        parts = _knocks(balance, joint), _sliding(balance, joint), _unlimited(balance, joint)
+        cache[joint] = np.prod(parts, axis=0)
     return np.asarray(cache[joint])
 
 
@@ -617,7 +534,7 @@ def _sliding(balance: Balance, joint: int) -> Array:
     found = []
     turn = 2 * np.pi * motion.band
     noisy = float(motion.noise[0, joint]) * turn * np.sqrt(2 * motion.band * motion.step / 3)
-    limit = max(4 * noisy, _REST * float(np.percentile(np.abs(speed), 95)))
+    limit = max(4 * noisy, _REST * balance.usual[joint])
     width = max(int(1 / motion.band / motion.step), 2)
     kernel = _bell(width)
     span = np.ones(max(width, 3))

@@ -28,7 +28,6 @@ from loose_env.gap.core.selection import (
     Set,
     SetFit,
 )
-from loose_env.gap.core.tolerances import Nuisance
 from loose_env.gap.model.effect import free_of, values_of
 from loose_env.gap.model.effects.catalogue import candidates
 from loose_env.gap.model.effects.drives import DriveLimit
@@ -87,7 +86,7 @@ class Exact:
     ) -> None:
         self.balance, machine = balance, balance.machine
         pieces, _ = measured_runs(recording.runs, machine.model)
-        runs = [run for each in pieces for run in each if run.comparison != "inverse"]
+        runs = [run for run in pieces if run.comparison != "inverse"]
         self.channels = channels_of(runs)
         trials = [align_run(r, machine, self.channels, step=machine.time_step) for r in runs]
         floors = np.array(
@@ -102,13 +101,12 @@ class Exact:
 
     def fit(self, selection: Selection, fit: SetFit) -> ExactFit:
         """Fit the effects of a set in simulation, from what the cells say of them."""
-        columns = selection.evidence.columns_of
-        first = [term.values(fit.values[fit.places(columns(term))]) for term in fit.terms]
-        return self.beside(selection, fit).refit(selection, fit.terms, first)
+        return self.beside(selection, fit).refit(selection, fit.terms, selection.values_in(fit))
 
     def beside(self, selection: Selection, fit: SetFit) -> Exact:
         """The same with the tolerances at what the cells say of them beside a set."""
-        own, pulls = self._nominal, _pulls(selection, fit)
+        own = self._nominal
+        pulls = [(n, x) for n, x in selection.pulls(fit) if abs(x) > _PULLED]
         spec = own.machine.fresh()
         spec.compiler.balanceinertia = True  # an inertia pulled alone may be that of no body
         for nuisance, deviations in pulls:
@@ -187,10 +185,8 @@ class Exact:
         leaves_open: Callable[[ExactFit], bool],
         say: Callable[[str], None],
     ) -> list[ExactFit]:
-        """Add, remove and exchange effects of a pool in simulation; all sets, the best first.
-
-        They are exchanged only while they leave open one of the joints that they should explain.
-        """
+        """Add, remove and exchange effects of a pool in simulation; all sets, the best first."""
+        # They are exchanged only while they leave open one of the joints that they should explain.
         visited, count = [best], len(self.simulator.trials)
         # guesses take as long for many joints as for one
         some = self.on(range(0, count, max(min(1 + joints, count // _GUESSED), 1)))
@@ -291,10 +287,8 @@ class Exact:
     def _score(
         self, terms: Set, values: Sequence[Array], rows: Array, channel: IndexArray
     ) -> float:
-        """Minus twice the log likelihood with a discrepancy in each channel.
-
-        What the laws of the effects may miss is no evidence for other effects.
-        """
+        """Minus twice the log likelihood with a discrepancy in each channel."""
+        # What the laws of the effects may miss is no evidence for other effects.
         count, power = np.bincount(channel), np.bincount(channel, rows**2)
         level, missed = self._values(count), 0.0 * power
         if not all(is_exact(term.effect) for term in terms):
@@ -328,14 +322,6 @@ def _side(x: Array, bounds: Array) -> Array:
     return np.where(x + _STEP <= bounds[:, 1], _STEP, -_STEP)
 
 
-def _pulls(selection: Selection, fit: SetFit) -> list[tuple[Nuisance, float]]:
-    """Tolerances that are pulled, with their numbers of standard deviations."""
-    evidence = selection.evidence
-    pulls = evidence.mixed @ fit.values[: evidence.tolerances]
-    pairs = zip(evidence.nuisances, pulls, strict=True)
-    return [(n, float(x)) for n, x in pairs if abs(x) > _PULLED]
-
-
 def _shifted(trial: Trial, late: Iterable[tuple[int, float, float]]) -> Trial:
     """A run with commands of some actuators later by so many delays, linearly between steps."""
     controls, count = np.concatenate([trial.before, trial.controls]), len(trial.before)
@@ -347,10 +333,8 @@ def _shifted(trial: Trial, late: Iterable[tuple[int, float, float]]) -> Trial:
 
 
 def _windows(trial: Trial, balance: Balance, trials: int, *, between: bool) -> list[Trial]:
-    """Windows of a run, evenly spread, each from the smoothed state at its beginning.
-
-    Those between start halfway from one of them to the next.
-    """
+    """Windows of a run, evenly spread, each from the smoothed state at its beginning."""
+    # Those between start halfway from one of them to the next.
     length = float(trial.time[-1])
     count = int(np.clip(_MOST_S / WINDOW_S / trials, 1, max(length // WINDOW_S, 1)))
     starts = np.linspace(0.02 * length, max(0.98 * length - LEAD_S - WINDOW_S, 0.0), count)
@@ -388,10 +372,9 @@ def open_joints(exact: Exact, nominal: ExactFit, best: ExactFit, cells: Iterable
 def pool_of(
     selection: Selection, joints: set[str], kinds: Iterable[str], *, loose: bool
 ) -> tuple[set[str], list[Start]]:
-    """Places of some joints, and starts of every effect there, alone and at all of them at once.
-
-    Starts are its own and those in the evidence. With those of loose parts anywhere, if asked for.
-    """
+    """Places of some joints, and starts of every effect there, alone and at all of them at once."""
+    # Starts are its own and those in the evidence. With those of loose parts anywhere, if asked
+    # for.
     evidence = selection.evidence
     balance, known = evidence.balance, evidence.terms
     places = {place for joint in joints for place in at_joint(balance.machine, joint)}

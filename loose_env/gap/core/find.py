@@ -24,7 +24,7 @@ from loose_env.gap.core.decision import (
     rounded,
     with_rounded,
 )
-from loose_env.gap.core.evidence import append, whiten, with_tolerances
+from loose_env.gap.core.evidence import whiten
 from loose_env.gap.core.exact import LARGE, Exact, ExactFit, open_joints, pool_of
 from loose_env.gap.core.motion import LOWEST_HZ, motions_of_model, servo_share, servoed, smooth
 from loose_env.gap.core.selection import LEAST_GAIN, Selection, SetFit
@@ -134,7 +134,7 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
     """
     _check_runs(recording)
     machine = NominalModel(recording.spec())
-    runs = [run for each in measured_runs(recording.runs, machine.model)[0] for run in each]
+    runs = measured_runs(recording.runs, machine.model)[0]
     read = set.intersection(*(set(run.sensors) for run in runs))
     encoders = {machine.joints.index(j): n for n, j in machine.encoders.items() if n in read}
     servos = servoed(machine, runs)
@@ -145,12 +145,13 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
     ratio = np.array([servo_share(machine, servos[k]) for k in joints])
     played = motions_of_model(runs, machine, joints)
     shown = [np.stack([run.sensors[encoders[k]] for k in joints], axis=1) for run in runs]
-    moves, asked, noise = np.zeros((3, len(joints)))
+    moves, asked, noise, misses = np.zeros((4, len(joints)))
     for run, own, seen in zip(runs, played, shown, strict=True):
         commands = [run.controls.get(name, 0 * run.time) for name in drives]
         moves += np.var(own, axis=0)
         asked += np.nanvar(seen, axis=0) + ratio**2 * np.nanvar(commands, axis=1)
         noise += [noise_floor(column) ** 2 for column in seen.T]
+        misses += np.nanvar(seen - own, axis=0)
     clear = _MOVES**2 * float(np.quantile(noise, 0.5, method="lower"))
     if not np.sum(moves) < _FALLS**2 * np.sum(asked + clear):
         raise InvalidData(
@@ -158,12 +159,7 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
             "as they are told and as was read: the model falls or diverges; check gains and signs "
             "of its drives, and the unit of the commands"
         )
-    off = [np.nanvar(seen - own, axis=0) for own, seen in zip(played, shown, strict=True)]
-    misses = np.sum(off, axis=0)
-    doubtful = [
-        k for k, *own in zip(joints, moves, misses, strict=True)
-        if own[1] > own[0] / 2 > clear
-    ]  # fmt: skip
+    doubtful = np.array(joints)[(misses > moves / 2) & (moves / 2 > clear)].tolist()
 
     def left(tried: Recording) -> float:
         balance = Balance(machine, smooth(tried, machine))
@@ -177,8 +173,8 @@ def readable(recording: Recording, say: Say = lambda _: None) -> Recording:
     for joint in doubtful:
         name = encoders[joint]
         columns = ({n: v for n, v in run.sensors.items() if n != name} for run in recording.runs)
-        kept = map(lambda run, own: replace(run, sensors=own), recording.runs, columns)
-        without = replace(recording, runs=tuple(kept))
+        pairs = zip(recording.runs, columns, strict=True)
+        without = replace(recording, runs=tuple(replace(run, sensors=own) for run, own in pairs))
         if (rest := left(without)) < least:
             say(f"{name} shows nothing of the motion of {machine.joints[joint]} and is set aside")
             recording, least = without, rest
@@ -208,7 +204,8 @@ def _simulated(
     nominal = exact.fit(selection, selection.solve(()))
     joints = open_joints(exact, nominal, fits[0], left)
     # an impact is felt at the tool while all joints stay on their ways
-    loose = any(balance.feels(channel) for channel in left)
+    first = len(balance.machine.joints)
+    loose = any(k >= first and balance.readings.accelerated(k - first) for k in left)
     exact = exact.beside(selection, best)
     if not (joints or loose):
         say("decision on held-out data")
@@ -271,35 +268,29 @@ def relinearised(selection: Selection, settings: GapSettings) -> tuple[Selection
 def _beside_itself(
     selection: Selection, leading: Sequence[SetFit], settings: GapSettings
 ) -> tuple[Selection, list[SetFit]]:
-    """Some sets, the first searched for again beside what it found, till it stays.
-
-    Beside its rigid bodies, with what they change together: of a link whose weight is half borne, a
-    centre that is off has half the moment. And with what the laws of its effects miss. A set counts
-    by its evidence beside itself: what seemed better from elsewhere may not be.
-    """
-    rigid, searching = selection.evidence, True
+    """Some sets, the first searched for again beside what it found, till it stays."""
+    # Beside its rigid bodies, with what they change together: of a link whose weight is half borne,
+    # a centre that is off has half the moment. And with what the laws of its effects miss. A set
+    # counts by its evidence beside itself: what seemed better from elsewhere may not be.
+    known, searching = selection.evidence.nuisances, True
     now = found = selection, leading[0], [own.terms for own in leading[1:]]
     for number in range(_AGAIN):
         selection, best, sets = now
         evidence = selection.evidence
-        beside = [
-            (term.effect, term.values(best.values[best.places(evidence.columns_of(term))]))
-            for term in best.terms
-            if is_rigid(term.effect)
-        ]
+        pairs = zip(best.terms, selection.values_in(best), strict=True)
+        beside = [(term.effect, values) for term, values in pairs if is_rigid(term.effect)]
         missed = missed_by_laws(evidence.balance, selection.inexact(best))
         if not beside and not selection.feels(missed, best):
             break
         selection.say("search beside what was found")
-        again = {id(term): term for term in evidence.terms}
-        if beside or rigid.balance.found:
-            balance = evidence.balance.beside(beside)
+        balance, again = evidence.balance, {id(term): term for term in evidence.terms}
+        if beside or balance.found:
+            balance = balance.beside(beside)
             again = {key: _again(balance, term) for key, term in again.items()}
-            known = nuisances(balance, settings.tolerances)
-            rigid = whiten(balance, list(again.values()), known, law=settings.tolerances.law)
-        else:  # shapes and secants that a search added beside other tolerances
-            append(rigid, *(term for term in again.values() if id(term) not in rigid.places))
-        selection = Selection(with_tolerances(rigid, missed), selection.say)
+            known = tuple(nuisances(balance, settings.tolerances))
+        law = settings.tolerances.law
+        whole = whiten(balance, list(again.values()), known, law=law, missed=missed)
+        selection = Selection(whole, selection.say)
         own = selection.solve([again[id(term)] for term in best.terms])
         if searching and number and own.total > found[1].total:
             now, searching = found, False  # back, and on beside that one
@@ -317,8 +308,7 @@ def _again(balance: Balance, term: Term) -> Term:
     """A term with its columns beside the effects that a balance knows."""
     if not is_rigid(term.effect):
         return term
-    contacts = (term.contact,) if term.contact else ("",)
-    found = terms_of(balance, term.effect, term.axes, term.law, contacts)
+    found = terms_of(balance, term.effect, term.axes, term.law, (term.contact,))
     return replace(found[0], unseen=(*found[0].unseen, *term.unseen)) if found else term
 
 

@@ -33,13 +33,11 @@ def identifiability(selection: Selection) -> Identifiability:
 def unexplained(
     square: Array, cross: Array, normal: Array, prior: Array, centre: Array | None = None
 ) -> Array:
-    """Squared distance of forces from what some columns can do, and what that costs (I,).
-
-    By the squares of the forces in noise standard deviations (I,), products of the columns with
-    them (K, I) and with each other (K, K), and the precision of the coefficients about a centre.
-    What it rises by with a motion is the expected gain of that motion: twice the log evidence by
-    which the machine with these forces is told from one with these columns.
-    """
+    """Squared distance of forces from what some columns can do, and what that costs (I,)."""
+    # By the squares of the forces in noise standard deviations (I,), products of the columns with
+    # them (K, I) and with each other (K, K), and the precision of the coefficients about a centre.
+    # What it rises by with a motion is the expected gain of that motion: twice the log evidence by
+    # which the machine with these forces is told from one with these columns.
     pulled = np.zeros(len(prior)) if centre is None else prior @ centre
     slope = cross + pulled[:, None]
     cost = 0.0 if centre is None else float(centre @ pulled)
@@ -56,7 +54,7 @@ def _joints(selection: Selection) -> tuple[JointExcitation, ...]:
             joint=joint,
             unit="rad" if balance.machine.turns(joint) else "m",
             travel=float(np.ptp(balance.position[:, k])),
-            speed=float(np.percentile(np.abs(balance.speed[:, k]), 95)),
+            speed=float(balance.usual[k]),
             acceleration=float(np.percentile(np.abs(balance.acceleration[:, k]), 95)),
             used=float(used.get(k, 0.0)),
         )
@@ -100,9 +98,9 @@ class _Shown:
 def _effects(selection: Selection) -> tuple[VisibleEffect, ...]:
     """Every effect that the catalogue has for this recording."""
     evidence, kept = selection.evidence, selection.evidence.tolerances
-    form = Form(selection, selection.rich)
     every = np.arange(len(evidence.precision))
-    data = form.block(every) - np.diag(evidence.precision)  # without the priors of the effects
+    data = Form(selection, selection.rich).between(every, every)
+    data -= np.diag(evidence.precision)  # without the priors of the effects
     inverse = np.linalg.inv(data[:kept, :kept] + np.eye(kept))
     beyond = data - data[:, :kept] @ inverse @ data[:kept]
     groups: dict[tuple[str, str], list[_Shown]] = {}

@@ -21,7 +21,7 @@ from loose_env.gap.runs import Channel, align_run, measured_runs
 from loose_env.gap.simulator import Simulator
 from loose_env.recording import CommandTiming, Recording, Run, joint_sensors
 from loose_env.statistics import noise_floor, resolution_of
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 HIGHEST_HZ = 60.0
 """Highest band of rigid motion [Hz]: above lie structural modes of any arm."""
@@ -111,6 +111,10 @@ class Motion:
         """One field of all runs, one after the other."""
         return np.concatenate([getattr(run, name) for run in self.runs])
 
+    def rates(self, values: Array, order: int = 1) -> Array:
+        """Derivative of stacked values, run by run."""
+        return np.concatenate([rates(own, self.step, order) for own in self.split(values)])
+
     def split(self, values: Array) -> list[Array]:
         """Cut stacked values by run."""
         return np.split(values, np.cumsum([len(r.position) for r in self.runs])[:-1])
@@ -128,8 +132,7 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
         If a joint's position was not read.
     """
     model: mujoco.MjModel = machine.model
-    pieces, _ = measured_runs(recording.runs, model)
-    runs_ = [run for each in pieces for run in each]
+    runs_, _ = measured_runs(recording.runs, model)
     common = set.intersection(*(set(run.sensors) for run in runs_))
     sensors = sensors_of(model, common)
     encoders = joint_sensors(model)
@@ -214,11 +217,9 @@ def _misfit(
 
 
 def _rounding(logs: Sequence[_Log], alone: Sequence[Sequence[Array]], band: float) -> Array:
-    """Noise of each position by what its steps make of the motion within its band (joints,).
-
-    As of a sample of white noise. Steps that last long are not white: they have most of their
-    error below.
-    """
+    """Noise of each position by what its steps make of the motion within its band (joints,)."""
+    # As of a sample of white noise. Steps that last long are not white: they have most of their
+    # error below.
     found = []
     for log, motions in zip(logs, alone, strict=True):
         share = 2 * _FLAT * band * log.step
@@ -247,10 +248,8 @@ def servo_share(machine: NominalModel, servo: int) -> float:
 def motions_of_model(
     runs: Sequence[Run], machine: NominalModel, joints: Sequence[int]
 ) -> list[Array]:
-    """Positions of servoed joints in simulations of the nominal model, at the samples (T, J).
-
-    NaN where that diverges.
-    """
+    """Positions of servoed joints in simulations of the nominal model, at the samples (T, J)."""
+    # NaN where that diverges.
     if not joints:
         return [np.empty((len(run.time), 0)) for run in runs]
     encoders = joint_sensors(machine.model)
@@ -308,6 +307,9 @@ class _Log:
             values = run.sensors[name] if axis < 0 else run.sensors[name][:, axis]
             return read({name: values}, [name])
 
+        def beside(columns: Sequence[Array]) -> Array:
+            return np.stack(columns, axis=1) if columns else np.zeros((len(grid), 0))
+
         readings = [read(run.sensors, sensors[j].position) for j in machine.joints]
         position = np.stack([_without_jumps(q) for q in readings], axis=1)
         for k, own in foretold.items():
@@ -326,40 +328,28 @@ class _Log:
             position=position,
             speed=np.stack([read(run.sensors, sensors[j].velocity) for j in machine.joints], 1),
             torque=np.stack([read(run.torques, [j]) for j in machine.joints], axis=1),
-            commands=np.stack(sampled, axis=1) if sampled else np.zeros((len(grid), 0)),
-            readings=np.stack([whole(name, axis) for name, axis in seen], axis=1)
-            if seen
-            else np.zeros((len(grid), 0)),
+            commands=beside(sampled),
+            readings=beside([whole(name, axis) for name, axis in seen]),
         )
 
     @property
     def floors(self) -> Array:
         """Noise of position, speed and torque (3, joints); infinite where not read."""
-        return np.array(
-            [
-                [noise_floor(c) if np.isfinite(c).all() else np.inf for c in columns.T]
-                for columns in (self.position, self.speed, self.torque)
-            ]
-        )
-
-
-def _spectrum(values: Array, step: float) -> tuple[Array, Array]:
-    """Frequencies and power of a detrended record, white noise at its variance."""
-    window = np.hanning(len(values))
-    free = values - np.linspace(values[0], values[-1], len(values))
-    power = np.abs(np.fft.rfft(free * window)) ** 2 / (window @ window)
-    return np.asarray(np.fft.rfftfreq(len(values), step), float), np.asarray(power, float)
+        read = (self.position, self.speed, self.torque)
+        each = (c for columns in read for c in columns.T)
+        found = [noise_floor(c) if np.isfinite(c).all() else np.inf for c in each]
+        return np.reshape(found, (3, -1))
 
 
 def _band_end(log: _Log, noise: Array) -> float:
-    """Highest frequency at which any joint's motion shows over its noise [Hz].
-
-    Power thirty times the noise, smoothed over a quarter hertz, and no further than six times the
-    frequency below which lies 99 % of the mean square acceleration.
-    """
-    found = []
+    """Highest frequency at which any joint's motion shows over its noise [Hz]."""
+    # Power thirty times the noise, smoothed over a quarter hertz, and no further than six times the
+    # frequency below which lies 99 % of the mean square acceleration.
+    found, window = [], np.hanning(len(log.position))
+    frequency = np.fft.rfftfreq(len(window), log.step)
     for values, sd in zip(log.position.T, noise[0], strict=True):
-        frequency, power = _spectrum(values, log.step)
+        free = values - np.linspace(values[0], values[-1], len(values))
+        power = np.abs(np.fft.rfft(free * window)) ** 2 / (window @ window)  # of white noise, sd²
         width = max(int(0.25 / frequency[1]), 1)
         power = np.convolve(power, np.ones(2 * width + 1) / (2 * width + 1), "same")
         peak = int(np.argmax(power * frequency**2))
@@ -444,10 +434,8 @@ def _blocks(values: Array, thin: int) -> Array:
 
 
 def _limited(log: _Log, position: Array, speed: Array, machine: NominalModel) -> Array:
-    """Samples in which the nominal drive of a joint is at its limit, 1 or 0 (T, joints).
-
-    Commands act only where they drive the run: measured torques are what the drives gave.
-    """
+    """Samples in which the nominal drive of a joint is at its limit, 1 or 0 (T, joints)."""
+    # Commands act only where they drive the run: measured torques are what the drives gave.
     commands, model, found = log.commands, machine.model, np.zeros_like(position)
     if log.run.comparison != "forward":
         return found
@@ -464,11 +452,9 @@ def _limited(log: _Log, position: Array, speed: Array, machine: NominalModel) ->
 
 
 def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float) -> Array:
-    """Position, speed and acceleration that fit the readings, smooth above a band (3, T).
-
-    Weighted by the noise of both readings. Beyond the ends the motion goes on with the acceleration
-    it has there: a swing begins with its largest.
-    """
+    """Position, speed and acceleration that fit the readings, smooth above a band (3, T)."""
+    # Weighted by the noise of both readings. Beyond the ends the motion goes on with the
+    # acceleration it has there: a swing begins with its largest.
     ends, pad = _continued(q, band, step)
     line = np.linspace(ends[0], ends[-1], len(ends))
     slope = (ends[-1] - ends[0]) / ((len(ends) - 1) * step)
@@ -492,10 +478,8 @@ def _smoothed(q: Array, v: Array | None, noise: Array, band: float, step: float)
 def low_passed(
     values: Array, band: float, step: float, timings: Sequence[CommandTiming] = ()
 ) -> Array:
-    """Columns (T, K) through the low-pass of the motion, those of commands as they act.
-
-    A column with gaps stays as it is.
-    """
+    """Columns (T, K) through the low-pass of the motion, those of commands as they act."""
+    # A column with gaps stays as it is.
     found = values.copy()
     for k, column in enumerate(values.T):
         if not np.isfinite(column).all():
@@ -522,12 +506,17 @@ def finer(values: Array) -> Array:
     return np.asarray(resample(mirrored, FINER * len(mirrored))[: FINER * len(values)])
 
 
+def mirrored(values: Array, step: float) -> tuple[Array, ComplexArray]:
+    """Frequencies [rad/s] and spectrum of columns (T, K) or of one, so that they have no ends."""
+    whole = np.concatenate([values, values[::-1]])
+    turn = 2 * np.pi * np.asarray(np.fft.rfftfreq(len(whole), step), float)
+    return turn, np.fft.rfft(whole, axis=0)
+
+
 def rates(values: Array, step: float, order: int = 1) -> Array:
     """Derivative of band-limited columns (T, K) or of one (T,)."""
-    mirrored = np.concatenate([values, values[::-1]])
-    turn = 2j * np.pi * np.fft.rfftfreq(len(mirrored), step)
-    shape = (turn**order).reshape(-1, *[1] * (values.ndim - 1))
-    found = np.fft.irfft(shape * np.fft.rfft(mirrored, axis=0), len(mirrored), axis=0)
+    turn, wave = mirrored(values, step)
+    found = np.fft.irfft(((1j * turn) ** order * wave.T).T, 2 * len(values), axis=0)
     return np.asarray(found[: len(values)])
 
 
@@ -573,12 +562,10 @@ class _Calibration:
     def of(
         cls, pairs: Sequence[tuple[Array, Array]], noise: Array, band: float, step: float
     ) -> _Calibration:
-        """Calibrate by the derivative and the reading in all runs.
-
-        The noisier of both is explained, for noise of the other attenuates the gain. Each frequency
-        weighs by the noise of both there; that of positions grows with it. A reading of a joint
-        that hardly moves stays as it is, its delay within an interval of the log.
-        """
+        """Calibrate by the derivative and the reading in all runs."""
+        # The noisier of both is explained, for noise of the other attenuates the gain. Each
+        # frequency weighs by the noise of both there; that of positions grows with it. A reading of
+        # a joint that hardly moves stays as it is, its delay within an interval of the log.
         derived = bool(noise[1] < noise[0] * 2 * np.pi * band / np.sqrt(3))
         end = 2 * np.pi * band
         normal, slope, power, count = np.diag([0.0, 0.0, step**-2]), np.zeros(3), 0.0, 0

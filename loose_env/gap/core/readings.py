@@ -31,7 +31,7 @@ class Readings:
         self.motion, self.model = motion, model
         self._turned: dict[int, list[Array]] = {}
         names = dict.fromkeys(name for name, _ in motion.sensors)
-        self._sensors = [
+        self.sensors = [
             (name, [k for k, (n, _) in enumerate(motion.sensors) if n == name]) for name in names
         ]
         self.names = tuple(
@@ -47,23 +47,14 @@ class Readings:
         """No change of any reading (T, R)."""
         return np.zeros((len(self.motion.stacked("position")), len(self.motion.sensors)))
 
-    @property
-    def accelerated(self) -> bool:
-        """Whether a reading depends on the joints' acceleration."""
-        return bool(np.any(self._gains[2]))
+    def accelerated(self, reading: int | slice = slice(None)) -> bool:
+        """Whether a reading, or any, depends on the joints' acceleration."""
+        return bool(np.any(self._gains[2, reading]))
 
     @cached_property
     def _finer(self) -> list[Array]:
         """Foretold readings of each run on finer points."""
         return [*map(finer, self.motion.split(self.foretold))]
-
-    def accelerated_by(self, reading: int) -> bool:
-        """Whether one reading does."""
-        return bool(np.any(self._gains[2, reading]))
-
-    def has(self, sensor: str) -> bool:
-        """Whether a sensor is among them."""
-        return any(name == sensor for name, _ in self.motion.sensors)
 
     def change(
         self,
@@ -74,11 +65,9 @@ class Readings:
         turned: Array | float = 0.0,
         positions: Mapping[str, Array] = MappingProxyType({}),
     ) -> Array:
-        """Change of the readings by an edited model, and by an effect on the sensors (T, R).
-
-        Of a joint that moves otherwise than is read with the change by that motion, and the
-        positions (T,) by column.
-        """
+        """Change of the readings by an edited model, and by an effect on the sensors (T, R)."""
+        # Of a joint that moves otherwise than is read with the change by that motion, and the
+        # positions (T,) by column.
         found = self.foretold if isinstance(turned, float) else self.foretold + turned
         if not self.motion.sensors:
             return self.nothing
@@ -116,7 +105,7 @@ class Readings:
         if not self.names:
             return self.nothing
         if joint not in self._turned:
-            self._turned[joint] = self._slopes(self._states, self.foretold, joint)
+            self._turned[joint] = self.slopes(self.model, self._states, joint)
         pairs = zip(self._turned[joint], moved, strict=True)
         return np.asarray(sum(slope * part[:, None] for slope, part in pairs))
 
@@ -149,21 +138,20 @@ class Readings:
         same = all(a.shape == b.shape and np.array_equal(a, b) for a, b in pairs)
         return not same or bool(np.any(model.opt.gravity != self.model.opt.gravity))
 
-    def _slopes(self, states: Sequence[Array], still: Array, joint: int) -> list[Array]:
-        """Change of the readings by position, speed and acceleration of a joint (3, T, R)."""
-        found = []
+    def slopes(self, model: mujoco.MjModel, states: Sequence[Array], joint: int) -> list[Array]:
+        """Change of readings by position, speed and acceleration of a joint (3, T, R)."""
+        still, found = self.of(model, *states), []
         for order in range(3):
             moved = [x.copy() for x in states]
             moved[order][:, joint] += _NUDGE
-            found.append((self.of(self.model, *moved) - still) / _NUDGE)
+            found.append((self.of(model, *moved) - still) / _NUDGE)
         return found
 
     def _sensitivity(self) -> Array:
         """Root mean square change of each reading by each joint's motion (3, R, joints)."""
         rows = np.linspace(0, len(self._states[0]) - 1, _POSES).astype(int)
         states = [x[rows] for x in self._states]
-        still = self.of(self.model, *states)
-        slopes = [self._slopes(states, still, joint) for joint in range(states[0].shape[1])]
+        slopes = [self.slopes(self.model, states, joint) for joint in range(states[0].shape[1])]
         return np.asarray(np.sqrt(np.mean(np.square(slopes), axis=2))).transpose(1, 2, 0)
 
     def _read(
@@ -174,10 +162,10 @@ class Readings:
         given = dict(zip(beside, own[:, count:].T, strict=True))
         given |= {
             column_of(name): own[:, at] if len(at) > 1 else own[:, at[0]]
-            for name, at in self._sensors
+            for name, at in self.sensors
         }
         shown, found = effect.read(time, given, values), np.zeros((len(own) // FINER, count))
-        for name, at in self._sensors:
+        for name, at in self.sensors:
             if shown[column_of(name)] is not given[column_of(name)]:
                 off = shown[column_of(name)].reshape(len(own), len(at)) - own[:, at]
                 found[:, at] = low_passed(off, self.motion.band, run.step / FINER)[::FINER]

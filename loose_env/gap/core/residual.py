@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 from scipy.signal import csd, welch
 from scipy.signal.windows import tukey
@@ -19,12 +18,13 @@ from loose_env.gap.core.exact import Exact
 from loose_env.gap.core.find import Answer
 from loose_env.gap.core.motion import Motion, smooth
 from loose_env.gap.core.selection import Selection, SetFit
+from loose_env.gap.model.effects.sensors import quantity_of
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel
 from loose_env.gap.output.result import ResidualTest
 from loose_env.gap.runs import Channel, Trial, align_run, measured_runs
 from loose_env.gap.simulator import Simulator
-from loose_env.recording import Recording, joint_sensors
+from loose_env.recording import Recording
 from loose_env.typing import Array, ComplexArray
 
 LAGS = 50
@@ -40,11 +40,10 @@ _SEGMENTS = 4
 
 
 def left_by(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
-    """Residual on data that a set was not fitted to, without its effects and with (T, channels).
-
-    Each run, or each alternate stretch of the only one, is left by the fit to the others. Without,
-    tolerances are as beside the effects: alone they would be pulled far to stand in for them.
-    """
+    """Residual on data that a set was not fitted to, without its effects and with (T, channels)."""
+    # Each run, or each alternate stretch of the only one, is left by the fit to the others.
+    # Without, tolerances are as beside the effects: alone they would be pulled far to stand in for
+    # them.
     balance, channels = selection.evidence.balance, selection.evidence.channels
     sides, stretches = (balance.residual.copy(), balance.residual.copy()), stretches_of(balance)
     for held in folds_of(selection, fit.terms)[0]:
@@ -61,13 +60,11 @@ def left_by(selection: Selection, fit: SetFit) -> tuple[Array, Array]:
 
 def _remainder(selection: Selection, fit: SetFit, terms: Iterable[Term]) -> Array:
     """Residual less the fitted tolerances and the columns of some effects (T, channels)."""
-    evidence = selection.evidence
-    left = evidence.balance.residual.copy()
-    pulls = evidence.mixed @ fit.values[: evidence.tolerances]
-    parts = [(n.change, x) for n, x in zip(evidence.nuisances, pulls, strict=True)]
+    left = selection.evidence.balance.residual.copy()
+    parts = [(n.change, x) for n, x in selection.pulls(fit)]
     for term in terms:
-        values = fit.values[fit.places(evidence.columns_of(term))]
-        parts += [(c.change, x) for c, x in zip(term.columns, values, strict=True)]
+        shares = selection.shares(fit, term)
+        parts += [(c.change, x) for c, x in zip(term.columns, shares, strict=True)]
     for change, size in parts:
         left[:, : change.shape[1]] -= size * change.whole()
     return left
@@ -85,11 +82,9 @@ def _inner(balance: Balance) -> list[slice]:
 
 
 def whitened(balance: Balance, values: Array, channel: int) -> tuple[list[Array], float]:
-    """Series of one channel in noise standard deviations, run by run, and its interval [s].
-
-    Its spectrum is divided by that of the noise, and cut at the end of the band: at an interval of
-    half that period noise alone is white.
-    """
+    """Series of one channel in noise standard deviations, run by run, and its interval [s]."""
+    # Its spectrum is divided by that of the noise, and cut at the end of the band: at an interval
+    # of half that period noise alone is white.
     motion, found = balance.motion, []
     weight = weight_of(balance, channel)
     interval = motion.step
@@ -238,11 +233,9 @@ def parameter_correlation(selection: Selection, fit: SetFit) -> tuple[tuple[str,
 def simulated(
     answer: Answer, corrected: Hypothesis
 ) -> tuple[dict[str, tuple[float, float]], Played | None]:
-    """Errors by quantity, and the beginnings of the runs, by the nominal and corrected model.
-
-    Errors are of simulations of one second, between the windows that were fitted to or in the runs
-    that were kept out. Nothing of recordings whose drives do not follow commands.
-    """
+    """Errors by quantity, and the beginnings of the runs, by the nominal and corrected model."""
+    # Errors are of simulations of one second, between the windows that were fitted to or in the
+    # runs that were kept out. Nothing of recordings whose drives do not follow commands.
     balance = answer.selection.evidence.balance
     if balance.released.any():
         return {}, None
@@ -274,7 +267,10 @@ def _predicted(simulator: Simulator, corrected: Hypothesis) -> list[list[Array]]
 
 def _errors(exact: Exact, predicted: Sequence[Sequence[Array]]) -> dict[str, tuple[float, float]]:
     """Root mean square error by quantity of the nominal and of the corrected model."""
-    names = np.array([quantity_of(exact.balance.machine, c.column) for c in exact.channels])
+    each = (c.column.partition(".") for c in exact.channels)
+    unknown, machine = ("", ""), exact.balance.machine
+    told = [quantity_of(machine, n) if kind == "sensor" else unknown for kind, _, n in each]
+    names = np.array([f"{words} [{unit}]" if words else "" for words, unit in told])
     measured = np.concatenate([trial.measured for trial in exact.simulator.trials])
     seen = np.isfinite(measured)
     off = [np.where(seen, measured - np.concatenate(own), 0.0) for own in predicted]
@@ -290,9 +286,10 @@ def _errors(exact: Exact, predicted: Sequence[Sequence[Array]]) -> dict[str, tup
 def _beginnings(recording: Recording, motion: Motion, exact: Exact) -> Simulator:
     """Simulator of the beginnings of the runs, each from its smoothed state."""
     machine = exact.balance.machine
-    pieces, _ = measured_runs(recording.runs, machine.model)
     trials = []
-    for run, state in zip((r for each in pieces for r in each), motion.runs, strict=True):
+    for run, state in zip(
+        measured_runs(recording.runs, machine.model)[0], motion.runs, strict=True
+    ):
         whole = align_run(run, machine, exact.channels, step=machine.time_step)
         last = state.begin + _PLAYED_S / len(motion.runs)
         first, end = np.searchsorted(whole.time, [state.begin, last])
@@ -338,9 +335,8 @@ class Played:
 
     def column_of(self, joint: str) -> int | None:
         """Which column reads the position of a joint; None where none does."""
-        read = joint_sensors(self.machine.model)[joint].position
-        own = (k for k, c in enumerate(self.channels) if c.column.removeprefix("sensor.") in read)
-        return next(own, None)
+        read = (self.machine.encoders.get(c.column.removeprefix("sensor.")) for c in self.channels)
+        return next((k for k, own in enumerate(read) if own == joint), None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -353,10 +349,8 @@ class Response:
 
 
 def responses(shown: Played, band: float) -> tuple[Response, ...]:
-    """Frequency responses of servoed joints, measured and simulated from the same commands.
-
-    Of the frequencies in which the command has a hundredth of its largest power.
-    """
+    """Frequency responses of servoed joints, measured and simulated from the same commands."""
+    # Of the frequencies in which the command has a hundredth of its largest power.
     machine, found = shown.machine, []
     for number, actuator in machine.servos.items():
         joint = machine.joints[number]
@@ -383,42 +377,3 @@ def responses(shown: Played, band: float) -> tuple[Response, ...]:
             known = {kind: each[excited] for kind, each in gains if np.isfinite(each).all()}
             found.append(Response(joint=joint, frequency=grid[excited], gains=known))
     return tuple(found)
-
-
-# Quantities
-
-_SENSOR = mujoco.mjtSensor
-_QUANTITIES = {
-    _SENSOR.mjSENS_JOINTPOS: ("joint position", "rad", "m"),
-    _SENSOR.mjSENS_ACTUATORPOS: ("drive position", "rad", "m"),
-    _SENSOR.mjSENS_JOINTVEL: ("joint speed", "rad/s", "m/s"),
-    _SENSOR.mjSENS_ACTUATORVEL: ("drive speed", "rad/s", "m/s"),
-    _SENSOR.mjSENS_ACTUATORFRC: ("drive torque", "N·m", "N"),
-    _SENSOR.mjSENS_JOINTACTFRC: ("actuator torque", "N·m", "N"),
-    _SENSOR.mjSENS_ACCELEROMETER: ("acceleration", "m/s²"),
-    _SENSOR.mjSENS_FRAMELINACC: ("acceleration", "m/s²"),
-    _SENSOR.mjSENS_GYRO: ("turning rate", "rad/s"),
-    _SENSOR.mjSENS_FRAMEANGVEL: ("turning rate", "rad/s"),
-    _SENSOR.mjSENS_FRAMEPOS: ("position in space", "m"),
-    _SENSOR.mjSENS_VELOCIMETER: ("speed in space", "m/s"),
-    _SENSOR.mjSENS_FORCE: ("force", "N"),
-    _SENSOR.mjSENS_TORQUE: ("torque at a site", "N·m"),
-}
-"""Quantity and unit; at a joint its unit where that turns, and where it slides."""
-
-
-def quantity_of(machine: NominalModel, column: str) -> str:
-    """Quantity and unit of a sensor's column; "" for one of unknown unit."""
-    source, _, name = column.partition(".")
-    if source != "sensor":
-        return ""
-    model, sensor = machine.model, machine.model.sensor(name)
-    words, *units = _QUANTITIES.get(_SENSOR(int(sensor.type[0])), ("", ""))
-    if len(units) == 2:
-        number = int(sensor.objid[0])
-        if int(sensor.objtype[0]) == mujoco.mjtObj.mjOBJ_ACTUATOR:
-            if int(model.actuator_trntype[number]) != mujoco.mjtTrn.mjTRN_JOINT:
-                return ""
-            number = int(model.actuator_trnid[number, 0])
-        units = units[not machine.turns(model.joint(number).name) :]
-    return f"{words} [{units[0]}]" if words else ""

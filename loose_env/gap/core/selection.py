@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from loose_env.gap.core.balance import USUAL
-from loose_env.gap.core.catalogue import Claim, Term, neighbours, terms_of
+from loose_env.gap.core.catalogue import Axes, Claim, Term, neighbours, terms_of
 from loose_env.gap.core.cells import Cells, Layout
 from loose_env.gap.core.evidence import Channel, Evidence, append, cell_powers
 from loose_env.gap.core.tolerances import Nuisance
@@ -114,12 +114,10 @@ class Selection:
         return Counter(term.name for term in self.evidence.terms)
 
     def prior(self, terms: Iterable[Term]) -> float:
-        """Minus twice the log prior of a set: its kinds, how many and which places, shapes.
-
-        A kind that extends another one is a form of it; one at all places at once is another claim
-        than one at some. Neighbouring shapes share the evidence: of k shapes about the root of k
-        differ.
-        """
+        """Minus twice the log prior of a set: its kinds, how many and which places, shapes."""
+        # A kind that extends another one is a form of it; one at all places at once is another
+        # claim than one at some. Neighbouring shapes share the evidence: of k shapes about the root
+        # of k differ.
         own = tuple(terms)
         cost = 0.0
         for claim, count in Counter(t.claim for t in own).items():
@@ -151,11 +149,9 @@ class Selection:
         return self.on([~cells for cells in held]).fit(fit.terms, fit)
 
     def sized(self, fit: SetFit) -> tuple[Selection, SetFit]:
-        """A set with hardly any prior of sizes: how large an effect is, once it is there.
-
-        Selection needs that prior; values would be drawn to nothing by it, where a tolerance is
-        nearly the same column.
-        """
+        """A set with hardly any prior of sizes: how large an effect is, once it is there."""
+        # Selection needs that prior; values would be drawn to nothing by it, where a tolerance is
+        # nearly the same column.
         found, evidence = self.on(self.used), copy(self.evidence)
         evidence.precision = np.where(
             (evidence.centre == 0) & (np.arange(len(evidence.centre)) >= evidence.tolerances),
@@ -165,6 +161,19 @@ class Selection:
         fitted = found.fit(fit.terms, fit)
         return (found, fitted) if fitted.allowed else (self, fit)
 
+    def shares(self, fit: SetFit, term: Term) -> Array:
+        """Coefficients of a member."""
+        return fit.values[fit.places(self.evidence.columns_of(term))]
+
+    def values_in(self, fit: SetFit) -> tuple[Array, ...]:
+        """Parameter values of each member."""
+        return tuple(term.values(self.shares(fit, term)) for term in fit.terms)
+
+    def pulls(self, fit: SetFit) -> list[tuple[Nuisance, float]]:
+        """Tolerances with the standard deviations by which a fit pulls them."""
+        pulls = self.evidence.mixed @ fit.values[: self.evidence.tolerances]
+        return list(zip(self.evidence.nuisances, pulls.tolist(), strict=True))
+
     def solve(self, terms: Sequence[Term], start: Sequence[Array] | None = None) -> SetFit:
         """Fit a set, from the weights of a start."""
         key = frozenset(id(term) for term in terms)
@@ -172,24 +181,20 @@ class Selection:
             # the likelihood has several optima: also from nothing but noise, and from no set
             starts = [[c.count for c in self.evidence.channels], None, *([start] if start else [])]
             cells = self.layout.of(self.columns(terms))
-            fits = [self._fit(tuple(terms), cells, own) for own in starts]
+            fits = [self.fit(tuple(terms), own, cells=cells) for own in starts]
             self.fits[key] = min(fits, key=lambda f: (not f.allowed, f.cost))
         return self.fits[key]
 
     def fit(
-        self, terms: Set, start: SetFit | Sequence[Array] | None = None, rounds: int = _ROUNDS
-    ) -> SetFit:
-        """Fit a set by reweighted least squares, from the weights of a start, or from a fit."""
-        return self._fit(terms, self.layout.of(self.columns(terms)), start, rounds)
-
-    def _fit(
         self,
         terms: Set,
-        cells: Cells,
-        start: SetFit | Sequence[Array] | None,
+        start: SetFit | Sequence[Array] | None = None,
         rounds: int = _ROUNDS,
+        cells: Cells | None = None,
     ) -> SetFit:
-        evidence, layout, numbers = self.evidence, cells.layout, self.columns(terms)
+        """Fit a set by reweighted least squares, from the weights of a start, or from a fit."""
+        evidence, layout, numbers = self.evidence, self.layout, self.columns(terms)
+        cells = cells or layout.of(numbers)
         precision, centre = evidence.precision[numbers], evidence.centre[numbers]
         used, level = np.concatenate(self.used), np.concatenate(self.values)
         found = np.zeros(len(numbers))
@@ -301,10 +306,8 @@ class Selection:
 
     @cached_property
     def rich(self) -> tuple[Array, ...]:
-        """Residuals with every linear effect beside the drives at once: hardly any set is below.
-
-        Gains of drives are left out, since a balance without drives has nothing to explain.
-        """
+        """Residuals with every linear effect beside the drives at once: hardly any set is below."""
+        # Gains of drives are left out, since a balance without drives has nothing to explain.
         pool: dict[tuple[str, str], Term] = {}
         for term in self.evidence.terms:
             if not term.law and not term.effect.drives and term.contact in ("", USUAL):
@@ -337,11 +340,9 @@ class Selection:
         return list(alike.values())
 
     def starts(self) -> list[Set]:
-        """Sets to start from: none, and the kinds that alone at all their places explain most.
-
-        One kind at a time may be led astray: where friction is missing as well, a lag that halves
-        every drive explains more than the true delay.
-        """
+        """Sets to start from: none, and the kinds that alone at all their places explain most."""
+        # One kind at a time may be led astray: where friction is missing as well, a lag that halves
+        # every drive explains more than the true delay.
         form = Form(self, self.rich)
         single = _by_kind(t for _, t in self.screened(form, (), self.evidence.terms))
         fits = [fit for fit in (self.solve(s, self.rich) for s in single) if fit.allowed]
@@ -351,11 +352,9 @@ class Selection:
         return [(), *list(chosen.values())[:_STARTS]]
 
     def refined(self, state: SetFit) -> SetFit:
-        """Shapes of the members by a simplex, each beside the others.
-
-        Where a motion is short, the parameters of a shape make up for each other: a ripple of more
-        periods for one of another phase.
-        """
+        """Shapes of the members by a simplex, each beside the others."""
+        # Where a motion is short, the parameters of a shape make up for each other: a ripple of
+        # more periods for one of another phase.
         for term in state.terms:
             state = self._refined(state, term)
         return state
@@ -393,22 +392,19 @@ class Selection:
         axes = (tuple(float(v) for v in values),)
         if axes == term.axes:
             return None
-        contact = (term.contact,) if term.contact else ()
-        return self.replaced(state, term, axes, contact or ("",))
+        return self.replaced(state, term, axes)
 
     def relinearised(self, state: SetFit, term: Term) -> SetFit:
-        """Secant of a linear effect to its fitted value, where that explains more.
-
-        A tilt of 0.1 rad takes half a per cent off gravity, which another effect would explain.
-        """
-        shares = state.values[state.places(self.evidence.columns_of(term))]
+        """Secant of a linear effect to its fitted value, where that explains more."""
+        # A tilt of 0.1 rad takes half a per cent off gravity, which another effect would explain.
+        shares = self.shares(state, term)
         axes = list(term.axes)
         # two digits: a secant to a value nearby is as good, and is already there
         secant = tuple(float(f"{value:.1e}") for value in term.values(shares))
         axes[int(np.argmax(np.abs(shares)))] = secant
         if tuple(axes) == term.axes or not self._bent(term, shares, state.powers):
             return state
-        new = self.replaced(state, term, tuple(axes), (term.contact,))
+        new = self.replaced(state, term, tuple(axes))
         return new if new is not None and new.total < state.total else state
 
     def _bent(self, term: Term, shares: Array, powers: Sequence[Array]) -> bool:
@@ -430,7 +426,7 @@ class Selection:
         found = {}
         for term in fit.terms:
             at = list(self.evidence.columns_of(term))
-            shares = self.evidence.inexact[at] * fit.values[fit.places(at)]
+            shares = self.evidence.inexact[at] * self.shares(fit, term)
             if shares.any():
                 parts = zip(shares, term.columns, strict=True)
                 name = "{} at {}".format(*term.name)
@@ -454,27 +450,19 @@ class Selection:
         felt = sum(self.weights(k, powers[k]) @ own for k, own in cells.items())
         return float(felt) > _BENT
 
-    def replaced(
-        self,
-        state: SetFit,
-        term: Term,
-        axes: tuple[tuple[float, ...], ...],
-        contacts: tuple[str, ...],
-    ) -> SetFit | None:
+    def replaced(self, state: SetFit, term: Term, axes: Axes) -> SetFit | None:
         """Fit with a member's columns along other axes; None if that is out of bounds."""
-        new = self._along(term, axes, contacts)
+        new = self._along(term, axes)
         if new is None:
             return None
         fit = self.fit((*(t for t in state.terms if t is not term), new), state.powers)
         return fit if fit.allowed else None
 
-    def _along(
-        self, term: Term, axes: tuple[tuple[float, ...], ...], contacts: tuple[str, ...]
-    ) -> Term | None:
+    def _along(self, term: Term, axes: Axes) -> Term | None:
         """An effect's columns along other axes; None if there are none."""
-        evidence, key = self.evidence, (*term.effect.key, axes, contacts)
+        evidence, key = self.evidence, (*term.effect.key, axes, term.contact)
         if key not in self._replaced:
-            found = terms_of(evidence.balance, term.effect, axes, term.law, contacts)
+            found = terms_of(evidence.balance, term.effect, axes, term.law, (term.contact,))
             new = replace(found[0], unseen=term.unseen) if found else None
             self._replaced[key] = new
             if new is not None:
@@ -482,18 +470,15 @@ class Selection:
         return self._replaced[key]
 
     def approached(self, fit: SetFit) -> SetFit:
-        """The same set with shapes where out of bounds coefficients point, until they stay.
-
-        Between two shapes that are tried may lie one that explains more than both.
-        """
+        """The same set with shapes where out of bounds coefficients point, until they stay."""
+        # Between two shapes that are tried may lie one that explains more than both.
         for _ in range(0 if fit.allowed else _SECANTS):
             terms = []
-            for term in fit.terms:
-                own = fit.values[fit.places(self.evidence.columns_of(term))]
-                pairs = zip(term.effect.parameters, term.values(own), strict=True)
+            for term, values in zip(fit.terms, self.values_in(fit), strict=True):
+                pairs = zip(term.effect.parameters, values, strict=True)
                 shape = tuple(float(f"{p.clipped(float(v)):.2e}") for p, v in pairs)
                 if term.law and shape != term.axes[0]:
-                    term = self._along(term, (shape,), (term.contact,)) or term
+                    term = self._along(term, (shape,)) or term
                 terms.append(term)
             fit = self.fit(tuple(terms), fit.powers)
             if fit.allowed:
@@ -515,10 +500,8 @@ class Selection:
         return state
 
     def _weightings(self, state: SetFit) -> list[Sequence[Array]]:
-        """Residuals by whose weights steps are judged: of a set, of all effects, and between.
-
-        What a set leaves of a channel hides what another set would explain of it.
-        """
+        """Residuals by whose weights steps are judged: of a set, of all effects, and between."""
+        # What a set leaves of a channel hides what another set would explain of it.
         between = [np.sqrt(a * b) for a, b in zip(state.powers, self.rich, strict=True)]
         return [state.powers, between, self.rich]
 
@@ -648,18 +631,11 @@ def _weights(values: Array, excess: Array, used: NDArray[np.bool_]) -> Array:
     return np.asarray(values / (values + np.maximum(excess, 0.0)) * used)
 
 
-def few(count: Array) -> Array:
-    """Values of a discrepancy that repeats the motion, of so many values of cells."""
-    return np.asarray(np.minimum(LEAST_VALUES, count / 2) + SHARE_VALUES * count)
-
-
 def _values(channel: Channel, noisy: float) -> Array:
-    """Values of each cell's discrepancy, by the share of noise in what hardly any set explains.
-
-    Half of all values where there is nothing but noise, which then says what chi-square does; few
-    where a discrepancy repeats the motion.
-    """
-    least = few(channel.count)
+    """Values of each cell's discrepancy, by the share of noise in what hardly any set explains."""
+    # Half of all values where there is nothing but noise, which then says what chi-square does; few
+    # where a discrepancy repeats the motion.
+    least = np.minimum(LEAST_VALUES, channel.count / 2) + SHARE_VALUES * channel.count
     most = np.maximum(channel.count / 2, least)
     return np.asarray(least + min(noisy, 1.0) * (most - least))
 
@@ -708,7 +684,7 @@ class Form:
     def near(self, at: NDArray[np.intp]) -> Array:
         """Normal matrix between some columns and all."""
         new = np.array([k for k in at if k not in self._beside], dtype=int)
-        beside = self._between(new, np.arange(len(self.slope)))
+        beside = self.between(new, np.arange(len(self.slope)))
         self._beside.update(zip(new.tolist(), beside, strict=True))
         return np.stack([self._beside[k] for k in at])
 
@@ -732,7 +708,7 @@ class Form:
         count = self._evidence.tolerances
         own = np.unique(np.fromiter(columns, dtype=int))
         at = np.concatenate([np.arange(count), own[own >= count]])
-        normal, slope = self.block(at), self.slope[at]
+        normal, slope = self.between(at, at), self.slope[at]
         root = np.linalg.cholesky(normal[:count, :count])
         across = solve_triangular(root, normal[:count, count:], lower=True)
         half = solve_triangular(root, slope[:count], lower=True)
@@ -743,11 +719,8 @@ class Form:
             rest=float(2 * np.log(np.diag(root)).sum() - half @ half),
         )
 
-    def block(self, at: NDArray[np.intp]) -> Array:
-        """Normal matrix of some columns."""
-        return self._between(at, at)
-
-    def _between(self, left: NDArray[np.intp], right: NDArray[np.intp]) -> Array:
+    def between(self, left: NDArray[np.intp], right: NDArray[np.intp]) -> Array:
+        """Normal matrix of some columns with others."""
         precision = self._evidence.precision
         found = np.where(left[:, None] == right, precision[left][:, None], 0.0)
         channels = zip(self._evidence.channels, self._weights, self._guards, strict=True)

@@ -16,16 +16,10 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from loose_env.gap.core.balance import USUAL, Balance, Change, Found, with_effects
-from loose_env.gap.core.motion import rates
 from loose_env.gap.model.effect import Effect
 from loose_env.gap.model.effects.inertia import LinkMass, links_with_mass
-from loose_env.gap.model.effects.mjcf import (
-    Inertial,
-    add_constant,
-    added_name,
-    inertial_of,
-    set_inertial,
-)
+from loose_env.gap.model.effects.joints import RotorInertia, TorqueOffset
+from loose_env.gap.model.effects.mjcf import Inertial, inertial_of, set_inertial
 from loose_env.gap.model.effects.sensors import EncoderOffset, SensorBias, SensorDelay
 from loose_env.gap.model.hypothesis import scale
 from loose_env.gap.model.nominal_model import NominalModel, link_ends
@@ -138,10 +132,8 @@ _STEP = 1e-3  # relative step of numerical derivatives
 
 
 def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
-    """List the tolerances of a model that its recording can depend on.
-
-    Those of rigid bodies beside the effects that were found.
-    """
+    """List the tolerances of a model that its recording can depend on."""
+    # Those of rigid bodies beside the effects that were found.
     return [
         *_rigid(balance, tolerances),
         *_joints(balance, tolerances),
@@ -151,10 +143,8 @@ def nuisances(balance: Balance, tolerances: Tolerances) -> list[Nuisance]:
 
 
 def missed_by_laws(balance: Balance, forces: Mapping[str, Array]) -> list[Nuisance]:
-    """What the laws of effects miss, such forces (T, channels) in turn with the motion.
-
-    Springs stiffen, friction differs from place to place, oil thins with speed, gears warm.
-    """
+    """What the laws of effects miss, such forces (T, channels) in turn with the motion."""
+    # Springs stiffen, friction differs from place to place, oil thins with speed, gears warm.
     time = np.arange(len(balance.position))[:, None] + 0 * balance.position
     place, found = _even(balance.position), list[Nuisance]()
     shapes = {"slope": place, "bend": _even(place**2), "thinning": _even(np.abs(balance.speed))}
@@ -175,10 +165,8 @@ def _even(values: Array) -> Array:
 
 
 def together(balance: Balance) -> Array | float:
-    """Change of the balance by the effects found, beyond the sum of each beside the others.
-
-    (T, channels); of a centre that is off, a tilted base turns the moment.
-    """
+    """Change of the balance by the effects found, beyond the sum of each beside the others."""
+    # (T, channels); of a centre that is off, a tilted base turns the moment.
     found = balance.found
     if len(found) < 2:
         return 0.0
@@ -279,26 +267,24 @@ def _joints(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         size = tolerances.offset * float(machine.load_scales[joint])
         size = max(size, tolerances.offset_of_limit * (largest if np.isfinite(largest) else 0.0))
         change = np.tile(size * one, (len(balance.drive), 1))
+        constant = _sized(TorqueOffset(machine, name), size)
         yield _shift(
-            f"constant torque at {name}", change, balance, edit=_constant(name, -size),
-            size=-size, unit=offset.torque_unit,
+            f"constant torque at {name}", change, balance, edit=constant, size=-size,
+            unit=offset.torque_unit,
         )  # fmt: skip
         inverse = (balance.forms == "inverse") & balance.seen[:, joint]
         if inverse.any():
             gain = np.where(inverse, balance.needed[:, joint], 0.0)[:, None] * one
+            width = tolerances.torque
             yield Nuisance(
-                name=f"torque constant of {name}",
-                change=balance.change(tolerances.torque * gain),
-                operator=tolerances.torque * balance.operator * one[:, None],
-                scaled=(joint, tolerances.torque),
-                size=100 * tolerances.torque,
-                unit="%",
-            )
+                name=f"torque constant of {name}", change=balance.change(width * gain),
+                operator=width * balance.operator * one[:, None], scaled=(joint, width),
+                size=100 * width, unit="%",
+            )  # fmt: skip
             log_step = balance.motion.runs[0].log_step
             # of the smear not of the reading: its noise would be smeared as well
             for order, what, force in ((1, "delay", -balance.drive), (2, "smear", balance.needed)):
-                parts = balance.motion.split(force[:, joint])
-                rate = np.concatenate([rates(own, balance.motion.step, order) for own in parts])
+                rate = balance.motion.rates(force[:, joint], order)
                 width = (tolerances.shift_samples * log_step) ** order / order
                 change = np.where(inverse, np.nan_to_num(rate), 0.0)[:, None] * one
                 seen = {"size": width, "unit": "s"} if order == 1 else {}
@@ -310,30 +296,16 @@ def _scaled(name: str, of: str, width: float) -> Edit:
     return lambda spec, deviations: scale(spec, name, of, max(1 + deviations * width, 0.0))
 
 
-def _constant(joint: str, torque: float) -> Edit:
-    """Edit that adds a constant torque at a joint."""
-    return lambda spec, deviations: add_constant(
-        spec, joint, added_name(spec, joint, "tolerance"), deviations * torque
-    )
-
-
 def _late_speed(balance: Balance, actuator: str, late: float) -> tuple[Edit, float]:
-    """Edit that feeds a speed back late, which takes the velocity gain times it off the inertia.
-
-    And by how much [s].
-    """
+    """Edit that feeds a speed back late, which takes the velocity gain times it off the inertia."""
+    # And by how much [s].
     machine = balance.machine
     model, joint = machine.model, machine.actuated_joint[actuator]
     own, number = model.actuator(actuator), machine.joint_number(joint)
     gain = abs(float(own.biasprm[2])) * float(own.gear[0]) ** 2
     # later, it would swing
     late = min(late, _STABLE * float(balance.operator[0, number, number]) / gain)
-
-    def edit(spec: mujoco.MjSpec, deviations: float) -> None:
-        rotor = spec.joint(joint)
-        rotor.armature = max(float(rotor.armature) - deviations * late * gain, 0.0)
-
-    return edit, late
+    return _sized(RotorInertia(machine, joint), -late * gain), late
 
 
 def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
@@ -375,15 +347,15 @@ def _between_samples(balance: Balance) -> Iterator[Nuisance]:
     for name, (steps, bends) in pairs:
         # between two steps a sawtooth of acceleration is a parabola of speed, lowest at them
         beyond = [("steps", steps, -step / 6 * steps)]
-        if readings.accelerated:
-            slopes = np.concatenate([rates(own, motion.step) for own in motion.split(bends)])
-            beyond += [("bends", bends, 0 * bends), ("shift of bends", step * slopes, 0 * bends)]
+        if readings.accelerated():
+            slopes = step * motion.rates(bends)
+            beyond += [("bends", bends, 0 * bends), ("shift of bends", slopes, 0 * bends)]
         for what, more, faster in beyond:
             seen = [
                 readings.turned(k, [0 * v, v, a])
                 for k, (v, a) in enumerate(zip(faster.T, more.T, strict=True))
             ]
-            for part in seen if readings.accelerated else [np.sum(seen, axis=0)]:
+            for part in seen if readings.accelerated() else [np.sum(seen, axis=0)]:
                 change = np.hstack([np.zeros((len(part), joints)), part])
                 yield _shift(
                     f"{what} of {name} in readings", change, balance, of_commands=True
@@ -404,13 +376,9 @@ def _sensors(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
         yield _shift(
             f"delay of {name}", change, balance, read_late=(joint, size), size=size, unit="s"
         )
-    for name in dict.fromkeys(name for name, _ in motion.sensors):
-        at = [k for k, (own, _) in enumerate(motion.sensors) if own == name]
+    for name, at in balance.readings.sensors:
         shown = foretold[:, at]
-        late, smeared = (
-            np.concatenate([rates(run, motion.step, order) for run in motion.split(shown)])
-            for order in (1, 2)
-        )
+        late, smeared = (motion.rates(shown, order) for order in (1, 2))
         size = float(np.sqrt(np.mean(shown**2)))
         width = tolerances.sensor_samples * step
         bias, gain = tolerances.sensor_bias * size, tolerances.sensor

@@ -232,11 +232,7 @@ class Effect:
 
     def overrides(self, *names: str) -> bool:
         """Return whether the class has any of some methods of its own."""
-        own, bases = type(self), (Effect, DrivenEffect)
-        return any(
-            all(getattr(own, name, None) is not getattr(base, name, None) for base in bases)
-            for name in names
-        )
+        return any(getattr(type(self), name) is not getattr(Effect, name) for name in names)
 
     def in_run(self, run: str, values: Array) -> tuple[Effect, Array] | None:
         """The effect of one run, if it has one; all have the same but where `mountings` differ."""
@@ -378,10 +374,28 @@ class Effect:
         """Convert ideal sensor values to those with the effect; never changes its input."""
         return readings
 
+    def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
+        """Compute the commands that reach the actuators in some states.
+
+        A simulation holds them over each step, at its middle.
+        """
+        return command
+
     def feedback_code(self, values: Array) -> str:
         """Python lines that change ``command`` (actuators,) before each step; "" if none.
 
         They read ``position`` and ``speed`` (joints,).
+        """
+        return ""
+
+    def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
+        """Compute dry friction beyond the joints' friction loss; it holds a joint at rest."""
+        return np.zeros_like(drive)
+
+    def friction_code(self, values: Array) -> str:
+        """Python lines that add `dry_friction` to ``friction``; "" if none.
+
+        They read ``drive``, ``load`` and ``speed`` (joints,).
         """
         return ""
 
@@ -456,24 +470,6 @@ class DrivenEffect(Effect):
     """
 
     in_model: bool = False
-
-    def feedback(self, command: Array, position: Array, speed: Array, values: Array) -> Array:
-        """Compute the commands that reach the actuators in some states.
-
-        A simulation holds them over each step, at its middle.
-        """
-        return command
-
-    def dry_friction(self, drive: Array, load: Array, speed: Array, values: Array) -> Array:
-        """Compute dry friction beyond the joints' friction loss; it holds a joint at rest."""
-        return np.zeros_like(drive)
-
-    def friction_code(self, values: Array) -> str:
-        """Python lines that add `dry_friction` to ``friction``; "" if none.
-
-        They read ``drive``, ``load`` and ``speed`` (joints,).
-        """
-        return ""
 
 
 class JointEffect(Effect):

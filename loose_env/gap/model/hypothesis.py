@@ -74,10 +74,8 @@ class Hypothesis:
     def model(
         self, machine: NominalModel, step: float, *, released: bool = False
     ) -> mujoco.MjModel:
-        """Compile the model of the hypothesis, with its drives off for a free response.
-
-        The last sensors are the forces of the machine's own actuators.
-        """
+        """Compile the model of the hypothesis, with its drives off for a free response."""
+        # The last sensors are the forces of the machine's own actuators.
         spec = machine.fresh()
         set_step(spec, step)
         self.edit(spec)

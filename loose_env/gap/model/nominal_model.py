@@ -161,11 +161,9 @@ class NominalModel:
 
     @cached_property
     def last_link(self) -> str:
-        """Name of the link at the end of the longest chain of joints, the last of such.
-
-        Coupled joints, such as those of a gripper's fingers, are left out: what they hold together
-        loads the link that carries them.
-        """
+        """Name of the link at the end of the longest chain of joints, the last of such."""
+        # Coupled joints, such as those of a gripper's fingers, are left out: what they hold
+        # together loads the link that carries them.
         model: mujoco.MjModel = self.model
         depth = np.zeros(model.nbody, dtype=int)
         for body in range(1, model.nbody):
@@ -325,11 +323,9 @@ def reach_of(machine: NominalModel) -> float:
 
 
 def link_ends(machine: NominalModel, link: str) -> tuple[Array, Array]:
-    """Ends of a link in its body's frame: at its joint, and at the next or the tool.
-
-    The end is the farthest of the bodies with joints beyond it, or else of its sites; without any,
-    twice the distance to its centre of mass.
-    """
+    """Ends of a link in its body's frame: at its joint, and at the next or the tool."""
+    # The end is the farthest of the bodies with joints beyond it, or else of its sites; without
+    # any, twice the distance to its centre of mass.
     model = machine.model
     body = model.body(link).id
     start = np.array(model.jnt_pos[int(model.body_jntadr[body])])

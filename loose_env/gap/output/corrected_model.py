@@ -14,7 +14,6 @@ import numpy as np
 
 from loose_env.arms import copy_files, files_of
 from loose_env.errors import InvalidData
-from loose_env.gap.model.effect import DrivenEffect
 from loose_env.gap.model.hypothesis import Hypothesis
 from loose_env.gap.model.nominal_model import NominalModel, addresses, set_step
 from loose_env.gap.output.result import GapResult
@@ -27,11 +26,9 @@ _HALVINGS = 3  # times that a step is halved, at most
 def corrected_spec(
     machine: NominalModel, hypothesis: Hypothesis, *, step: float | None = None
 ) -> mujoco.MjSpec:
-    """Build the nominal model with all effects that MJCF can express.
-
-    The time step is that of the nominal model unless one is given. Keyframes keep the positions of
-    the model's own joints; coordinates added by an effect are zero.
-    """
+    """Build the nominal model with all effects that MJCF can express."""
+    # The time step is that of the nominal model unless one is given. Keyframes keep the positions
+    # of the model's own joints; coordinates added by an effect are zero.
     spec = machine.fresh()
     if step is not None:
         set_step(spec, step)
@@ -41,11 +38,9 @@ def corrected_spec(
 
 
 def step_for(machine: NominalModel, hypothesis: Hypothesis) -> float:
-    """Time step of the written model [s]: at most any delay or lag of its drives.
-
-    A filter that is much shorter than a step makes a Runge-Kutta method diverge, and MJCF delays
-    commands from step to step.
-    """
+    """Time step of the written model [s]: at most any delay or lag of its drives."""
+    # A filter that is much shorter than a step makes a Runge-Kutta method diverge, and MJCF delays
+    # commands from step to step.
     step = machine.time_step
     driven = ((e.parameters, values) for e, values in hypothesis.pairs if e.drives)
     each = (pair for own in driven for pair in zip(*own, strict=True))
@@ -77,18 +72,15 @@ def _keep_keyframes(spec: mujoco.MjSpec, machine: NominalModel) -> None:
 
 
 def correction_code(hypothesis: Hypothesis) -> str:
-    """Python lines that apply effects which MJCF cannot express; "" if none.
-
-    Terms on the torque are added before each step, and changes of readings after it. The lines work
-    on ``model`` and ``data`` of MuJoCo. A torque is held over a step, and therefore evaluated at
-    its middle: half a step early for an accelerometer.
-    """
+    """Python lines that apply effects which MJCF cannot express; "" if none."""
+    # Terms on the torque are added before each step, and changes of readings after it. The lines
+    # work on ``model`` and ``data`` of MuJoCo. A torque is held over a step, and therefore
+    # evaluated at its middle: half a step early for an accelerometer.
     pairs = [(e, np.array([float(f"{v:.6g}") for v in own])) for e, own in hypothesis.pairs]
     terms = [line for effect, own in pairs if (line := effect.torque_code(own))]
     readings = [line for effect, own in pairs if (line := effect.code(own))]
-    driven = [(e, own) for e, own in pairs if isinstance(e, DrivenEffect)]
     feedback = [line for effect, own in pairs if (line := effect.feedback_code(own))]
-    frictions = [line for effect, own in driven if (line := effect.friction_code(own))]
+    frictions = [line for effect, own in pairs if (line := effect.friction_code(own))]
     if not (terms or feedback or frictions):
         return "\n".join(readings)
     machine = pairs[0][0].machine

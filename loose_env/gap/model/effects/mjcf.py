@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from loose_env.arms import principal
 from loose_env.gap.model.nominal_model import NominalModel, mass_matrix, unused, write_inertial
 from loose_env.typing import Array
 
@@ -58,11 +59,9 @@ def add_passive(
     limit: float = 0.0,
     cogging: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> None:
-    """Add an actuator to a joint, after the model's own ones and without a command.
-
-    Its torque is affine in the joint's coordinate and speed, up to a limit, or periodic in the
-    coordinate. It is a motor with its terminals open: only motors can be without an input.
-    """
+    """Add an actuator to a joint, after the model's own ones and without a command."""
+    # Its torque is affine in the joint's coordinate and speed, up to a limit, or periodic in the
+    # coordinate. It is a motor with its terminals open: only motors can be without an input.
     drive = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     # The model's defaults do not apply to this one.
     drive.forcelimited = drive.ctrllimited = drive.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -106,11 +105,9 @@ def add_slipping_part(
     slack: float,
     stiffness: float,
 ) -> None:
-    """Add a light part that a spring with slack couples to a link, and that friction holds.
-
-    Its own joint, on the axis of the link's, says how far it lags behind the link; the friction
-    acts on the sum of both. Its inertia is the least with which the spring is stable at a step.
-    """
+    """Add a light part that a spring with slack couples to a link, and that friction holds."""
+    # Its own joint, on the axis of the link's, says how far it lags behind the link; the friction
+    # acts on the sum of both. Its inertia is the least with which the spring is stable at a step.
     body = spec.body(link).add_body(name=name)
     write_inertial(body, _LIGHT, pos, np.array([1.0, 0, 0, 0]), np.full(3, _LIGHT))
     own = add_extra_joint(body, name, turns=turns, axis=axis, pos=pos)
@@ -147,11 +144,7 @@ def inertial_of(machine: NominalModel, spec: mujoco.MjSpec, body: str) -> Inerti
 
 def set_inertial(machine: NominalModel, spec: mujoco.MjSpec, body: str, inertial: Inertial) -> None:
     """Write a body's mass, centre and inertia, overriding its geoms."""
-    moments, axes = np.linalg.eigh(inertial.tensor)
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
-    # Of a flat body the largest moment is the sum of the others; rounding must not exceed it.
-    moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-15))
+    moments, axes = principal(inertial.tensor)
     quat = Rotation.from_matrix(axes).as_quat(scalar_first=True)
     write_inertial(spec.body(body), inertial.mass, inertial.centre, quat, moments)
 
@@ -208,11 +201,9 @@ def set_stops(
 
 
 def keep_motor_side(machine: NominalModel, spec: mujoco.MjSpec, name: str, carried: float) -> None:
-    """Keep a small inertia [kg·m² or kg] on the motor side of a joint without rotor.
-
-    A Runge-Kutta or Euler step is unstable for a servo that acts on too little inertia: there it is
-    set by the servo's stiffness and damping, whatever the step of the spec is.
-    """
+    """Keep a small inertia [kg·m² or kg] on the motor side of a joint without rotor."""
+    # A Runge-Kutta or Euler step is unstable for a servo that acts on too little inertia: there it
+    # is set by the servo's stiffness and damping, whatever the step of the spec is.
     joint, least, model = spec.joint(name), MOTOR_SHARE * carried, machine.model
     if joint.armature < least and int(model.opt.integrator) in _EXPLICIT:
         turn, gears = machine.time_step / FASTEST, machine.moments[machine.joint_number(name)]

@@ -36,29 +36,55 @@ def column_of(sensor: str) -> str:
     return f"sensor.{sensor}"
 
 
+_QUANTITIES = {
+    _S.mjSENS_JOINTPOS: ("joint position", "rad", "m"),
+    _S.mjSENS_ACTUATORPOS: ("drive position", "rad", "m"),
+    _S.mjSENS_JOINTVEL: ("joint speed", "rad/s", "m/s"),
+    _S.mjSENS_ACTUATORVEL: ("drive speed", "rad/s", "m/s"),
+    _S.mjSENS_ACTUATORFRC: ("drive torque", "N·m", "N"),
+    _S.mjSENS_JOINTACTFRC: ("actuator torque", "N·m", "N"),
+    _S.mjSENS_ACCELEROMETER: ("acceleration", "m/s²"),
+    _S.mjSENS_FRAMELINACC: ("acceleration", "m/s²"),
+    _S.mjSENS_GYRO: ("turning rate", "rad/s"),
+    _S.mjSENS_FRAMEANGVEL: ("turning rate", "rad/s"),
+    _S.mjSENS_FRAMEPOS: ("position in space", "m"),
+    _S.mjSENS_VELOCIMETER: ("speed in space", "m/s"),
+    _S.mjSENS_FORCE: ("force", "N"),
+    _S.mjSENS_TORQUE: ("torque at a site", "N·m"),
+}
+"""Quantity and unit; at a joint its unit where that turns, and where it slides."""
+
+
+def quantity_of(machine: NominalModel, sensor: str) -> tuple[str, str]:
+    """Quantity of a sensor and its unit; "" of one that is not known."""
+    model, own = machine.model, machine.model.sensor(sensor)
+    words, *units = _QUANTITIES.get(_S(int(own.type[0])), ("", ""))
+    if len(units) == 2:
+        number = int(own.objid[0])
+        if int(own.objtype[0]) == mujoco.mjtObj.mjOBJ_ACTUATOR:
+            if int(model.actuator_trntype[number]) != mujoco.mjtTrn.mjTRN_JOINT:
+                return "", ""
+            number = int(model.actuator_trnid[number, 0])
+        units = units[not machine.turns(model.joint(number).name) :]
+    return words, units[0]
+
+
 def _reading_scale(machine: NominalModel, sensor: str) -> tuple[float, str]:
     """Return the smallest change of a reading that matters, and its unit."""
-    model, number = machine.model, machine.model.sensor(sensor).id
-    joint, angle, torque = slice(None), "rad", "N·m"
-    if model.sensor_objtype[number] == mujoco.mjtObj.mjOBJ_JOINT:
-        at = int(model.sensor_objid[number])
-        joint = slice(at, at + 1)
-        angle, torque = ("rad", "N·m") if machine.hinges[at] else ("m", "N")
+    own = machine.model.sensor(sensor)
+    at_joint = int(own.objtype[0]) == mujoco.mjtObj.mjOBJ_JOINT
+    joint = own.objid if at_joint else slice(None)
     load, speed = (float(x[joint].max()) for x in (machine.load_scales, machine.speed_scales))
-    scales = {
-        _S.mjSENS_JOINTPOS: (0.01, angle),
-        _S.mjSENS_JOINTVEL: (0.05 * speed, f"{angle}/s"),
-        _S.mjSENS_ACCELEROMETER: (0.2, "m/s²"),
-        _S.mjSENS_GYRO: (0.05 * speed, "rad/s"),
-        _S.mjSENS_VELOCIMETER: (0.05 * speed, "m/s"),
-        _S.mjSENS_FORCE: (0.05 * load, "N"),
-        _S.mjSENS_TORQUE: (0.05 * load, "N·m"),
-        _S.mjSENS_JOINTACTFRC: (0.05 * load, torque),
-        _S.mjSENS_ACTUATORFRC: (0.05 * load, ""),
-        _S.mjSENS_FRAMELINACC: (0.2, "m/s²"),
-        _S.mjSENS_FRAMEPOS: (0.005, "m"),
-    }
-    return scales.get(_S(int(model.sensor_type[number])), (0.05, ""))
+    speeds = _S.mjSENS_JOINTVEL, _S.mjSENS_GYRO, _S.mjSENS_VELOCIMETER
+    loads = (
+        _S.mjSENS_FORCE, _S.mjSENS_TORQUE, _S.mjSENS_JOINTACTFRC, _S.mjSENS_ACTUATORFRC,
+    )  # fmt: skip
+    sizes = {
+        _S.mjSENS_JOINTPOS: 0.01, _S.mjSENS_ACCELEROMETER: 0.2, _S.mjSENS_FRAMELINACC: 0.2,
+        _S.mjSENS_FRAMEPOS: 0.005, **dict.fromkeys(speeds, 0.05 * speed),
+        **dict.fromkeys(loads, 0.05 * load),
+    }  # fmt: skip
+    return sizes.get(_S(int(own.type[0])), 0.05), quantity_of(machine, sensor)[1]
 
 
 class SensorEffect(Effect):
