@@ -130,9 +130,9 @@ class Balance:
         self.released = self.forms != "forward"
         span = np.ptp(self.position, axis=0)
         self.usual = np.percentile(np.abs(self.speed), 95, axis=0)  # speed of each joint
-        sizes_ = np.maximum(self.usual, 1e-9), span
+        scales = np.maximum(self.usual, 1e-9), span
         self.directions = {
-            name: np.concatenate([_direction(motion, run, law, *sizes_) for run in motion.runs])
+            name: np.concatenate([_direction(motion, run, law, *scales) for run in motion.runs])
             for name, law in CONTACTS.items()
         }
         model = compiled(machine.fresh())
@@ -300,9 +300,9 @@ class Balance:
         self, model: mujoco.MjModel | None, commands: Array, effect: Effect | None, values: Array
     ) -> Forces:
         felt = self.readings.nothing
-        told = commands is self.commands
-        if model is None or (told and _same_forces(model, self._nominal)):
-            needed, given = self.needed.copy(), self.given if told else self.given_by(commands)
+        same = commands is self.commands
+        if model is None or (same and _same_forces(model, self._nominal)):
+            needed, given = self.needed.copy(), self.given if same else self.given_by(commands)
         elif model.nv > self.needed.shape[1]:
             needed, given, felt = self._with_hidden_joint(model, commands, effect)
         else:
@@ -395,10 +395,8 @@ class Balance:
         return self._forces(self._nominal, commands)[1]
 
     def late(self, actuator: int, order: int) -> Array:
-        """Derivative of the balance by the time at which one actuator's commands act (T, joints).
-
-        The first, or the second without its sign.
-        """
+        """Derivative of the balance by the delay of one actuator's commands (T, joints)."""
+        # The first, or the second without its sign.
         changed = self.commands.copy()
         # small, so that no limit is reached by it
         size = (_NUDGE * self.motion.step) ** order
@@ -406,12 +404,10 @@ class Balance:
         return (self.given - self.given_by(changed)) / size
 
     def at_samples(self) -> Iterator[tuple[Array, Array]]:
-        """Acceleration at the samples beyond its mean between them, by each actuator (T, joints).
-
-        Where commands are held from sample to sample, and where straight lines join them. An
-        accelerometer that is read as a held command steps sees all of the step, which acts half an
-        interval late on the mean.
-        """
+        """Acceleration at samples beyond its mean between them, by each actuator (T, joints)."""
+        # Where commands are held from sample to sample, and where straight lines join them. An
+        # accelerometer that is read as a held command steps sees all of the step, which acts half
+        # an interval late on the mean.
         mass = _dense(self._nominal, self._masses(self._nominal, self.position))
         known = {name: self.motion.stacked(name) for name in ("sampled", "commands", "straight")}
         for actuator in range(self.commands.shape[1]):
@@ -446,10 +442,8 @@ class Balance:
     def _slopes(
         self, model: mujoco.MjModel, states: Sequence[Array], rows: Array, joints: Sequence[int]
     ) -> Array:
-        """Forces needed and given, by acceleration, speed and position of joints (2, 3, K, T, nv).
-
-        Per unit of each, at some samples of the motion.
-        """
+        """Slopes of the forces needed and given by some joints' motion (2, 3, K, T, nv)."""
+        # By acceleration, speed and position, at some samples.
         sizes = np.array([1.0, _NUDGE, _NUDGE])
         base = [x[rows] for x in states[::-1]]
         every = [base]
@@ -464,8 +458,7 @@ class Balance:
         return np.asarray(changes / sizes[:, None, None, None])
 
     def _operators(self, model: mujoco.MjModel, *, drives: bool = False) -> Array:
-        """Inertia, damping and stiffness, drives included or alone (2, 3, joints, joints)."""
-        # Their mean and their variance over the motion.
+        """Mean and variance of inertia, damping, stiffness, with drives or theirs (2, 3, J, J)."""
         states, joints = (self.position, self.speed, self.acceleration), len(self.machine.joints)
         needed, given = self._slopes(model, states, self._poses, range(joints))
         change = self.folded(-given if drives else needed - given, self._poses)

@@ -294,10 +294,8 @@ def _in_cells(selection: Selection, fit: ExactFit) -> SetFit:
 def _simulated_gains(
     selection: Selection, exact: Exact, fit: ExactFit
 ) -> tuple[Array, Array, Array]:
-    """Rise of twice the held-out log likelihood with each member; residuals with all, and without.
-
-    By halves of the runs, of a lone run by alternate windows.
-    """
+    """Rise of twice the held-out log likelihood by each member; residuals with all, without it."""
+    # By halves of the runs, of a lone run by alternate windows.
     names = [trial.name for trial in exact.simulator.trials]
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
     order = [number[name] for name in names] if len(number) > 1 else range(len(names))
@@ -358,11 +356,9 @@ def folds_of(selection: Selection, terms: Set) -> list[list[list[NDArray[np.bool
 def _held_out(
     selection: Selection, fit: SetFit, folds: Sequence[Sequence[NDArray[np.bool_]]]
 ) -> float:
-    """Minus twice the log likelihood of held-out cells given the others, and what tolerances cost.
-
-    That is what evidence these cells add: they say little where they depend on tolerances that no
-    other cell determines.
-    """
+    """Minus twice the log likelihood of held-out cells given the others, with tolerances' cost."""
+    # That is what evidence these cells add: they say little where they depend on tolerances that no
+    # other cell determines.
     total, tolerances = 0.0, slice(0, selection.evidence.tolerances)
     for held in folds:
         own = selection.without(held, fit)

@@ -360,11 +360,9 @@ def grid_of(balance: Balance, joint: int, *, taper: float = 0.25) -> Grid:
 
 
 def _windowed(variance: Array, window: Array) -> Array:
-    """Expected square of the spectrum of noise in a window (F,), of so much variance a frequency.
-
-    Noise of positions grows with the square of the frequency in a balance, and a window that ends
-    within a few samples spreads it over all frequencies.
-    """
+    """Expected square of the spectrum of noise in a window (F,), of a variance by frequency."""
+    # Noise of positions grows with the square of the frequency in a balance, and a window that ends
+    # within a few samples spreads it over all frequencies.
     count = len(window)
     alike = np.fft.irfft(np.abs(np.fft.rfft(window)) ** 2, count)
     return np.asarray(np.fft.rfft(np.fft.irfft(variance, count) * alike).real)

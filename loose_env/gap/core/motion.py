@@ -202,10 +202,8 @@ def smooth(recording: Recording, machine: NominalModel, *, like: Motion | None =
 def _misfit(
     measured: Sequence[Array], played: Sequence[Array], joints: Sequence[int], unread: int
 ) -> Array:
-    """Error of the first joints of a simulation, by that of the others, which were read (unread,).
-
-    As the same share of each joint's own motion; all of it where no other was read.
-    """
+    """Error of the first, unread joints of a simulation, by that of the others (unread,)."""
+    # As the same share of each joint's own motion; all of it where no other was read.
     if not unread:
         return np.zeros(0)
     moves = np.mean([np.var(own, axis=0) for own in played], axis=0)

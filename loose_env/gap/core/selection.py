@@ -317,10 +317,8 @@ class Selection:
 
     @cached_property
     def leading(self) -> list[SetFit]:
-        """Best sets of searches from several starts, of unlike kinds, that explain about as much.
-
-        The shapes of the best one's laws are refined.
-        """
+        """Best sets from several starts, of unlike kinds, that explain about as much."""
+        # The shapes of the best one's laws are refined.
         starts, found = self.starts(), list[SetFit]()
         for number, start in enumerate(starts, start=1):
             self.say(f"search {number} of {len(starts)}")

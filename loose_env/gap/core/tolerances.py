@@ -297,8 +297,8 @@ def _scaled(name: str, of: str, width: float) -> Edit:
 
 
 def _late_speed(balance: Balance, actuator: str, late: float) -> tuple[Edit, float]:
-    """Edit that feeds a speed back late, which takes the velocity gain times it off the inertia."""
-    # And by how much [s].
+    """Edit that feeds a speed back late, and by how much [s]."""
+    # it takes the velocity gain times that off the inertia
     machine = balance.machine
     model, joint = machine.model, machine.actuated_joint[actuator]
     own, number = model.actuator(actuator), machine.joint_number(joint)
@@ -334,11 +334,9 @@ def _drives(balance: Balance, tolerances: Tolerances) -> Iterator[Nuisance]:
 
 
 def _between_samples(balance: Balance) -> Iterator[Nuisance]:
-    """Motion at the samples beyond its mean between them, as commands step or bend there or nearby.
-
-    Each joint gives way by an inertia of its own, which an effect may change; a speed feels hardly
-    more than its own drive's.
-    """
+    """Motion at samples beyond its mean between them, as commands step or bend near them."""
+    # Each joint gives way by an inertia of its own, which an effect may change; a speed feels
+    # hardly more than its own drive's.
     motion, joints, readings = balance.motion, len(balance.machine.joints), balance.readings
     if not readings.names:
         return
