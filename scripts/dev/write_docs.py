@@ -26,6 +26,7 @@ import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm
 from loose_env.cli.command import command
 from loose_env.envs import DIFFICULTIES, DiagnosisEnv
+from loose_env.envs.spaces import JointPose
 from loose_env.errors import InvalidData
 from loose_env.gap import GapResult, NextMotion, Tolerances
 from loose_env.instrument import PRESETS, Diagnosis, Numbers, Plan, Trend
@@ -59,7 +60,7 @@ TIER_WORDS = {
 MEANINGS = {
     "sin_pose": "sine of a hinge's position; of a slide its place in its range, -1 to 1",
     "cos_pose": "cosine of a hinge's position; 0 for a slide",
-    "range_pose": "place in its range of each hinge of more than a whole turn; here one at most",
+    "range_pose": "place in its range of each hinge of more than a whole turn",
     "valid": "1 where the record was measured, 0 in an empty slot",
     "level": "level asked for; 0 for a held joint",
     "torque": "rms torque over the limit (force of a slide)",
@@ -107,15 +108,21 @@ class FileSchema(GenerateJsonSchema):
         return super().float_schema(schema) | {"type": ["number", "null"]}
 
 
-FORMULAS: dict[str, Callable[[int, int], int]] = {
-    "1": lambda n, d: 1,
-    "n": lambda n, d: n,
-    "d": lambda n, d: d,
-    "n d": lambda n, d: n * d,
-    "d (d - 1) / 2": lambda n, d: d * (d - 1) // 2,
-    "d (d + 1) / 2": lambda n, d: d * (d + 1) // 2,
+FORMULAS: dict[str, Callable[[int, int, int], int]] = {
+    "w": lambda n, d, w: w,
+    "1": lambda n, d, w: 1,
+    "n": lambda n, d, w: n,
+    "d": lambda n, d, w: d,
+    "n d": lambda n, d, w: n * d,
+    "d (d - 1) / 2": lambda n, d, w: d * (d - 1) // 2,
+    "d (d + 1) / 2": lambda n, d, w: d * (d + 1) // 2,
 }
-"""Number of elements of one name, for n joints and d axes."""
+"""Number of elements of one name, for n joints, d axes and w hinges of more than a whole turn."""
+
+
+def sizes(arm: Arm) -> tuple[int, int, int]:
+    """Joints, axes and hinges of more than a whole turn of an arm."""
+    return arm.n, len(arm.axes), len(JointPose(arm).wide)
 
 
 def environments() -> str:
@@ -278,7 +285,7 @@ def arm_table(arms: Sequence[tuple[str, DiagnosisEnv]]) -> list[str]:
 def element_table(envs: Sequence[DiagnosisEnv]) -> list[str]:
     """Elements of the observation of every environment, a row for each name.
 
-    The number is a formula in the joints n and the axes d that holds for every arm.
+    The number is a formula in n joints, d axes and w hinges of more than a turn, for every arm.
     """
     seen: dict[str, list[tuple[DiagnosisEnv, list[Any]]]] = {}
     for env in envs:
@@ -311,7 +318,7 @@ def element_table(envs: Sequence[DiagnosisEnv]) -> list[str]:
 def formula(found: Sequence[tuple[DiagnosisEnv, list[Any]]]) -> str:
     """The formula that counts an element in every environment."""
     for text, count in FORMULAS.items():
-        if all(count(env.arm.n, len(env.arm.axes)) == len(each) for env, each in found):
+        if all(count(*sizes(env.arm)) == len(each) for env, each in found):
             return text
     raise AssertionError("no formula counts these elements")
 

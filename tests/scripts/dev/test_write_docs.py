@@ -35,7 +35,7 @@ def test_the_table_counts_every_element_of_every_environment(env_id: str) -> Non
     for _, number, *_ in rows:
         numbers = number.split(", and ")
         count = numbers[0].removesuffix(" a record")
-        each = write_docs.FORMULAS[count](env.arm.n, len(env.arm.axes))
+        each = write_docs.FORMULAS[count](*write_docs.sizes(env.arm))
         counted["record" if numbers[0] != count else "now"] += each
         counted["record"] += each * ("nominal" in numbers)
         counted["now"] += each * ("now" in numbers)
