@@ -183,7 +183,7 @@ def detect(
     by_chance = max(by_chance - float(cost(rhythm, numbers).max()), 0.0)
     masked = bool(rose and by_chance > limit)
     loose = bool(rose and knocks > limit + by_chance and not masked)
-    words = f"evidence {knocks:.1f} (limit {limit:.1f}), correlation {timing:.2f}"
+    words = f"correlation {timing:.2f}, evidence {knocks:.1f} nats (limit {limit:.1f})"
     if masked:
         words = (
             f"what rings agrees with some place at any time: correlation {chance:.2f} when "

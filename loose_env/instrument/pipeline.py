@@ -502,7 +502,8 @@ def _places(
         elif is_tested_share(shares[place]):
             verdict = "tight"
             turns = place == arm.places[-1] or (kind != BOLTS and not slides[at])
-            held = f"{np.median(rhythm.held[lattice == place]):.2g} {'N·m' if turns else 'N'}"
+            most = float(f"{np.median(rhythm.held[lattice == place]):.2g}")
+            held = f"{most:g} {'N·m' if turns else 'N'}"
             why = f"its load reversed by up to {held}, and " + (
                 "another place fits what was heard better" if alarm.loose else "it was not heard"
             )
