@@ -74,7 +74,7 @@ def _everywhere(name: str, value: float) -> Changes:
     return {
         f"{module.removeprefix(PACKAGE + '.')}.{constant}": value
         for module, there in sorted(sys.modules.items())
-        if module.startswith(PACKAGE) and vars(there).get(constant) is known
+        if module.startswith(f"{PACKAGE}.") and vars(there).get(constant) is known
     }
 
 
