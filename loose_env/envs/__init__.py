@@ -36,7 +36,14 @@ from loose_env.envs.settings import (
     difficulty_named,
 )
 from loose_env.envs.simulation import FaultPrior, simulator
-from loose_env.envs.spaces import Action, ActionLayout, Element, ObservationLayout, RecordLayout
+from loose_env.envs.spaces import (
+    Action,
+    ActionLayout,
+    Element,
+    JointPose,
+    ObservationLayout,
+    RecordLayout,
+)
 from loose_env.envs.vector_env import DiagnosisVectorEnv, batch_seeds
 
 __all__ = [
@@ -67,6 +74,7 @@ __all__ = [
     "GapPrices",
     "HiddenEffect",
     "HiddenMachine",
+    "JointPose",
     "MachineDraw",
     "ModelGapEnv",
     "ModelGapSettings",

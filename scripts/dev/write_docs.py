@@ -25,8 +25,7 @@ from pydantic_core import core_schema
 import loose_env  # noqa: F401  (registers the ids)
 from loose_env.arms import Arm
 from loose_env.cli.command import command
-from loose_env.envs import DIFFICULTIES, DiagnosisEnv
-from loose_env.envs.spaces import JointPose
+from loose_env.envs import DIFFICULTIES, DiagnosisEnv, JointPose
 from loose_env.errors import InvalidData
 from loose_env.gap import GapResult, NextMotion, Tolerances
 from loose_env.instrument import PRESETS, Diagnosis, Numbers, Plan, Trend
