@@ -18,8 +18,10 @@ from loose_env.typing import Array, ComplexArray, IndexArray
 
 BOLTS, GEARS = "structural_looseness", "backlash"
 """Kinds of place that can be loose: the seat of a link on its joint; the teeth of a joint."""
-ROCKS = 12
-"""Axes in its plate about which the base may rock that are tried: 15 degrees apart."""
+ROCKS = 6
+"""Turns of a square base plate that are tried, 15 degrees apart: it rocks about both its axes."""
+AXES = 2 * ROCKS
+"""Axes in the plate; every `ROCKS` apart are at right angles."""
 _TURN = 2 * np.pi
 _ROUNDING = 1e-12
 """Least share of its inertia that the base rocks with: free joints may take up all of it [1]."""
@@ -58,13 +60,13 @@ class PoseModel:
     held: Array
     """Inertia about the joints of a unit mass in the hand (n, n) [m²; 1 where both slide]."""
     rocked: Array
-    """Moment on the base about each axis of its plate by joint acceleration (ROCKS, n) [kg·m²]."""
+    """Moment on the base about each axis of its plate by joint acceleration (AXES, n) [kg·m²]."""
     moment: Array
-    """The same at rest (ROCKS,) [N·m]."""
+    """The same at rest (AXES,) [N·m]."""
     bulk: Array
-    """Inertia of the whole arm about each (ROCKS,) [kg·m²]."""
+    """Inertia of the whole arm about each (AXES,) [kg·m²]."""
     swung: Array
-    """Acceleration of the tool by angular acceleration about each, tool frame (ROCKS, 3)."""
+    """Acceleration of the tool by angular acceleration about each, tool frame (AXES, 3)."""
 
     def tilt(self, acceleration: ComplexArray, hertz: Array) -> ComplexArray:
         """Gravity that turns through the sensor (..., k, 3), by lines of joint acceleration."""
@@ -88,9 +90,9 @@ class PoseModel:
             Force by unit acceleration of each seat's opening, link frame (n, 3, 3) [kg].
         turns : ndarray
             Acceleration of the tool by unit acceleration of each joint's opening, and about each
-            axis of the base (n + ROCKS, 3); zero where the joints take up all of it.
+            axis of the base (n + AXES, 3); zero where the joints take up all of it.
         free : ndarray
-            Torque by unit acceleration of each (n + ROCKS,) [kg·m², kg].
+            Torque by unit acceleration of each (n + AXES,) [kg·m², kg].
         """
         inverse = np.linalg.inv(self.inertia + np.diag(stiffening))
         seats, stiff = [], []
@@ -256,7 +258,7 @@ class SuspectArm:
         m, first = self.model, self.model.body(self.links[0]).id
         base = int(m.body_parentid[first])
         origin = data.xpos[base if base else first]
-        angle = np.pi * np.arange(ROCKS) / ROCKS
+        angle = np.pi * np.arange(AXES) / AXES
         plate = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
         axes = plate @ data.xmat[base].reshape(3, 3).T
         move, turn = np.zeros((3, m.nv)), np.zeros((3, m.nv))

@@ -68,8 +68,8 @@ class Scores:
 def cost(rhythm: Rhythm, numbers: Numbers) -> Array:
     """What the numbers that a hypothesis was fitted by cost in log likelihood (H,).
 
-    A seat's direction is two, the edge over which a base rocks one; half the log of the samples
-    each, in expectation (Schwarz 1978).
+    A seat's direction is two, the turn of a base's plate one; half the log of the samples each, in
+    expectation (Schwarz 1978).
     """
     n = max(i for kind, i, _ in rhythm.labels if kind == BOLTS)
     fitted = [0 if kind != BOLTS else 1 if i == n else 2 for kind, i, _ in rhythm.labels]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loose_env.instrument.arm import ROCKS, PoseModel
+from loose_env.instrument.arm import AXES, ROCKS, PoseModel
 from loose_env.statistics import knocks, rung
 from loose_env.typing import Array
 
@@ -47,7 +47,7 @@ class Loads:
     seats: Array
     """Force of each seat on all beyond it, link frame (n, GRID, 3) [N]."""
     turning: Array
-    """Torque of each joint's teeth, and on the base about each of its axes (n + ROCKS, GRID)
+    """Torque of each joint's teeth, and on the base about each of its axes (n + AXES, GRID)
     [N·m, N]."""
     mass: Array
     """Mass beyond each seat (n,) [kg]."""
@@ -56,9 +56,9 @@ class Loads:
     stiff: Array
     """Force by unit acceleration of each seat's opening (n, 3, 3) [kg]."""
     turns: Array
-    """Acceleration of the tool by unit acceleration of each's opening (n + ROCKS, 3)."""
+    """Acceleration of the tool by unit acceleration of each's opening (n + AXES, 3)."""
     inertia: Array
-    """Inertia that flies free when it parts (n + ROCKS,) [kg·m², kg]."""
+    """Inertia that flies free when it parts (n + AXES,) [kg·m², kg]."""
 
     def along(self, link: int, directions: Array) -> tuple[Array, Array, Array]:
         """Load (D, GRID), mass (D,) and throw of the tool (D, 3) of a seat along directions."""
@@ -108,13 +108,14 @@ def trains(
     mass, gap, friction, louds = (np.concatenate([own[k] for own in carried]) for k in range(1, 5))
     load = np.concatenate([own[0].T for own in carried], axis=1).T  # time first, as knocks has it
     energy = rung(knocks(load, mass, gap, friction, period), _RING_S, period) * louds[:, None]
-    return np.split(energy, len(loads))
+    return [np.vstack([own[:-AXES], own[-AXES:-ROCKS] + own[-ROCKS:]])
+            for own in np.split(energy, len(loads))]  # fmt: skip
 
 
 def _carried(
     loads: Loads, directions: Array, gap_mm: float, slides: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Load (H, GRID), mass, clearance, friction and loudness of each hypothesis (H,)."""
+    """Load (H, GRID), mass, clearance, friction and loudness of each seat, joint, axis (H,)."""
     n, each = len(loads.seats), _of_each(loads, directions)
     parts = [loads.along(link, own) for link, own in enumerate(each)]
     load = np.concatenate([p[0].T for p in parts] + [loads.turning.T], axis=1).T
@@ -133,11 +134,11 @@ def _of_each(loads: Loads, directions: Array) -> Array:
 
 
 def friction_of(loads: Loads, directions: int, slides: Array) -> Array:
-    """Friction of every hypothesis (H,) [N, N·m]."""
+    """Friction of every seat's direction, joint, and axis of the base [N, N·m]."""
     each = np.minimum(SEAT_FRICTION_N, SEAT_FRICTION * 9.81 * loads.mass)
     seats = np.repeat(each, directions)
     teeth = np.where(slides, TEETH_FRICTION[1], TEETH_FRICTION[0])
-    return np.concatenate([seats, teeth, np.full(ROCKS, SEAT_FRICTION_N * _PLATE_M)])
+    return np.concatenate([seats, teeth, np.full(AXES, SEAT_FRICTION_N * _PLATE_M)])
 
 
 _PLATE_M = 0.1
@@ -145,8 +146,8 @@ _PLATE_M = 0.1
 
 
 def _sliding(slides: Array) -> Array:
-    """True where a joint slides, for each joint and each axis of the base (n + ROCKS,)."""
-    return np.concatenate([slides, np.zeros(ROCKS, dtype=bool)])
+    """True where a joint slides, for each joint and each axis of the base (n + AXES,)."""
+    return np.concatenate([slides, np.zeros(AXES, dtype=bool)])
 
 
 def reversals(loads: Loads, speed: Array, period: float) -> Array:
@@ -160,12 +161,22 @@ def reversals(loads: Loads, speed: Array, period: float) -> Array:
 
 
 def thrown(loads: Loads, directions: Array) -> Array:
-    """Unit direction in which each hypothesis throws the tool (H, 3), as `trains`."""
+    """Covariance of the tool's acceleration by each hypothesis (H, 3, 3), as `trains`; trace 1.
+
+    Isotropic where it does not move the tool.
+    """
     each = _of_each(loads, directions)
     seats = np.concatenate([own @ to.T for own, to in zip(each, loads.throws, strict=True)])
     every = np.vstack([seats, loads.turns])
-    found: Array = every / np.maximum(np.linalg.norm(every, axis=1, keepdims=True), 1e-12)
+    made = every[:, :, None] * every[:, None, :]
+    made = np.concatenate([made[:-AXES], made[-AXES:-ROCKS] + made[-ROCKS:]])
+    made += _STILL * np.eye(3)
+    found: Array = made / np.trace(made, axis1=1, axis2=2)[:, None, None]
     return found
+
+
+_STILL = 1e-20
+"""Square of a throw that is none [1/kg², m²]."""
 
 
 def reversing(loads: Loads, directions: Array, slides: Array) -> Array:
@@ -177,5 +188,6 @@ def reversing(loads: Loads, directions: Array, slides: Array) -> Array:
     n = len(loads.seats)
     load = np.concatenate([directions @ loads.seats[link].T for link in range(n)] + [loads.turning])
     friction = friction_of(loads, len(directions), slides)
-    found: Array = np.minimum(load.max(1), -load.min(1)) / friction
+    each = np.minimum(load.max(1), -load.min(1)) / friction
+    found: Array = np.append(each[:-AXES], np.maximum(each[-AXES:-ROCKS], each[-ROCKS:]))
     return found

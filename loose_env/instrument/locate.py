@@ -48,7 +48,7 @@ class Rhythm:
     """
 
     labels: tuple[tuple[str, int, int], ...]
-    """Kind, link or joint or n for the base, and index of the direction or axis (H,)."""
+    """Kind, link or joint or n for the base, and index of the direction or turn (H,)."""
     directions: Array
     """Directions of seats, link frame: those of the lattice, and those around the best of each link
     (D + n K, 3)."""
@@ -62,7 +62,7 @@ class Rhythm:
     gap_mm: Array
     """Clearance at which that is highest (H,) [mm]."""
     throws: Array
-    """Direction in which each would throw the tool (R, H, 3)."""
+    """Covariance of the tool's acceleration that each would make (R, H, 3, 3), trace 1."""
     chance: float
     """Highest correlation of any hypothesis with what was heard at other times [1]: a few strikes
     of a cable agree with some place by chance, and do so as well when they are shifted."""
@@ -166,7 +166,7 @@ def rhythm_of(heard: Heard, directions: Array) -> Rhythm:
         chance=max(wide.chance, close.chance),
         friction=wide.friction,
         reversing=np.array(reversing),
-        held=(np.array(reversing) * np.array(resists)).max(0),
+        held=(np.array(reversing) * np.array(resists)[:, : len(reversing[0])]).max(0),
     )
 
 
@@ -316,7 +316,7 @@ def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
     Parameters
     ----------
     throws : ndarray
-        Direction of each hypothesis by pose (R, H, 3).
+        Covariance that each hypothesis tells by pose (R, H, 3, 3), trace 1.
     covariances : sequence of ndarray
         Of what repeats in the highest band, the model's frame (3, 3) [m²/s⁴].
     """
@@ -324,18 +324,20 @@ def direction_scores(throws: Array, covariances: Sequence[Array]) -> Array:
     # Poses that hardly rang say little about direction.
     weight = np.clip(power / power.max() * 20, 0, 1)
     found = []
-    for u, c, w in zip(throws, covariances, weight, strict=True):
+    for told, c, w in zip(throws, covariances, weight, strict=True):
         values, axes = np.linalg.eigh(c)
         clean = (axes * np.maximum(values, 1e-14)) @ axes.T
         clean /= np.trace(clean)
-        along = np.clip(np.einsum("ha,ab,hb->h", u, clean, u), 1 / 3, 1 - _SPREAD)
-        told = np.log(along) + 2 * np.log((1 - along) / 2) - 3 * np.log(1 / 3)
-        found.append(-0.5 * w * told)
+        powers, ways = np.linalg.eigh(told)
+        heard = np.einsum("hai,ab,hbi->hi", ways, clean, ways)
+        shares = np.maximum(powers, 0) * (1 - _ASTRAY[:, None, None]) + _ASTRAY[:, None, None] / 3
+        fit = -0.5 * (np.log(3 * shares) + heard / shares - 1).sum(-1)
+        found.append(w * fit.max(0))
     return np.array(found)
 
 
-_SPREAD = 0.02
-"""Share of a knock's ringing that goes astray, modes of the links [1]."""
+_ASTRAY = np.geomspace(0.03, 1.0, 40)
+"""Shares of a knock's ringing in all directions alike that are tried, modes of the links [1]."""
 
 
 def names_of(arm: SuspectArm, rhythm: Rhythm) -> list[str]:

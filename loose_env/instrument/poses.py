@@ -37,7 +37,7 @@ class Candidate:
     reversing: Array
     """How far each hypothesis' load reverses, over friction (H,)."""
     throws: Array
-    """Direction in which each throws the tool (H, 3)."""
+    """Covariance of the tool's acceleration by each (H, 3, 3), trace 1."""
 
 
 def candidate(arm: SuspectArm, pose: Array, signal: Multisine, controller: Controller) -> Candidate:
@@ -110,7 +110,8 @@ def choose_poses(
     same = owner[:, None] == owner[None, arms]
     apart = np.zeros(same.shape)
     tested = np.zeros(len(owner))
-    unlike = [1 - (c.throws @ c.throws[arms].T) ** 2 for c in pool]
+    thrown = [c.throws.reshape(len(owner), 9) for c in pool]
+    unlike = [1 - each @ each[arms].T for each in thrown]
     chosen: list[Candidate] = []
     left = list(range(len(pool)))
     while left and len(chosen) < count:
