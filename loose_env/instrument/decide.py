@@ -34,10 +34,11 @@ class Numbers:
     samples: float = 60.0
     """Independent samples of a band's rhythm in a session [1]: knocks ring for some 5 ms, and loads
     change sign some ten times a second in each of six poses."""
-    vectors: float = 2.5
-    """Independent vectors that a pose's ringing counts for [1]: it rings in a few modes alone."""
-    softer: float = 30.0
-    """Weight of a joint's softening against a healthy session [1]: lines that see it."""
+    vectors: float = 1.25
+    """Independent vectors that a pose's ringing counts for [1]: an arm rings in a few modes, and in
+    much the same in all poses."""
+    softer: float = 10.0
+    """Weight of a joint's softening against a healthy session [1]: lines that see it alone."""
     stiff: float = 1.6
     """Growth of the tool motion left by the healthy gears from which a joint became softer [1]."""
     believed: float = 0.33

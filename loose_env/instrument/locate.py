@@ -15,9 +15,9 @@ from loose_env.instrument.ringing import GRID, amplitude
 from loose_env.instrument.signals import Multisine
 from loose_env.typing import Array, IndexArray
 
-GAPS_MM = (0.02, 0.06, 0.12, 0.25)
-"""Clearances tried [mm]: a knock's time hardly depends on them, its loudness little."""
-RIGID_GAPS_MM = (0.01, 0.04)
+GAPS_MM = (0.001, 0.004, 0.015, 0.06, 0.25)
+"""Clearances tried [mm]. Loads as measured hold the flight across a clearance already, as far as
+the tool's lines follow it: then one as small as none tells the time of a knock."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,10 +30,8 @@ class Heard:
     """Amplitude of what repeats in each band, in each pose (B, GRID)."""
     friction: tuple[Array, ...]
     """Amplitude that reversals of friction foretell in each (n, GRID)."""
-    elastic: tuple[knocks.Loads, ...]
-    """Loads of links that hang on springs."""
-    rigid: tuple[knocks.Loads, ...]
-    """Loads of links that follow their encoders: play lies behind no spring."""
+    loads: tuple[knocks.Loads, ...]
+    """Loads of the links in each."""
     free: tuple[knocks.Loads, ...]
     """Throws at the top band's frequency, where a spring takes off inertia."""
     slides: Array
@@ -95,8 +93,7 @@ def hear(
     stiffening = gears.rotor - 0.5 * gears.spring / ring**2
     bands = range(min(len(r.ring.bands_hz) for r in (*records, *(healthy or ()))))
     rang, friction, free = [], [], []
-    elastic: list[knocks.Loads] = []
-    rigid: list[knocks.Loads] = []
+    loads: list[knocks.Loads] = []
     for k, (record, model) in enumerate(zip(records, models, strict=True)):
         usual = (record if healthy is None else healthy[k]).ring
         energy = np.array([record.ring.repeating(b, spectrum=usual.spectrum) for b in bands])
@@ -104,18 +101,16 @@ def hear(
             then = [usual.repeating(b, spectrum=usual.spectrum) for b in bands]
             energy -= _DAY * np.maximum(then, 0)
         rang.append(amplitude(energy))
-        for follows, kept in ((False, elastic), (True, rigid)):
-            moved = accelerations(record, model, gears, k, period, rigid=follows)
-            kept.append(knocks.loads_of(model, moved, gears.rotor))
+        moved = accelerations(record, model, gears, k, period)
+        loads.append(knocks.loads_of(model, moved, gears.rotor))
         speed = rotor_speeds(record, period)
-        friction.append(np.sqrt(knocks.reversals(elastic[-1], speed, period)))
+        friction.append(np.sqrt(knocks.reversals(loads[-1], speed, period)))
         free.append(knocks.loads_of(model, np.zeros((1, arm.n)), stiffening))
     return Heard(
         sensors=tuple(record.sensor for record in records),
         amplitude=tuple(rang),
         friction=tuple(friction),
-        elastic=tuple(elastic),
-        rigid=tuple(rigid),
+        loads=tuple(loads),
         free=tuple(free),
         slides=arm.slides,
         period_s=period,
@@ -145,8 +140,8 @@ def rhythm_of(heard: Heard, directions: Array) -> Rhythm:
     labels += tuple((GEARS, j, -1) for j in range(n))
     labels += tuple((BOLTS, n, k) for k in range(ROCKS))
     labels += tuple((BOLTS, i, count + i * _FINER + d) for i in range(n) for d in range(_FINER))
-    reversing = [knocks.reversing(own, directions, heard.slides) for own in heard.elastic]
-    resists = [knocks.friction_of(own, count, heard.slides) for own in heard.elastic]
+    reversing = [knocks.reversing(own, directions, heard.slides) for own in heard.loads]
+    resists = [knocks.friction_of(own, count, heard.slides) for own in heard.loads]
 
     def both(of_wide: Array, of_close: Array) -> Array:
         """What belongs to each hypothesis, in the order of the labels, along the last axis."""
@@ -194,21 +189,20 @@ def _compare(heard: Heard, directions: Array) -> _Agreement:
     gap_mm, share, chance = np.zeros(count), 0.0, 0.0
     rng = np.random.default_rng(_SHIFTS)
     shifts = rng.integers(GRID, size=(_SHIFTS, len(poses)), dtype=np.intp)
-    for loads, gaps in ((heard.elastic, GAPS_MM), (heard.rigid, RIGID_GAPS_MM)):
-        for gap in gaps:
-            rung = knocks.trains(loads, directions, gap, heard.slides, heard.period_s)
-            told = [np.sqrt(own) for own in rung]
-            found, share, other = correlation(
-                heard.amplitude, told, heard.friction, shifts, heard.sensors
-            )
-            chance = max(chance, other)
-            timing = np.maximum(timing, found)
-            alone = [
-                correlation([heard.amplitude[k]], [told[k]], [heard.friction[k]])[0] for k in poses
-            ]
-            gain = (log_likelihood(found) + np.mean([log_likelihood(r) for r in alone], 0)) / 2
-            gap_mm[gain > likelihood] = gap if loads is heard.elastic else -gap
-            likelihood = np.maximum(likelihood, gain)
+    for gap in GAPS_MM:
+        rung = knocks.trains(heard.loads, directions, gap, heard.slides, heard.period_s)
+        told = [np.sqrt(own) for own in rung]
+        found, share, other = correlation(
+            heard.amplitude, told, heard.friction, shifts, heard.sensors
+        )
+        chance = max(chance, other)
+        timing = np.maximum(timing, found)
+        alone = [
+            correlation([heard.amplitude[k]], [told[k]], [heard.friction[k]])[0] for k in poses
+        ]
+        gain = (log_likelihood(found) + np.mean([log_likelihood(r) for r in alone], 0)) / 2
+        gap_mm[gain > likelihood] = gap
+        likelihood = np.maximum(likelihood, gain)
     return _Agreement(
         timing=timing, likelihood=likelihood, gap_mm=gap_mm, chance=chance, friction=share
     )
@@ -222,22 +216,13 @@ def log_likelihood(found: Array) -> Array:
 
 def foretold(heard: Heard, rhythm: Rhythm, hypothesis: int) -> list[Array]:
     """Amplitude that one hypothesis foretells in each pose (GRID,)."""
-    gap = rhythm.gap_mm[hypothesis]
-    loads = heard.elastic if gap > 0 else heard.rigid
-    return [_told(heard, rhythm, hypothesis, own, abs(gap)) for own in loads]
-
-
-def _told(
-    heard: Heard, rhythm: Rhythm, hypothesis: int, loads: knocks.Loads, gap_mm: float
-) -> Array:
-    """Amplitude that one hypothesis foretells under loads, at a clearance (GRID,)."""
     kind, i, d = rhythm.labels[hypothesis]
     n = len(heard.slides)
     row = 2 * n + d if i == n else i if kind == BOLTS else n + i
     own = rhythm.directions[[max(d, 0) * (i < n)]]
-    (rung,) = knocks.trains([loads], own, gap_mm, heard.slides, heard.period_s)
-    found: Array = np.sqrt(rung[row])
-    return found
+    gap_mm = float(rhythm.gap_mm[hypothesis])
+    rung = knocks.trains(heard.loads, own, gap_mm, heard.slides, heard.period_s)
+    return [np.sqrt(each[row]) for each in rung]
 
 
 _SHIFTS = 16

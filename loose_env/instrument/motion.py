@@ -183,20 +183,16 @@ def wave(lines: ComplexArray) -> Array:
 
 
 def accelerations(
-    record: Record, model: PoseModel, gears: Gears, index: int, period: float, *, rigid: bool
+    record: Record, model: PoseModel, gears: Gears, index: int, period: float
 ) -> Array:
     """Link accelerations over a period (GRID, n).
 
-    Encoders through the gears, then moved as little as needed toward the tool as measured; with
-    `rigid` the encoders alone, for play that lies behind no spring.
+    Encoders through the gears, then moved as little as needed toward the tool as measured.
     """
     k = np.arange(1, len(record.joints))
     hertz = k / period
     own = record.joints[k]
     lines = np.zeros(record.joints.shape, dtype=complex)
-    if rigid:
-        lines[k] = own
-        return wave(lines)
     moved = links_of(own, model, gears.spring, gears.rotor, hertz, _LOSS)
     read = turned(record, gears, index, k, period) - model.tilt(moved, hertz)
     spread = np.diag(np.mean(np.abs(moved) ** 2, 0) + 1e-12)
