@@ -45,6 +45,7 @@ from loose_env.report.page import (
 )
 from loose_env.report.words import (
     RIVALS,
+    first_ones,
     percent,
     rivals_words,
     together,
@@ -171,6 +172,8 @@ def _quantities(result: GapResult) -> list[str]:
             "missing along the measured motion" if balance else "error of one-second simulations"
         )
         words = f"{name} {before:.3g} {unit} before, {after:.3g} {unit} after"
+        if after > before and not balance and result.effects:
+            words += ", worse: do not believe the effects before you know why"
         found.setdefault(where, []).append(words)
     return [f"{where}: {'; '.join(words)}" for where, words in found.items()]
 
@@ -184,7 +187,7 @@ def _brief(result: GapResult, *, warnings: bool) -> Brief:
             ("", "  ", [_CHANNELS, *_channel_rows(result)]),
             ("Residual", "  ", [_UNIT, *_quantities(result)]),
             ("Not in model.xml", "", not_in_model(result)),
-            (_PULLED, f"{_PULLED.lower()}: ", [each.words for each in result.pulled[:RIVALS]]),
+            (_PULLED, f"{_PULLED.lower()}: ", first_ones([each.words for each in result.pulled])),
             *(graded_parts(result.graded_warnings) if warnings else []),
         ],
     )
@@ -295,7 +298,7 @@ def check_text(found: Identifiability) -> str:
     seen = [["effect", "smallest visible change", "not visible at"]]
     for kind, own in kinds.items():
         unseen = [e.where for e in own if not e.visible]
-        places = "any" if len(unseen) == len(own) else ", ".join(unseen)
+        places = "all of them" if len(unseen) == len(own) else ", ".join(unseen)
         seen.append([kind_words(kind), _sizes([e for e in own if e.visible]), places])
     wanted = [textwrap.fill(line, 120, subsequent_indent="  ") for line in _wanted(found.effects)]
     moved = [*aligned(_excitation(found)), textwrap.fill(_COMPARED, 120)]
@@ -472,7 +475,7 @@ def gap_steps(result: GapResult) -> list[str]:
     if result.pulled:
         steps.append(
             "Check these figures of the model, which the data pull beyond their tolerances and "
-            f"model.xml keeps: {'; '.join([each.words for each in result.pulled[:RIVALS]])}"
+            f"model.xml keeps: {'; '.join(first_ones([each.words for each in result.pulled]))}"
         )
     if result.verdict == "no_gap":
         steps.append(
@@ -623,7 +626,7 @@ def _overlay_section(solution: GapSolution) -> Section:
                 f"{off[1]:.3g}{unit} (root mean square).",
             )
         )
-    which = "The few seconds in which the nominal model is most wrong, of the four worst channels."
+    which = "The few seconds in which the nominal model is most wrong, of the worst channels."
     if played is not None:
         how = (
             "Both models follow the recorded commands from the beginning of the run. The corrected "
@@ -683,9 +686,13 @@ def _motions_section(result: GapResult) -> Section:
     """Excitation, and what to record for what is open."""
     heads, *rows = _excitation(result.identifiability)
     points = gap_motions(result)
+    more = [c.channel for c in result.channels if _verdict(c) in (_MORE, "unexplained")]
+    open_ = "No effect or joint is open. "
+    if more:
+        open_ = f"No motion is known that tells what is missing at {_channel_words(more)}. "
     note = (
         f"{begun(_COMPARED)}. "
-        f"{'Below: motions for what is open. ' if points else 'No effect or joint is open. '}"
+        f"{'Below: motions for what is open. ' if points else open_}"
         "'loose gap RECORDING --check' prints from what size each effect would show, and what else "
         "these motions cannot show or tell apart."
     )

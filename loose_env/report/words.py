@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from loose_env.gap import EffectLocation, NamedEffect, effect_words
@@ -109,5 +109,10 @@ def rivals_words(effect: NamedEffect) -> list[str]:
         )
         for o in effect.ambiguous_with
     ]
-    more = len(named) - RIVALS
-    return named if more < 2 else [*named[:RIVALS], f"{more} others, listed in result.json"]
+    return first_ones(named)
+
+
+def first_ones(words: Sequence[str]) -> list[str]:
+    """The first of many, and how many more there are."""
+    more = len(words) - RIVALS
+    return [*words] if more < 2 else [*words[:RIVALS], f"{more} others, listed in result.json"]

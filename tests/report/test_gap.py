@@ -265,7 +265,7 @@ def test_the_check_lists_what_is_seen_and_what_is_not() -> None:
     text = check_text(SHOWN)
     assert "elbow  1.2 rad  2 rad/s  9 rad/s²" in text and "80 %" in text
     seen, wanted = text.split("to record next, what tells most first:")
-    assert re.search(r"drag that grows with the square of the speed +any\n", seen)
+    assert re.search(r"drag that grows with the square of the speed +all of them\n", seen)
     assert re.search(r"a lag +time constant 0.01 s\n", seen)
     assert max(map(len, text.splitlines())) <= 120
     assert "(elbow): move at the highest speed" in wanted

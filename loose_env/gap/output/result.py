@@ -86,9 +86,14 @@ class NamedEffect(FittedEffect):
     def value_in_words(self, name: str) -> str:
         """Format the value of a parameter, where it is determined, with interval and unit."""
         ends, unknown = self.interval_95.get(name), name in self.undetermined
-        value = "not determined" if unknown else f"{self.parameters[name]:.3g}"
-        between = "" if ends is None else f" ({ends[0]:.3g} to {ends[1]:.3g})"
+        value = "not determined" if unknown else _digits(self.parameters[name])
+        between = "" if ends is None else f" ({_digits(ends[0])} to {_digits(ends[1])})"
         return f"{value}{between} {self.units.get(name, '')}".rstrip()
+
+
+def _digits(value: float) -> str:
+    """Three digits, without an exponent below a million."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 @dataclass(frozen=True, kw_only=True)
