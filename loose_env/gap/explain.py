@@ -386,7 +386,8 @@ def _told(
     late = balance.encoders if (balance.forms == "inverse").any() else ()
     told = []
     for found in sorted(answer.findings, key=lambda f: (order.get(f.term.name, 1), f.term.name)):
-        name, effect, instead = found.term.name, named_effect(found), set(found.confusable)
+        name, effect = found.term.name, named_effect(found)
+        instead = set(found.confusable) - best  # what is named itself is in nobody's place
         if (
             decision.simulated and found not in answer.rounded
         ):  # sets with one other effect in its place
