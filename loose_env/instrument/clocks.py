@@ -5,19 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from loose_env.instrument.arm import PoseModel, SuspectArm
 from loose_env.instrument.records import Record, Unusable, read_run
 from loose_env.instrument.signals import Multisine
 from loose_env.recording import Run
-from loose_env.typing import Array
+from loose_env.typing import Array, ComplexArray
 
 _HIGHEST_HZ = 19.0
 """Lines above are the gears' more than the clocks' [Hz]."""
 _STEP_S = 1e-3
 _BETTER = 0.1
-"""Growth of the share of the tool's motion explained from which a clock is said to be apart [1]:
-well-set clocks gain up to 0.03, some ms of gears; 0.3 s apart gain 0.2 and more."""
+"""Share of the tool's motion by which an offset stands out of every other from which a clock is
+said to be apart [1]: true offsets do by 0.2 and more, the best of an arm on soft gears by 0.04."""
 _HALF = 0.45
 """Largest offset, over the period [1]: half a period turns the signs of all lines, as a mirrored
 axis does."""
@@ -47,7 +48,7 @@ def clocks_apart_s(record: Record, model: PoseModel, signal: Multisine) -> float
     """Time by which the tool's readings come late after the joints', modulo a period [s].
 
     The tool's lines are compared with those of the joints carried along as a rigid body, at the
-    best turn of the sensor. 0 where no offset explains clearly more than none.
+    best turn of the sensor. 0 where no offset explains clearly more than all others.
     """
     lines = signal.excited[signal.hertz <= _HIGHEST_HZ]
     hertz = lines / signal.period_s
@@ -59,11 +60,33 @@ def clocks_apart_s(record: Record, model: PoseModel, signal: Multisine) -> float
     steps = int(_HALF * signal.period_s / _STEP_S)
     tried = _STEP_S * np.arange(-steps, steps + 1)
     turns = np.exp(2j * np.pi * hertz * tried[:, None])
-    u, s, v = np.linalg.svd(np.real(np.einsum("li,tl,lj->tij", told.conj(), turns, read)))
-    s[:, 2] *= np.sign(np.linalg.det(u @ v))  # a sensor is turned, not mirrored
-    share: Array = s.sum(1) / size
-    best = int(share.argmax())
-    return float(tried[best]) if share[best] > share[steps] + _BETTER else 0.0
+    share: Array = _agreement(told, turns, read, model.up, record.gravity) / size
+    best = float(tried[share.argmax()])
+    half = 0.5 * signal.period_s  # later, odd lines have the other sign: nearly the same in a plane
+    apart = np.abs((tried - best + half / 2) % half - half / 2)
+    others = share[apart > 0.5 / hertz.max()]
+    near = abs(best) <= 0.5 / hertz.max()
+    return best if not near and share.max() > others.max() + _BETTER else 0.0
+
+
+def _agreement(
+    told: ComplexArray, turns: ComplexArray, read: ComplexArray, up: Array, gravity: Array
+) -> Array:
+    """Product of lines told and read at each offset (T,), at the best turn of the sensor.
+
+    Gravity says how the sensor is tilted, so that it may be turned about the vertical alone.
+    """
+    if not np.any(up):
+        u, s, v = np.linalg.svd(np.real(np.einsum("li,tl,lj->tij", told.conj(), turns, read)))
+        s[:, 2] *= np.sign(np.linalg.det(u @ v))  # turned, not mirrored
+        return np.asarray(s.sum(1))
+    upright = [
+        Rotation.align_vectors([[0, 0, 1]], own[None])[0].as_matrix() for own in (up, gravity)
+    ]
+    told, read = told @ upright[0].T, read @ upright[1].T
+    m = np.real(np.einsum("li,tl,lj->tij", told.conj(), turns, read))
+    level = np.hypot(m[:, 0, 0] + m[:, 1, 1], m[:, 0, 1] - m[:, 1, 0])
+    return np.asarray(m[:, 2, 2] + level)
 
 
 def set_right(run: Run, sensor: str, late_s: float) -> Run:
