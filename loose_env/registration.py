@@ -17,24 +17,9 @@ from typing import Any
 
 import gymnasium
 
-from loose_env.errors import InvalidSetting, UnknownName
+from loose_env.errors import InvalidSetting
 
-__all__ = [
-    "GAP_ID",
-    "IDS",
-    "TIERS",
-    "make_arm",
-    "make_arm_vector",
-    "make_planar",
-    "make_planar_vector",
-    "make_scara",
-    "make_scara_vector",
-    "make_six_axis",
-    "make_six_axis_vector",
-    "make_vera",
-    "make_vera_vector",
-    "register",
-]
+__all__ = ["GAP_ID", "IDS", "TIERS", "make_arm", "make_arm_vector", "register"]
 
 IDS = (
     "loose_env/Vera-v0",
@@ -81,9 +66,9 @@ GAP_ID = "loose_env/Gap-v0"
 """Id of the environment that chooses motions to find what a model lacks. Its vector form is
 Gymnasium's synchronous one: environments of a process share the arm's signatures."""
 
-REWARD_THRESHOLDS = (0.80, 0.82, 0.65, None, None)
+REWARD_THRESHOLDS = dict(zip(IDS, (0.80, 0.82, 0.65), strict=False))
 """Mean return from which an id counts as solved: what the best agents reach, rounded down
-(docs/agents.md); None where no agent is published."""
+(docs/agents.md)."""
 
 _OF_ANY = ("hold", "levels", "gravity")
 _SINGLE = ("render_mode", "rig", "threads", "true_arm")
@@ -93,21 +78,18 @@ _ON_LINKS = "link_accelerometers"
 
 def register() -> None:
     """Register all ids with Gymnasium; those already there are left alone."""
-    here = "loose_env.registration"
-    names = ("vera", "planar", "six_axis", "scara", "arm")
-    by_arm = dict(zip(IDS, zip(names, REWARD_THRESHOLDS, strict=True), strict=True))
-    every: dict[str, tuple[str, float | None, dict[str, Any]]] = {
-        env_id: (*by_arm[env_id], {}) for env_id in IDS
-    }
-    every |= {tier: (by_arm[of][0], None, dict(how)) for tier, (of, how) in TIERS.items()}
-    for env_id, (name, threshold, arguments) in every.items():
+    names = dict(zip(IDS, ("vera", "planar", "six_axis", "scara", "arm"), strict=True))
+    every: dict[str, tuple[str, Mapping[str, Any]]] = {env_id: (env_id, {}) for env_id in IDS}
+    every |= TIERS
+    for env_id, (of, arguments) in every.items():
         if env_id not in gymnasium.registry:
+            entry = f"loose_env.registration:make_{names[of]}"
             gymnasium.register(
                 id=env_id,
-                entry_point=f"{here}:make_{name}",
-                vector_entry_point=f"{here}:make_{name}_vector",
-                reward_threshold=threshold,
-                kwargs=arguments,
+                entry_point=entry,
+                vector_entry_point=f"{entry}_vector",
+                reward_threshold=REWARD_THRESHOLDS.get(env_id),
+                kwargs=dict(arguments),
             )
     if GAP_ID not in gymnasium.registry:
         gymnasium.register(id=GAP_ID, entry_point="loose_env.envs:make_model_gap")
@@ -117,13 +99,20 @@ def _makers(arm: str, *own: str) -> tuple[Callable[..., Any], Callable[..., Any]
     """Entry points of an arm of the library, which has arguments of its own."""
     of_arm = (*own, *_OF_ANY)
 
+    def made(kind: str, others: tuple[str, ...], arguments: dict[str, Any], **how: Any) -> Any:
+        from loose_env import envs
+
+        nominal = _nominal(arm, arguments, of_arm)
+        how |= _take(arguments, *others)
+        return getattr(envs, kind)(nominal, _settings(arguments, (*of_arm, *others)), **how)
+
     def make(**arguments: Any) -> gymnasium.Env[Any, Any]:
         """Make the environment of the arm in the name."""
-        return _single(_nominal(arm, arguments, of_arm), arguments, of_arm)
+        return made("DiagnosisEnv", _SINGLE, arguments)  # type: ignore[no-any-return]
 
     def make_vector(num_envs: int = 1, **arguments: Any) -> Any:
         """Make the vector environment of the arm in the name."""
-        return _vector(_nominal(arm, arguments, of_arm), num_envs, arguments, of_arm)
+        return made("DiagnosisVectorEnv", _VECTOR, arguments, num_envs=num_envs)
 
     return make, make_vector
 
@@ -167,37 +156,16 @@ def _take(arguments: dict[str, Any], *names: str) -> dict[str, Any]:
     return {name: arguments.pop(name) for name in names if name in arguments}
 
 
-def _single(
-    arm: Any, arguments: dict[str, Any], of_arm: tuple[str, ...]
-) -> gymnasium.Env[Any, Any]:
-    from loose_env.envs import DiagnosisEnv
-
-    own = _take(arguments, *_SINGLE)
-    return DiagnosisEnv(arm, _settings(arguments, (*of_arm, *_SINGLE)), **own)
-
-
-def _vector(arm: Any, num_envs: int, arguments: dict[str, Any], of_arm: tuple[str, ...]) -> Any:
-    from loose_env.envs import DiagnosisVectorEnv
-
-    own = _take(arguments, *_VECTOR)
-    settings = _settings(arguments, (*of_arm, *_VECTOR))
-    return DiagnosisVectorEnv(arm, settings, num_envs=num_envs, **own)
-
-
 def _settings(arguments: dict[str, Any], others: tuple[str, ...]) -> Any:
-    from loose_env.envs import DiagnosisSettings, Difficulty, Prices
+    from loose_env.envs import DiagnosisSettings, Difficulty, Prices, refuse_unknown
     from loose_env.io import restored
     from loose_env.sensors import SensorSuite
 
-    def check(what: str, given: Mapping[str, Any], kind: Any, *others: str) -> None:
-        known = [*others, *(f.name for f in fields(kind))]
-        if unknown := sorted(set(given) - set(known)):
-            raise UnknownName(f"unknown {what} {unknown}; known are {known}")
-
-    check("arguments", arguments, DiagnosisSettings, *others, _ON_LINKS)
+    own = (f.name for f in fields(DiagnosisSettings))
+    refuse_unknown("arguments", arguments, (*others, _ON_LINKS, *own))
     for name, kind in (("prices", Prices), ("difficulty", Difficulty)):
         if isinstance(given := arguments.get(name), Mapping):
-            check(name, given, kind)
+            refuse_unknown(name, given, [f.name for f in fields(kind)])
             arguments[name] = restored(kind, dict(given), name)
     links, sensors = arguments.pop(_ON_LINKS, None), arguments.get("sensors", SensorSuite())
     # One of the sensors' settings: given as JSON, these cannot be.

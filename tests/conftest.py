@@ -11,7 +11,8 @@ from hypothesis import settings
 from loose_env.arms import DESK_ARM, Arm, MismatchDraw, arm_from_file, planar, scara, six_axis, vera
 from loose_env.envs import BatchRig, DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv
 from loose_env.faults import Fault
-from loose_env.rig import Job, Measurement
+from loose_env.rig import Records, Trials
+from loose_env.typing import IndexArray
 
 settings.register_profile("loose_env", deadline=None, derandomize=True, database=None)
 settings.load_profile("loose_env")
@@ -35,16 +36,16 @@ class SpyRig:
 
     def __init__(self, rig: BatchRig) -> None:
         self.rig = rig
-        self.jobs: list[Job] = []
-        self.calls = 0
+        self.asked: list[Trials] = []
 
-    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
-        self.rig.mount(slot, fault, mismatch)
+    def mount_all(
+        self, slots: IndexArray, faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]
+    ) -> None:
+        self.rig.mount_all(slots, faults, mismatches)
 
-    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
-        self.calls += 1
-        self.jobs += jobs
-        return self.rig.measure_many(jobs)
+    def record(self, asked: Sequence[Trials]) -> Iterator[tuple[int, IndexArray, Records]]:
+        self.asked += asked
+        return self.rig.record(asked)
 
 
 def _take_arm(arguments: dict[str, Any]) -> dict[str, Any]:

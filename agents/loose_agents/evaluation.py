@@ -23,7 +23,6 @@ from loose_env.envs import (
     DiagnosisSettings,
     DiagnosisVectorEnv,
     EpisodeBatch,
-    Outcome,
 )
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.evaluation import FaultParameters, fault_parameters
@@ -190,6 +189,7 @@ class _Run:
     begun: bool = False
     excited: int = 0
     price: float = 0.0
+    verdict_reward: float = 0.0
     probabilities: NDArray[np.float64] | None = None
     trails: dict[str, list[Any]] = field(default_factory=lambda: defaultdict(list))
     actions: list[str] = field(default_factory=list)
@@ -286,14 +286,17 @@ def evaluate(
         for k, run in enumerate(runs):
             run.state, run.begun = (None if after is None else after[k]), True
             _note(batch, slots[k], run)
-        for k, outcome in enumerate(batch.step(slots, list(actions))):
-            run = runs[k]
+        found = batch.step(slots, list(actions))
+        for k, run in enumerate(runs):
             run.actions.append(code_of(batch.actions, actions[k]))
-            if not outcome.terminated:  # a record was taken
-                run.price -= outcome.reward
+            reward, terminated, truncated = (each[k].item() for each in found.arrays)
+            if terminated:
+                run.verdict_reward = reward
+            else:  # a record was taken
+                run.price -= reward
                 run.excited += int(np.count_nonzero(batch.actions.decode(actions[k]).levels))
-            if outcome.terminated or outcome.truncated:
-                rows[run.number] = _row(batch, slots[k], run, outcome, name, seed)
+            if terminated or truncated:
+                rows[run.number] = _row(batch, slots[k], run, found.info(k), name, seed)
                 if progress is not None:
                     progress(len(rows))
                 begin(slots[k])
@@ -321,10 +324,10 @@ def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
 
 
 def _row(
-    batch: EpisodeBatch, slot: int, run: _Run, outcome: Outcome, name: str, seed: int
+    batch: EpisodeBatch, slot: int, run: _Run, info: Mapping[str, Any], name: str, seed: int
 ) -> EpisodeRow:
     """Summarise an episode as a row."""
-    info, names = outcome.info, batch.hypotheses
+    names = batch.hypotheses
     episode = batch.episode(slot)
     hidden: FaultParameters = fault_parameters(batch.sampler, episode.fault)
     truth, verdict, p = info["fault"], info["verdict"], run.probabilities
@@ -343,8 +346,8 @@ def _row(
         seconds=info["seconds"],
         excited=run.excited,
         price=run.price,
-        reward=(outcome.reward if outcome.terminated else 0.0) - run.price,
-        truncated=outcome.truncated,
+        reward=run.verdict_reward - run.price,
+        truncated="failure" in info,
         gap=hidden.gap,
         friction=hidden.friction,
         friction_ratio=hidden.friction_ratio,

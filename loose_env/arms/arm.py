@@ -679,7 +679,8 @@ class Arm:
             raise UnknownName(f"a link is given by its number, 1 to {self.n}; got {link!r}")
         if not 1 <= link <= self.n:
             raise UnknownName(
-                f"arm {self.name!r} has links 1 to {self.n}, counted from the base; got {link}"
+                f"arm {self.name!r} has links 1 to {self.n}, each on its joint, from the base; "
+                f"got {link}"
             )
         return int(link)
 

@@ -5,7 +5,7 @@ sb3; gap_env.
 """
 
 from loose_env.envs import palette
-from loose_env.envs.batch import BatchRig, EpisodeBatch, Outcome, Steps
+from loose_env.envs.batch import BatchRig, EpisodeBatch, Steps
 from loose_env.envs.env import DiagnosisEnv, EnvState
 from loose_env.envs.faults import FaultSampler, fault_words, hypothesis_words
 from loose_env.envs.gap_env import (
@@ -23,8 +23,6 @@ from loose_env.envs.rendering import (
     ArmDrawing,
     CorrelationByDirection,
     Picture,
-    draw_arrow,
-    draw_section,
     measured_correlation,
     predicted_correlation,
 )
@@ -34,6 +32,7 @@ from loose_env.envs.settings import (
     Difficulty,
     Prices,
     difficulty_named,
+    refuse_unknown,
 )
 from loose_env.envs.simulation import FaultPrior, simulator
 from loose_env.envs.spaces import (
@@ -79,20 +78,18 @@ __all__ = [
     "ModelGapEnv",
     "ModelGapSettings",
     "ObservationLayout",
-    "Outcome",
     "Picture",
     "Prices",
     "RecordLayout",
     "Steps",
     "batch_seeds",
     "difficulty_named",
-    "draw_arrow",
-    "draw_section",
     "fault_words",
     "hypothesis_words",
     "make_model_gap",
     "measured_correlation",
     "palette",
     "predicted_correlation",
+    "refuse_unknown",
     "simulator",
 ]

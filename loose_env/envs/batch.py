@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Protocol
@@ -31,7 +32,7 @@ from loose_env.diagnosis import (
     statistics_of_all,
 )
 from loose_env.envs.faults import FaultSampler
-from loose_env.envs.settings import DiagnosisSettings, difficulty_named
+from loose_env.envs.settings import DiagnosisSettings, difficulty_named, refuse_unknown
 from loose_env.envs.spaces import ActionLayout, ObservationLayout
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, torques_at_levels
@@ -47,15 +48,7 @@ from loose_env.faults import (
     preloaded,
 )
 from loose_env.io import is_finite
-from loose_env.rig import (
-    Job,
-    Measurement,
-    Records,
-    ReducedRig,
-    SimulatedRig,
-    SlotRig,
-    Trials,
-)
+from loose_env.rig import Measurement, Records, ReducedRig, SimulatedRig, Trials
 from loose_env.streams import streams
 from loose_env.typing import Array, ComplexArray, IndexArray
 
@@ -86,16 +79,6 @@ class Episode:
         return int(np.count_nonzero(self.slots[:, 0]))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """Result of one step of one arm."""
-
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: dict[str, Any]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Steps:
     """Results of one step of A arms."""
@@ -108,24 +91,21 @@ class Steps:
     ends: dict[int, dict[str, Any]]
     """Info of each arm whose episode has ended, by its row."""
 
-    def __iter__(self) -> Iterator[Outcome]:
-        return (self[k] for k in range(len(self.rewards)))
+    @property
+    def arrays(self) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Rewards, and which episodes terminated and were truncated (A,)."""
+        return self.rewards, self.terminated, self.truncated
 
-    def __getitem__(self, k: int) -> Outcome:
-        """Result of one arm."""
-        info = self.ends.get(k)
-        if info is None:
-            info = {name: _plain(values[k]) for name, values in self.told.items()}
-        return Outcome(
-            reward=float(self.rewards[k]),
-            terminated=bool(self.terminated[k]),
-            truncated=bool(self.truncated[k]),
-            info=info,
-        )
+    def info(self, k: int) -> dict[str, Any]:
+        """Info of one arm."""
+        return self.ends[k] if k in self.ends else _of_row(self.told, k)
 
 
-def _plain(value: Any) -> Any:
-    return bool(value) if isinstance(value, np.bool_) else value
+def _of_row(told: Mapping[str, NDArray[Any]], k: int) -> dict[str, Any]:
+    """Entries of one row; a truth value is Python's own."""
+    return {
+        name: v[k].item() if v.ndim == 1 and v.dtype == bool else v[k] for name, v in told.items()
+    }
 
 
 _LIMIT = 1e3  # bound of every channel: signals beyond it are clipped
@@ -220,20 +200,8 @@ _OPTIONS = ("fault", "pose", "mismatch_scale", "preload_g")
 def mapping_of(options: Any, what: str = "options of reset() are") -> dict[str, Any]:
     """Options of `reset` as a dictionary, empty where there are none."""
     if options is not None and not isinstance(options, Mapping):
-        raise InvalidSetting(
-            f"{what} a mapping such as {{'fault': 'healthy'}}, or None; got {options!r:.60}"
-        )
+        raise InvalidSetting(f"{what} a mapping of names to values, or None; got {options!r:.60}")
     return dict(options or {})
-
-
-def checked_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Refuse options of `reset` that there are not; their values are checked where they count."""
-    found = mapping_of(given)
-    if unknown := set(found) - set(_OPTIONS):
-        raise UnknownName(
-            f"unknown reset options {sorted(unknown, key=str)}; known: {', '.join(_OPTIONS)}"
-        )
-    return found
 
 
 def _number(name: str, given: Any, default: float) -> float:
@@ -256,6 +224,11 @@ def _fault(given: Any, arm: Arm) -> Fault | str | None:
     )
 
 
+_STATE = (
+    *("_seeds", "_numbers", "_faults", "_mismatches", "_verdicts", "_begun", "_ended"),
+    *("_records", "_spent_levels", "_seconds", "_poses", "_visited", "_visits", "_flat"),
+)
+"""State of the episodes, but for their latest records."""
 _FAULT, _MISMATCH, _POSE, _RECORD, _DRIFT = range(5)
 """Streams of random draws of an episode."""
 _TOGETHER = 64
@@ -265,12 +238,17 @@ _TOGETHER = 64
 class BatchRig(Protocol):
     """Protocol of a rig: arms in slots, measured several at once."""
 
-    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
-        """Put a new arm into a slot."""
+    def mount_all(
+        self, slots: IndexArray, faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]
+    ) -> None:
+        """Put new arms into slots."""
         ...
 
-    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Take one measurement on each of several slots."""
+    def record(self, asked: Sequence[Trials]) -> Iterator[tuple[int, IndexArray, Records]]:
+        """Take measurements; yield the index of a trial, its rows and their records, in any order.
+
+        The caller works on these while the next ones are taken.
+        """
         ...
 
 
@@ -311,14 +289,16 @@ class EpisodeBatch:
     ) -> None:
         self.arm, self.settings, self.num, self.threads = arm, settings, num, threads
         self.true_arm = checked_true_arm(true_arm, arm)
-        if rig is not None and not (hasattr(rig, "mount") and hasattr(rig, "measure_many")):
-            raise InvalidSetting(f"rig has mount() and measure_many(), as a BatchRig; got {rig!r}")
-        self.rig: BatchRig
+        if rig is not None and not (hasattr(rig, "mount_all") and hasattr(rig, "record")):
+            raise InvalidSetting(f"rig has mount_all() and record(), as a BatchRig; got {rig!r}")
         if rig is None:
+            engine = ReducedRig if settings.engine == "reduced" else SimulatedRig
+            own = engine(self.true_arm, slots=num, sensors=settings.sensors, threads=threads)
             # One linear arm for both: it remembers the poses it has worked out.
-            self.rig, true = _simulated_rig(self.true_arm, settings, num, threads)
+            rig, true = own, own.nominal
         else:
-            self.rig, true = rig, LinearArm(self.true_arm)
+            true = LinearArm(self.true_arm)
+        self.rig: BatchRig = rig
         self.nominal = true if self.true_arm is arm else LinearArm(arm)
         self.difficulty = difficulty_named(settings.difficulty)
         self.sampler = FaultSampler(true, self.difficulty, settings.kinds)
@@ -344,7 +324,7 @@ class EpisodeBatch:
         most, n, layout = settings.max_records, arm.n, self.observations
         self._seeds, self._numbers = [0] * num, np.zeros(num, dtype=np.intp)
         self._faults: list[Fault] = [Healthy()] * num
-        self._mismatches: list[MismatchDraw | None] = [None] * num
+        self._mismatches: list[Any] = [None] * num
         self._last: list[tuple[Records, int] | None] = [None] * num
         self._verdicts: list[str | None] = [None] * num
         self._begun, self._ended = np.zeros((2, num), dtype=bool)
@@ -384,13 +364,12 @@ class EpisodeBatch:
             If none was started.
         """
         self._require_begun([slot])
-        mismatch, last = self._mismatches[slot], self._last[slot]
-        assert mismatch is not None
+        last = self._last[slot]
         return Episode(
             seed=self._seeds[slot],
             number=int(self._numbers[slot]),
             fault=self._faults[slot],
-            mismatch=mismatch,
+            mismatch=self._mismatches[slot],
             pose=self._poses[slot].copy(),
             slots=self._slots[slot].copy(),
             records=int(self._records[slot]),
@@ -408,10 +387,9 @@ class EpisodeBatch:
 
     def start(
         self, slot: int, *, seed: int, number: int, options: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
+    ) -> None:
         """Begin an episode in a slot: hide a fault, take a random pose, measure nothing."""
         self.start_all([slot], seeds=[seed], numbers=[number], options=[options])
-        return {"action_mask": self.mask(slot)}
 
     def start_all(
         self,
@@ -422,7 +400,9 @@ class EpisodeBatch:
         options: Sequence[Mapping[str, Any] | None],
     ) -> None:
         """Begin episodes in slots; where one is refused, none begins."""
-        given = [checked_options(each) for each in options]
+        given = [mapping_of(each) for each in options]
+        for each in given:
+            refuse_unknown("reset options", each, _OPTIONS)
         arm, rows = self.true_arm, list(range(len(slots)))
         faults = [_fault(own.get("fault"), arm) for own in given]
         scales = [_number("mismatch_scale", own.get("mismatch_scale"), 1.0) for own in given]
@@ -482,11 +462,7 @@ class EpisodeBatch:
         self, slots: Sequence[int], faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]
     ) -> None:
         """Put arms on the rig."""
-        if isinstance(self.rig, SlotRig):
-            self.rig.mount_all(np.array(slots, dtype=np.intp), faults, mismatches)
-        else:
-            for each in zip(slots, faults, mismatches, strict=True):
-                self.rig.mount(*each)
+        self.rig.mount_all(np.array(slots, dtype=np.intp), faults, mismatches)
         for slot, fault, mismatch in zip(slots, faults, mismatches, strict=True):
             self._faults[slot], self._mismatches[slot] = fault, mismatch
 
@@ -509,20 +485,20 @@ class EpisodeBatch:
         parts = (self.arm.name, repr(self.settings), self.observations.table())
         return hashlib.sha256("\n".join(parts).encode("utf-8")).hexdigest()[:16]
 
-    def restore(self, slot: int, episode: Episode | None) -> None:
-        """Put a copy of an episode into a slot, and its arm on the rig."""
-        self._begun[slot] = episode is not None
-        if episode is None:
-            return
-        self._mount([slot], [episode.fault], [episode.mismatch])
-        self._seeds[slot], self._numbers[slot] = episode.seed, episode.number
-        self._verdicts[slot], self._ended[slot] = episode.verdict, episode.ended
-        self._poses[slot], self._slots[slot] = episode.pose, episode.slots
-        self._records[slot], self._seconds[slot] = episode.records, episode.seconds
-        self._spent_levels[slot], self._visits[slot] = episode.levels, len(episode.visited)
-        self._visited[slot, : len(episode.visited)] = episode.visited
-        self._last[slot] = None if episode.last is None else (Records.of([episode.last]), 0)
-        self._show_globals(np.array([slot]))
+    def state(self) -> dict[str, Any]:
+        """Copy of the episodes of all slots: arrays and lists with an entry for each."""
+        latest = [own and (own[0].some(np.array([own[1]])), 0) for own in self._last]
+        return {name: copy(getattr(self, name)) for name in _STATE} | {"_last": latest}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a copy of the episodes, with their arms on the rig."""
+        for name, value in state.items():
+            setattr(self, name, copy(value))
+        self._slots = self.observations.slots_of(self._flat)
+        begun = np.flatnonzero(self._begun).tolist()
+        if begun:
+            faults = [self._faults[slot] for slot in begun]
+            self._mount(begun, faults, [self._mismatches[slot] for slot in begun])
 
     def place(self, slots: Sequence[int] | IndexArray, poses: Array) -> None:
         """Put the arms of A running episodes into poses (A, n), as no action can."""
@@ -601,15 +577,15 @@ class EpisodeBatch:
             self._show_globals(own)
             told = {
                 "verdict_ignored": verdicts > 0,
-                "move_ignored": _spread(ignored, rows, len(at)),
-                "level_share": _spread(share, rows, len(at)),
+                "move_ignored": spread(ignored, rows, len(at)),
+                "level_share": spread(share, rows, len(at)),
             }
             for k, failure in failures.items():
                 row, slot = int(rows[k]), int(own[k])
                 self.divergences[self._faults[slot].kind] += 1
                 self._ended[slot] = truncated[row] = True
-                shown = {name: _plain(values[row]) for name, values in told.items()}
-                ends[row] = shown | {"failure": failure} | self._truth(slot, None)
+                own_end = {"failure": failure} | self._truth(slot, None)
+                ends[row] = _of_row(told, row) | own_end
             if self.settings.raw:
                 last = np.full(len(at), None, dtype=object)
                 for k in np.flatnonzero(taken).tolist():
@@ -722,11 +698,8 @@ class EpisodeBatch:
         going = slots[self._records[slots] > 0]
         if self.settings.drift == Drift() or not len(going):
             return
-        rngs, after = self._streams(going, _DRIFT), []
-        for slot, rng in zip(going, rngs, strict=True):
-            before = self._mismatches[slot]
-            assert before is not None
-            after.append(self.settings.drift.after(before, rng))
+        draws = zip(going, self._streams(going, _DRIFT), strict=True)
+        after = [self.settings.drift.after(self._mismatches[k], rng) for k, rng in draws]
         self._mount(going.tolist(), [self._faults[slot] for slot in going], after)
 
     def _streams(self, slots: IndexArray, kind: int) -> list[np.random.Generator]:
@@ -737,10 +710,7 @@ class EpisodeBatch:
     def _measure(
         self, slots: IndexArray, torque: Array, durations: Array, rows: IndexArray
     ) -> Iterator[tuple[IndexArray, Records]]:
-        """Measure some of the arms; yield records of one length with their rows.
-
-        A simulated rig gives records out while it works on the next ones.
-        """
+        """Measure some of the arms; yield records of one length with their rows."""
         if not len(rows):
             return
         rngs = dict(zip(rows.tolist(), self._streams(slots[rows], _RECORD), strict=True))
@@ -759,13 +729,8 @@ class EpisodeBatch:
             )
             for own in members
         ]
-        if isinstance(self.rig, SlotRig):
-            for which, some, records in self.rig.record(asked):
-                yield members[which][some], records
-            return
-        for own, trials in zip(members, asked, strict=True):
-            for some, records in measured_by(self.rig, trials):
-                yield own[some], records
+        for which, some, records in self.rig.record(asked):
+            yield members[which][some], records
 
     def _end(self, slot: int, named: str | None) -> dict[str, Any]:
         """End an episode by naming a hypothesis, or None by running out of records."""
@@ -789,7 +754,7 @@ class EpisodeBatch:
         }
 
 
-def _spread(values: NDArray[Any], rows: IndexArray, count: int) -> NDArray[Any]:
+def spread(values: NDArray[Any], rows: IndexArray, count: int) -> NDArray[Any]:
     """Values of some rows among those of all, zero for the others."""
     wide = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
     wide[rows] = values
@@ -803,38 +768,7 @@ def _groups(keys: NDArray[np.intp]) -> Iterator[IndexArray]:
         yield from (rows[k : k + _TOGETHER] for k in range(0, len(rows), _TOGETHER))
 
 
-def measured_by(rig: BatchRig, trials: Trials) -> Iterator[tuple[IndexArray, Records]]:
-    """Take measurements on a rig that takes them one by one."""
-    jobs = [
-        Job(
-            slot=int(slot),
-            pose=trials.poses[k],
-            excitation=Excitation(
-                torque_rms=tuple(trials.torque_rms[k].tolist()),
-                duration=trials.duration,
-                band=trials.band,
-            ),
-            rng=trials.rngs[k],
-        )
-        for k, slot in enumerate(trials.slots)
-    ]
-    for k, measurement in enumerate(rig.measure_many(jobs)):
-        yield np.array([k]), Records.of([measurement])
-
-
 def _places(fault: Fault) -> set[int | None]:
     """Numbers of the links and joints where something is loose; None where nothing is."""
     faults = fault.faults if isinstance(fault, SeveralFaults) else (fault,)
     return {place_of(one.hypothesis) for one in faults}
-
-
-def _simulated_rig(
-    arm: Arm, settings: DiagnosisSettings, num: int, threads: int
-) -> tuple[SimulatedRig | ReducedRig, LinearArm]:
-    """Build the rig of the engine that the settings name."""
-    rig: SimulatedRig | ReducedRig
-    if settings.engine == "reduced":
-        rig = ReducedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
-    else:
-        rig = SimulatedRig(arm, slots=num, sensors=settings.sensors, threads=threads)
-    return rig, rig.nominal

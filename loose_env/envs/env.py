@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs.batch import BatchRig, Episode, EpisodeBatch
+from loose_env.envs.batch import BatchRig, EpisodeBatch
 from loose_env.envs.rendering import Picture
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, UnknownName
@@ -28,8 +28,8 @@ class EnvState:
     """Root seed of each arm's run of episodes."""
     numbers: tuple[int, ...]
     """Number of each arm's episode under it."""
-    episodes: tuple[Episode | None, ...]
-    """Each arm's latest episode: hidden fault, true arm, pose, records."""
+    batch: Mapping[str, Any]
+    """Hidden faults, true arms, poses and records, as `EpisodeBatch.state` gives them."""
     ended: tuple[bool, ...]
     """True for each environment of a batch that is to be reset before it goes on."""
     fingerprint: str
@@ -81,10 +81,7 @@ class BatchShell:
         return EnvState(
             seeds=tuple(self._seeds),
             numbers=tuple(self._numbers),
-            episodes=tuple(
-                self.batch.episode(i) if self.batch.has_episode(i) else None
-                for i in range(self.batch.num)
-            ),
+            batch=self.batch.state(),
             ended=tuple(self._ended.tolist()),
             fingerprint=self.batch.fingerprint,
         )
@@ -98,7 +95,7 @@ class BatchShell:
             If it is none, or of another arm, other settings or another number of environments.
         """
         num = self.batch.num
-        if not isinstance(state, EnvState) or len(state.episodes) != num:
+        if not isinstance(state, EnvState) or len(state.seeds) != num:
             raise InvalidSetting(
                 f"a state of {num} environment{'s' * (num > 1)} is what get_state() of as many "
                 f"gives; got {state!r:.60}"
@@ -108,8 +105,7 @@ class BatchShell:
                 "the state was taken from an environment of another arm or other settings; make "
                 "this environment with the same arguments"
             )
-        for i, episode in enumerate(state.episodes):
-            self.batch.restore(i, episode)
+        self.batch.restore(state.batch)
         self._seeds, self._numbers = list(state.seeds), list(state.numbers)
         self._ended = np.array(state.ended, dtype=bool)
 
@@ -293,14 +289,9 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
 
     def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, excite and measure; or give a verdict."""
-        outcome = self.batch.step([0], [action])[0]
-        return (
-            self._shown(),
-            outcome.reward,
-            outcome.terminated,
-            outcome.truncated,
-            outcome.info,
-        )
+        found = self.batch.step([0], [action])
+        reward, over, cut = (each[0].item() for each in found.arrays)
+        return self._shown(), reward, over, cut, found.info(0)
 
     def _warn_of_neighbour(self, seed: int) -> None:
         """Warn where seeds count up over environments alike, as other vector environments do."""

@@ -170,7 +170,8 @@ class FaultSampler:
         self._known = hypotheses(self.arm, everywhere=True)
         kinds = [kind for kind in KINDS if self.probabilities.get(kind, 0.0) > 0]
         self._edges = np.cumsum([self.probabilities[kind] for kind in kinds])
-        self._choices = [_hypotheses_of(self.arm, kind) for kind in kinds]
+        names = hypotheses(self.arm)
+        self._choices = [[n for n in names if n.partition("@")[0] == kind] for kind in kinds]
         rng = np.random.default_rng(0)
         poses = [np.zeros(self.arm.n), *(self.arm.random_pose(rng) for _ in range(64))]
         self._masses = SeatMasses(linear, poses)
@@ -302,12 +303,6 @@ class FaultSampler:
             np.array([max(f.damping) for f in faults]),
         )
         return SeveralFaults(faults=tuple(_softer(f, share) for f in faults))
-
-
-def _hypotheses_of(arm: Arm, kind: str) -> list[str]:
-    """Hypotheses of one kind."""
-    places = places_of_kind(arm, kind)
-    return [kind] if kind == "healthy" else [hypothesis_at(kind, place) for place in places]
 
 
 def _softer(fault: Loose, share: float) -> Loose:

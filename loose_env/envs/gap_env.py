@@ -17,6 +17,8 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from loose_env.arms import SERVO_ARM, model_path
+from loose_env.envs.batch import mapping_of
+from loose_env.envs.settings import refuse_unknown
 from loose_env.errors import InvalidAction, InvalidSetting, UnknownName
 from loose_env.gap import (
     VISIBLE,
@@ -33,7 +35,7 @@ from loose_env.gap import (
     outlook,
     read_servo_arm,
 )
-from loose_env.io import Checked, Count, NonNegative, Positive, Probability, Rule
+from loose_env.io import Checked, Count, NonNegative, Positive, Probability, Rule, is_whole
 from loose_env.typing import Array
 
 _JITTER, _LIMIT = 0.2, 1.5
@@ -433,17 +435,19 @@ class ModelGapEnv(gymnasium.Env[NDArray[np.float32], np.int64]):
         UnknownName
             If there is no such option.
         InvalidSetting
-            If a name is no candidate.
+            If a name is no candidate, or a value no list or number.
         """
         super().reset(seed=seed)
-        given = dict(options or {})
-        unknown = sorted(set(given) - {"names", "count"})
-        if unknown:
-            raise UnknownName(f"unknown options {unknown}; known are ['names', 'count']")
+        given = mapping_of(options)
+        refuse_unknown("reset options", given, ("names", "count"))
+        names, count = given.get("names", ()), given.get("count")
+        if isinstance(names, str) or not isinstance(names, Sequence):
+            raise InvalidSetting(f"names are a list of candidates, got {names!r:.60}")
+        if count is not None and not (is_whole(count) and count >= 0):
+            raise InvalidSetting(f"count is a whole number, zero or more; got {count!r:.60}")
         self.machine = self.settings.draw.draw(
-            self.bank, self.np_random, count=given.get("count"),
-            names=tuple(given.get("names", ())),
-        )  # fmt: skip
+            self.bank, self.np_random, count=count, names=tuple(names)
+        )
         self.belief = Belief(self.bank)
         self.seconds, self.wear, self._over = 0.0, 0.0, False
         return self._observed(), self._info()
@@ -571,9 +575,7 @@ def make_model_gap(*, model: str | Path | None = None, **arguments: Any) -> Mode
     known = [f.name for f in fields(ModelGapSettings)]
     if arguments.pop("render_mode", None) is not None:
         raise UnknownName("loose_env/Gap-v0 draws nothing: leave render_mode out")
-    unknown = sorted(set(arguments) - set(known))
-    if unknown:
-        raise UnknownName(f"unknown arguments {unknown}; known are {['model', *known]}")
+    refuse_unknown("arguments", arguments, ("model", *known))
     settings = ModelGapSettings(**arguments)
     path = str(SERVO_ARM if model is None else model_path(model))
     bank = _bank(path, settings.tolerance, settings.max_speed, settings.kinds, settings.library)

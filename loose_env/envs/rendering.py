@@ -372,17 +372,15 @@ def _apart(anchors: Array, axes: Array, tool: Array, near: float) -> Array:
     return points
 
 
-def draw_arrow(
-    axes: Axes, start: Array, end: Array, *, color: str, both: bool = False, width: float = 1.7
-) -> None:
+def draw_arrow(axes: Axes, start: Array, end: Array, *, color: str, both: bool = False) -> None:
     """Draw a straight arrow with a head at its end, or at both, and with a light rim."""
     from matplotlib.patheffects import withStroke
 
-    style = {"arrowstyle": "<|-|>" if both else "-|>", "color": color, "linewidth": width}
+    style = {"arrowstyle": "<|-|>" if both else "-|>", "color": color, "linewidth": 1.7}
     style |= {"shrinkA": 0, "shrinkB": 0}
     note = axes.annotate("", xy=tuple(end), xytext=tuple(start), arrowprops=style, zorder=7)
     if note.arrow_patch is not None:
-        note.arrow_patch.set_path_effects([withStroke(linewidth=width + 2.2, foreground=PAPER)])
+        note.arrow_patch.set_path_effects([withStroke(linewidth=3.9, foreground=PAPER)])
 
 
 _PIXELS = (1120, 640)
@@ -467,19 +465,7 @@ class Picture:
         """Return the picture as a figure of matplotlib, by default of lines alone."""
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=self.size, dpi=160)
-        self._compose(figure, episode, verdict, lit)
-        return figure
-
-    def close(self) -> None:
-        """Close the renderer, if there is one."""
-        if self._stage is not None:
-            self._stage.close()
-            self._stage = None
-
-    def _compose(self, figure: Figure, episode: Episode, verdict: str | None, lit: bool) -> None:
-        """Draw an episode into an empty figure."""
-        drawing, height = self._drawing, self.size[1]
+        figure, drawing, height = Figure(figsize=self.size, dpi=160), self._drawing, self.size[1]
         valid = episode.records > 0 and episode.slots[episode.records - 1, 0] > 0.5
         record = episode.last if valid else None
         truth = episode.fault if episode.ended else None
@@ -512,6 +498,13 @@ class Picture:
                 panel = figure.add_axes((left + k / 3, 0.36 / height, 1 / 3, 1.86 / height))
                 draw_section(panel, found, expected, (names[found.axes[0]], names[found.axes[1]]))
             self._legend(figure, record, truth)
+        return figure
+
+    def close(self) -> None:
+        """Close the renderer, if there is one."""
+        if self._stage is not None:
+            self._stage.close()
+            self._stage = None
 
     def _correlations(
         self, record: Measurement

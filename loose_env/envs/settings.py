@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Annotated, Literal
@@ -62,9 +62,7 @@ class Difficulty(Checked):
         super().__post_init__()
         if self.kinds is None:
             return
-        unknown = set(self.kinds) - set(KINDS)
-        if unknown:
-            raise UnknownName(f"unknown fault kind {sorted(unknown)}; kinds are {list(KINDS)}")
+        checked_kinds(("healthy", *(kind for kind in self.kinds if kind != "healthy")))
         values = list(self.kinds.values())
         if min(values, default=-1.0) < 0 or not np.isclose(sum(values), 1.0):
             raise InvalidSetting(
@@ -125,6 +123,12 @@ def difficulty_named(difficulty: str | Difficulty) -> Difficulty:
             "Difficulty"
         )
     return DIFFICULTIES[difficulty]
+
+
+def refuse_unknown(what: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse names that there are not."""
+    if unknown := sorted(set(given) - set(known), key=str):
+        raise UnknownName(f"unknown {what} {unknown}; known are {list(known)}")
 
 
 Engine = Literal["mujoco", "reduced"]
@@ -212,7 +216,7 @@ class DiagnosisSettings(Checked):
     """Measured records before "unsure" may be said; one is enough once the records have run out.
 
     At the default prices three make giving up blindly (-0.42) worth less than naming "healthy"
-    blindly (-0.39), so that giving up is no local optimum for a policy that learns from scratch."""
+    blindly (-0.39)."""
     moves: Annotated[tuple[float, ...], _MOVES] = (-90.0, -45.0, 0.0, 45.0, 90.0)
     """Relative moves a joint can make before a record [deg]. A joint that slides goes in
     proportion through its range: 90 degrees are half of it."""

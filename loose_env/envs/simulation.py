@@ -13,6 +13,7 @@ from loose_env.envs.faults import log_uniform, uniform
 from loose_env.envs.spaces import checked_indices
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault
+from loose_env.io import is_whole
 from loose_env.typing import Array
 
 NAMES = (
@@ -40,14 +41,14 @@ class FaultPrior:
     """Least value of each other parameter (8,)."""
     high: Array
     """Largest value of each (8,)."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return NAMES
+    names: tuple[str, ...] = NAMES
+    """Names of the parameters."""
 
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """Draw parameters (count, 9)."""
+        _check_generator(rng)
+        if not is_whole(count) or count < 0:
+            raise InvalidSetting(f"count is a whole number, zero or more; got {count!r:.60}")
         drawn = np.empty((count, len(NAMES)))
         drawn[:, 0] = rng.choice(len(self.hypotheses), size=count, p=self.probabilities)
         u = rng.random((count, len(self.low)))
@@ -144,6 +145,7 @@ def simulator(
         parameters, designs = np.asarray(theta, dtype=float), np.asarray(design, dtype=float)
         one = designs.ndim == 2
         designs = designs[:, None] if one else designs
+        _check_generator(rng)
         _check(batch, prior, parameters, designs)
         faults = batch.sampler.faults(
             [hypotheses[int(k)] for k in parameters[:, 0]],
@@ -162,11 +164,20 @@ def simulator(
     return prior, simulate
 
 
+def _check_generator(rng: Any) -> None:
+    if not isinstance(rng, np.random.Generator):
+        raise InvalidSetting(f"rng is numpy's default_rng(seed), a Generator; got {rng!r:.60}")
+
+
 def _check(batch: EpisodeBatch, prior: FaultPrior, theta: Array, designs: Array) -> None:
     n, most = batch.arm.n, batch.settings.max_records
     if theta.ndim != 2 or theta.shape[1] != len(NAMES) or not np.isfinite(theta).all():
         raise InvalidSetting(
             f"theta is (B, {len(NAMES)}) finite numbers {list(NAMES)}, got shape {theta.shape}"
+        )
+    if (theta[:, 1:7] < 0).any():
+        raise InvalidSetting(
+            f"{', '.join(NAMES[1:7])} are zero or more, got {theta[:, 1:7].min():g}"
         )
     if designs.ndim != 3 or designs.shape[::2] != (len(theta), 2 * n + 1):
         raise InvalidSetting(

@@ -349,22 +349,18 @@ class ActionLayout:
         return (measured > 0) & enough
 
     def mask(self, pose: NDArray[np.float64], records: int, measured: int) -> NDArray[np.bool_]:
-        """Allowed choices of all entries, one after the other, as MaskablePPO takes them.
-
-        Parameters
-        ----------
-        pose : ndarray (n,)
-            Where the arm is [rad, m where a joint slides].
-        records, measured : int
-            Records taken, and those among them that show something.
-        """
+        """Allowed choices of one action (sum of choices,); as `masks`."""
         found = self.masks(pose[None], np.array([records]), np.array([measured]))
         return np.asarray(found[0])
 
     def masks(
         self, poses: Array, records: NDArray[np.intp], measured: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
-        """Allowed choices of A actions (A, sum of choices); as `mask`."""
+        """Allowed choices of all entries, one after the other, as MaskablePPO takes them.
+
+        Of A arms (A, sum of choices), from their poses [rad, m where a joint slides] (A, n), the
+        records taken (A,), and those among them that show something (A,).
+        """
         verdicts, count = self.hypotheses + 1, len(poses)
         last = records >= self.settings.max_records
         mask = np.ones((count, self._options), dtype=bool)
@@ -658,9 +654,6 @@ class ObservationLayout(RecordLayout):
         rows = [np.reshape(each, (count, -1)) for each in values]
         return self._slot_scaling.forward(np.concatenate(rows, axis=1))
 
-    def __iter__(self) -> Iterator[Element]:
-        return iter(self.elements)
-
     def table(self) -> str:
         """One line for each element of the globals and of one slot, for people to read."""
         rows = [("name", "unit", "scaling", "scale", "bounds")]
@@ -685,17 +678,7 @@ class ObservationLayout(RecordLayout):
         return np.rint(share * self.settings.max_records).astype(np.intp)
 
     def pose_of(self, observation: NDArray[np.float32]) -> Array:
-        """Pose in which an arm is now [rad, m where a joint slides].
-
-        Parameters
-        ----------
-        observation : ndarray (..., size)
-            Observations.
-
-        Returns
-        -------
-        ndarray (..., n)
-        """
+        """Poses in which arms are now (..., n) [rad, m where a joint slides]."""
         parts = (self.physical(observation, f"now.{part}") for part in self._joint_pose.parts)
         return self._joint_pose.pose(*parts)
 

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs.batch import EpisodeBatch, mapping_of
+from loose_env.envs.batch import EpisodeBatch, mapping_of, spread
 from loose_env.envs.env import BatchShell
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting
@@ -232,24 +232,17 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
             )
         going, infos = np.flatnonzero(~over), {}
         found = self.batch.step(going, rows[going])
-        rewards, (terminated, truncated) = (
-            np.zeros(n := self.num_envs),
-            np.zeros((2, n), dtype=bool),
-        )
-        rewards[going] = found.rewards
-        terminated[going], truncated[going] = found.terminated, found.truncated
+        n = self.num_envs
+        rewards, terminated, truncated = (spread(own, going, n) for own in found.arrays)
         ended = {int(going[k]): info for k, info in found.ends.items()}
         if self._limit is not None:  # every step of an episode that goes on is a record
             cut = ~over & ~terminated & ~truncated & (self.batch.records >= self._limit)
-            ended |= {
-                int(i): found[int(np.searchsorted(going, i))].info for i in np.flatnonzero(cut)
-            }
+            ended |= {int(going[k]): found.info(k) for k in np.flatnonzero(cut[going]).tolist()}
             truncated |= cut
         went_on = ~over & ~terminated & ~truncated
         if went_on.any():
             for name, values in found.told.items():
-                infos[name] = np.zeros((n, *values.shape[1:]), dtype=values.dtype)
-                infos[name][went_on] = values[went_on[going]]
+                infos[name] = spread(values[went_on[going]], np.flatnonzero(went_on), n)
                 infos[f"_{name}"] = went_on.copy()
         finals = self.batch.shown(list(ended)) if ended and same_step else None
         for k, (i, info) in enumerate(ended.items()):

@@ -310,7 +310,7 @@ def episode_timeline(
         actions, state = agent.predict(
             batch.observe(0)[None], state, np.array([episode.records == 0]), deterministic=True
         )
-        info = batch.step([0], [np.asarray(actions)[0]])[0].info
+        info = batch.step([0], [np.asarray(actions)[0]]).info(0)
         episode = batch.episode(0)
         if not episode.ended:
             caption = f"Record {episode.records}"

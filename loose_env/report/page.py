@@ -25,14 +25,14 @@ FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, s
 
 LIGHT: Mapping[str, str] = {
     "paper": ink.PAPER, "ink": ink.INK, "muted": "#5b6671", "faint": ink.FAINT, "body": ink.BODY,
-    "edge": ink.EDGE, "cap": ink.CAP, "held-cap": ink.HELD_CAP, "shadow": ink.SHADOW,
-    "measured": ink.MEASURED, "truth": ink.TRUTH, "page": "#f5f6f8", "rule": "#e1e5e9",
+    "edge": ink.EDGE, "measured": ink.MEASURED, "truth": ink.TRUTH, "page": "#f5f6f8",
+    "rule": "#e1e5e9",
 }  # fmt: skip
 """Role of a colour -> the colour by day."""
 DARK: Mapping[str, str] = {
     "paper": "#1a1f25", "ink": "#e9edf1", "muted": "#9ba6b1", "faint": "#434d57", "body": "#3a4550",
-    "edge": "#a3b0bc", "cap": "#4a5661", "held-cap": "#8d9aa6", "shadow": "#242b32",
-    "measured": "#4db3ee", "truth": "#ff7d54", "page": "#12161a", "rule": "#2c343c",
+    "edge": "#a3b0bc", "measured": "#4db3ee", "truth": "#ff7d54", "page": "#12161a",
+    "rule": "#2c343c",
 }  # fmt: skip
 """Role of a colour -> the colour in the dark."""
 PAPER: Mapping[str, str] = {**LIGHT, "page": ink.PAPER}

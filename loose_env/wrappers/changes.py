@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from loose_env.envs import ActionLayout, RecordLayout
+from loose_env.envs import ActionLayout, Element, RecordLayout
 from loose_env.errors import InvalidAction, InvalidSetting
 from loose_env.typing import IndexArray
 from loose_env.wrappers.posteriors import (
@@ -29,7 +29,7 @@ _JOINT_SIDE = ("level", "torque", "level_share", "duration", "joint_rms", "inert
 
 
 class _Records(Change):
-    """Shows the records in another layout."""
+    """Shows some elements of the records, in another layout."""
 
     inner: RecordLayout
     """Layout of what is wrapped."""
@@ -39,54 +39,52 @@ class _Records(Change):
     def __init__(self, env: Any) -> None:
         super().__init__(env)
         found: RecordLayout = self.of_inner("layout")
+        elements = found.slot_elements
         self.inner = RecordLayout(
-            global_elements=found.global_elements,
-            slot_elements=found.slot_elements,
-            slots=found.slots,
+            global_elements=found.global_elements, slot_elements=elements, slots=found.slots
         )
-        self.layout = self._changed()
+        self._kept = [k for k, each in enumerate(elements) if self._keeps(each.name)]
+        shown = self._changed([elements[k] for k in self._kept])
+        self.layout = replace(self.inner, slot_elements=tuple(shown))
         self.set_space("observation", self.layout.space)
 
-    def _changed(self) -> RecordLayout:
-        """Layout of what is shown."""
+    def _keeps(self, name: str) -> bool:
+        """Whether an element of a record is shown."""
         raise NotImplementedError
 
-    def _shown(
-        self, start: NDArray[np.float32], records: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def _changed(self, elements: list[Element]) -> list[Element]:
+        """Elements that are kept, as they are shown."""
+        return elements
+
+    def _shown(self, records: NDArray[np.float32]) -> NDArray[np.float32]:
         """Records (A, slots, size) as they are shown."""
-        raise NotImplementedError
+        return np.asarray(records[..., self._kept])
 
     def shown(self, observations: NDArray[np.float32], at: IndexArray) -> NDArray[np.float32]:
         """Observations with the records in the other layout."""
         start, records = self.inner.split(observations)
-        shown = self._shown(start, records)
-        return np.concatenate([start, shown.reshape(len(start), -1)], axis=1)
+        return np.concatenate([start, self._shown(records).reshape(len(start), -1)], axis=1)
 
 
 class MeasuredMinusNominal(_Records):
     """Shows statistics less what the nominal, healthy arm would show."""
 
-    def _changed(self) -> RecordLayout:
-        elements = self.inner.slot_elements
-        index = {each.name: k for k, each in enumerate(elements)}
-        twins = {k: index.get(_NOMINAL + each.name) for k, each in enumerate(elements)}
-        self._kept = [k for k, e in enumerate(elements) if not e.name.startswith(_NOMINAL)]
-        self._pairs = np.array(
-            [(k, twins[of]) for k, of in enumerate(self._kept) if twins[of] is not None],
-            dtype=np.intp,
-        ).reshape(-1, 2)
-        shown = [elements[k] for k in self._kept]
-        for k, twin in self._pairs:
-            own, other = shown[k], elements[twin]
-            shown[k] = replace(own, low=own.low - other.high, high=own.high - other.low)
-        return replace(self.inner, slot_elements=tuple(shown))
+    def _keeps(self, name: str) -> bool:
+        return not name.startswith(_NOMINAL)
 
-    def _shown(
-        self, start: NDArray[np.float32], records: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        shown = records[..., self._kept]
-        own, twin = self._pairs.T
+    def _changed(self, elements: list[Element]) -> list[Element]:
+        every = self.inner.slot_elements
+        index, shown = {each.name: k for k, each in enumerate(every)}, [*elements]
+        twins = [(k, index.get(_NOMINAL + each.name)) for k, each in enumerate(elements)]
+        pairs = [(k, of) for k, of in twins if of is not None]
+        self._pairs = np.array(pairs, dtype=np.intp).reshape(-1, 2)
+        for k, twin in self._pairs:
+            own, other = shown[k], every[twin]
+            shown[k] = replace(own, low=own.low - other.high, high=own.high - other.low)
+        return shown
+
+    def _shown(self, records: NDArray[np.float32]) -> NDArray[np.float32]:
+        shown, (own, twin) = super()._shown(records), self._pairs.T
         shown[..., own] -= records[..., twin]
         return shown
 
@@ -94,21 +92,9 @@ class MeasuredMinusNominal(_Records):
 class JointSideObservation(_Records):
     """Shows what torque and encoders give."""
 
-    def _changed(self) -> RecordLayout:
-        elements = self.inner.slot_elements
-        self._kept = [k for k, each in enumerate(elements) if _of_joints(each.name)]
-        return replace(self.inner, slot_elements=tuple(elements[k] for k in self._kept))
-
-    def _shown(
-        self, start: NDArray[np.float32], records: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
-        return np.asarray(records[..., self._kept])
-
-
-def _of_joints(name: str) -> bool:
-    """Whether torque, encoders and the excitation give an element of a record."""
-    group = name.partition(".")[0].removeprefix(_NOMINAL)
-    return group in _JOINT_SIDE or group.endswith("pose")
+    def _keeps(self, name: str) -> bool:
+        group = name.partition(".")[0].removeprefix(_NOMINAL)
+        return group in _JOINT_SIDE or group.endswith("pose")
 
 
 class PosteriorObservation(Change):

@@ -211,11 +211,10 @@ def write_dataset(
             action = action_of(batch.actions, code)
             steps["observations"].append(batch.observe(0))
             steps["action_masks"].append(batch.mask(0))
-            found = batch.step([0], [action])[0]
+            found = batch.step([0], [action])
             steps["actions"].append(action)
-            steps["rewards"].append(found.reward)
-            steps["terminals"].append(found.terminated)
-            steps["timeouts"].append(found.truncated)
+            for name, own in zip(("rewards", "terminals", "timeouts"), found.arrays, strict=True):
+                steps[name].append(own[0])
             steps["next_observations"].append(batch.observe(0))
         ends.append(len(steps["rewards"]))
     told = {f"{name}s": np.array([row[name] for row in rows]) for name in ("agent", "truth")}

@@ -234,7 +234,7 @@ def verdict(problem: Problem, probabilities: np.ndarray, surprise: float, **opti
     for _ in range(problem.settings.unsure_after):  # "unsure" counts from then on
         batch.step([0], [problem.actions.encode(levels=np.array([1, 0]))])
     action, _ = agent.predict(batch.observe(0))
-    return str(batch.step([0], [action])[0].info["verdict"])
+    return str(batch.step([0], [action]).info(0)["verdict"])
 
 
 def test_an_agent_that_is_surprised_or_knows_nothing_names_nothing(problem: Problem) -> None:

@@ -78,7 +78,7 @@ def test_with_every_joint_off_the_last_one_is_excited(
         env.reset(seed=0, options={"pose": np.zeros(2)})
         action = env.actions.encode(moves=np.array([4, 3]), levels=np.array(levels), duration=0)
         found.append(env.step(action)[:2])
-    assert [job.excitation.excited for job in spy.jobs] == [(False, True)] * 2
+    assert [trials.excited.tolist() for trials in spy.asked] == [[[False, True]]] * 2
     np.testing.assert_array_equal(found[0][0], found[1][0])
     assert found[0][1] == found[1][1] == pytest.approx(-(0.05 + 0.2 * 0.02 + 3 * 0.002))
 

@@ -129,6 +129,13 @@ def test_bad_input_is_told_what_is_allowed() -> None:
             made.step(action)  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match="known are \\['names', 'count'\\]"):
         made.reset(options={"fault": 1})
+    for options, words in (
+        (3, "options of reset\\(\\) are a mapping"),
+        ({"names": "payload@tool"}, "names are a list"),
+        ({"count": -1}, "count is a whole number"),
+    ):
+        with pytest.raises(InvalidSetting, match=words):
+            made.reset(options=options)  # type: ignore[arg-type]
     with pytest.raises(UnknownName, match="unknown arguments \\['speed'\\]"):
         gymnasium.make(GAP_ID, speed=3)
     with pytest.raises(UnknownName, match="unknown effect 'slack'; there are"):

@@ -157,6 +157,11 @@ def test_a_bad_setting_is_refused(make: Any, name: str, value: Any, words: str) 
         (lambda: DiagnosisSettings(difficulty=3), UnknownName, ("3", "'easy', 'default'")),  # type: ignore[arg-type]
         (lambda: hypotheses(planar(2), ("healthy", "rust")), UnknownName, ("rust", "backlash")),
         (lambda: Difficulty(kinds={"rust": 1.0}), UnknownName, ("'rust'", "'backlash'")),
+        (
+            lambda: Difficulty(kinds={"rotational_looseness": 1.0}),
+            InvalidSetting,
+            ("no posterior", "reset("),
+        ),
         (lambda: Difficulty(friction_over="mean"), InvalidSetting, ("friction_over", "'mean'")),  # type: ignore[arg-type]
         (lambda: Mismatch(mass=-0.1), InvalidSetting, ("mass", "zero or more", "-0.1")),
         (lambda: Drift(gain=-0.1), InvalidSetting, ("gain", "-0.1")),
@@ -239,7 +244,7 @@ def pairs() -> Iterator[list[tuple[Any, Any]]]:
             for pose in ([0.1], [0.1, 0.2, 0.3], [0.1, NAN], [INF, 0.0], "ab", 0.5)
         ),
         ({"pose": [0.0, 3.0]}, InvalidSetting, ("[0.0, 3.0]", "ranges", "2.617")),
-        ({"foult": 1}, UnknownName, ("'foult'", "fault, pose, mismatch_scale, preload_g")),
+        ({"foult": 1}, UnknownName, ("'foult'", "'fault', 'pose', 'mismatch_scale', 'preload_g'")),
         *(
             ({name: value}, InvalidSetting, (name, "finite number", repr(value)))
             for name in ("mismatch_scale", "preload_g")

@@ -54,14 +54,19 @@ def test_a_loose_link_shows_and_the_prior_knows_its_bounds() -> None:
     ("theta", "design", "words"),
     [
         (np.zeros((2, 3)), np.tile(STILL, (2, 1)), "theta is"),
+        (-np.ones((2, 9)), np.tile(STILL, (2, 1)), "contact_damping_high are zero or more, got -1"),
         (np.ones((2, 9)), np.tile(STILL, (3, 1)), "a design is"),
         (np.ones((2, 9)), np.tile(STILL, (2, 40, 1)), "12 records at most"),
     ],
 )
 def test_what_does_not_fit_is_refused(theta: Any, design: Any, words: str) -> None:
-    _, simulate = loose_env.simulator("loose_env/Planar-v0", **SHORT)
+    prior, simulate = loose_env.simulator("loose_env/Planar-v0", **SHORT)
     with pytest.raises(InvalidSetting, match=words):
         simulate(theta, design, np.random.default_rng(0))
+    with pytest.raises(InvalidSetting, match="a Generator; got 0"):
+        simulate(theta, design, 0)  # type: ignore[arg-type]
+    with pytest.raises(InvalidSetting, match="count is a whole number"):
+        prior.sample(np.random.default_rng(0), -1)
     for other in ("loose_env/Gap-v0", "CartPole-v1"):
         with pytest.raises(InvalidSetting, match="hides no fault of an arm"):
             loose_env.simulator(other)

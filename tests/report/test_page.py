@@ -108,9 +108,8 @@ def test_words_stand_out_from_what_they_stand_on(colours: Mapping[str, str]) -> 
             assert contrast(colours[words], colours[ground]) >= 4.5, (words, ground)
         assert contrast(colours["truth"], colours[ground]) >= 3.0  # large or bold where it is used
     # Numbers on joints.
-    assert contrast(colours["ink"], colours["cap"]) >= 4.5
+    assert contrast(colours["ink"], colours["body"]) >= 4.5
     assert contrast(colours["paper"], colours["edge"]) >= 4.5
-    assert contrast(colours["paper"], colours["held-cap"]) >= 4.5
 
 
 def test_a_figure_that_stands_alone_is_an_svg_with_its_own_colours() -> None:

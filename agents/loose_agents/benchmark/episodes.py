@@ -12,7 +12,7 @@ training.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -27,8 +27,9 @@ from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.evaluation import seed_of
 from loose_env.faults import SEVERAL_FAULTS, Fault
 from loose_env.registration import TIERS
-from loose_env.rig import Job, Measurement, ReducedRig, SimulatedRig
+from loose_env.rig import Records, ReducedRig, SimulatedRig, Trials
 from loose_env.sensors import SensorSuite
+from loose_env.typing import IndexArray
 
 UNLIKE: dict[str, tuple[str, Mapping[str, Any]]] = {
     "trained": ("as trained", {}),
@@ -72,20 +73,21 @@ class OtherArmRig:
 
     def __init__(self, rig: BatchRig, off: float = OFF) -> None:
         self.rig, self.off = rig, off
-        self._arm = rig.arm  # type: ignore[attr-defined]
 
-    def mount(self, slot: int, fault: Fault, mismatch: MismatchDraw | None = None) -> None:
-        """Put a new arm into a slot."""
-        draw = MismatchDraw.none(self._arm) if mismatch is None else mismatch
-        own = np.random.default_rng(draw.sensor.ravel().view(np.uint64))
-        length, mass = 1 + self.off * own.choice([-1.0, 1.0], (2, len(draw.length)))
-        self.rig.mount(
-            slot, fault, replace(draw, length=draw.length * length, mass=draw.mass * mass)
-        )
+    def mount_all(
+        self, slots: IndexArray, faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]
+    ) -> None:
+        """Put new arms into slots."""
+        others = []
+        for draw in mismatches:
+            own = np.random.default_rng(draw.sensor.ravel().view(np.uint64))
+            length, mass = 1 + self.off * own.choice([-1.0, 1.0], (2, len(draw.length)))
+            others.append(replace(draw, length=draw.length * length, mass=draw.mass * mass))
+        self.rig.mount_all(slots, faults, others)
 
-    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Take one measurement on each of several slots."""
-        return self.rig.measure_many(jobs)
+    def record(self, asked: Sequence[Trials]) -> Iterator[tuple[int, IndexArray, Records]]:
+        """Take measurements."""
+        return self.rig.record(asked)
 
 
 def arguments_for(kind: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
