@@ -20,7 +20,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import combinations
 from typing import NamedTuple
 
 import mujoco
@@ -29,7 +29,7 @@ import numpy as np
 from loose_env.doctor.corrections import Correction, corrected
 from loose_env.doctor.findings import Defect, Finding
 from loose_env.doctor.machine import Machine, forces_of, positions_of
-from loose_env.importing import filled, inverse_dynamics, median_step, smoothed
+from loose_env.importing import dry_friction, filled, inverse_dynamics, median_step, smoothed
 from loose_env.recording import Run
 from loose_env.typing import Array
 
@@ -64,9 +64,6 @@ LARGEST_OFFSET_S = 0.3
 first motion."""
 LEAST_OFFSET_S = 0.01
 """Least offset of them that is named [s]: below, rotor inertia and damping explain the same."""
-STANDARD_SPEED = 0.05
-"""Speed at which friction is 76 % of its slow value, over the joint's rms speed: noise of the
-differentiated positions is below."""
 TORQUE_BAND_HZ = 5.0
 """End of the band in which torques are compared [Hz]: that of arm motion."""
 TORQUE_POINTS = 300
@@ -239,26 +236,18 @@ class TorqueFit:
     def nuisance(self, rows: _Rows, k: int) -> Array:
         """Torque of friction, damping and rotor inertia of one each, and an offset (E, 4)."""
         speed, change = rows.v[:, self.measured[k]], rows.a[:, self.measured[k]]
-        direction = np.tanh(speed / max(STANDARD_SPEED * float(np.std(speed)), 1e-9))
-        return np.stack([direction, speed, change, np.ones_like(speed)], axis=1)
+        return np.stack([dry_friction(speed), speed, change, np.ones_like(speed)], axis=1)
 
     def with_friction(
         self, values: Array, rows: _Rows, k: int, *more: Array
     ) -> tuple[Array, float]:
         """Non-negative coefficients of further torques and friction; mean square of the rest."""
-        columns = np.column_stack([*more, self.nuisance(rows, k)])
+        from scipy.optimize import nnls  # half a second, and only recordings with torques need it
+
+        columns = np.column_stack([*more, self.nuisance(rows, k), -np.ones(len(values))])
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        normal, right = (columns / size).T @ (columns / size), values @ (columns / size)
-        best, least = np.zeros(len(size)), np.inf
-        # The least squares with some of the coefficients at 0; the offset has either sign.
-        for chosen in product((False, True), repeat=len(size) - 1):
-            own = np.flatnonzero([*chosen, True])
-            found = np.linalg.lstsq(normal[np.ix_(own, own)], right[own], rcond=None)[0]
-            rest = float(values @ values - found @ right[own])
-            if rest < least and (found[:-1] >= 0).all():
-                best, least = np.zeros(len(size)), rest
-                best[own] = found
-        return best / size, max(least, 0.0) / len(values)
+        found, rest = nnls(columns / size, values, maxiter=1000)  # the offset has either sign
+        return found / size, float(rest) ** 2 / len(values)
 
     def beyond(self, columns: Array) -> Array:
         """Torques (E, J, C) beyond friction and rotor inertia, over their spread (E J, C)."""

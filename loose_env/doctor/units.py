@@ -15,6 +15,7 @@ import numpy as np
 
 from loose_env.doctor.corrections import Correction
 from loose_env.doctor.findings import Defect, Finding
+from loose_env.importing import ratio_of
 from loose_env.typing import Array
 
 # Units and signs
@@ -128,11 +129,9 @@ def _reading(parts: list[Pair], units: Mapping[str, float], least: float) -> _Re
     own, power = float(measured @ measured), float(expected @ expected)
     if len(expected) < LEAST_BLOCKS or not own or power <= least**2 * len(expected):
         return None
-    product = float(measured @ expected)
-    correlation = product / np.sqrt(power * own)
+    ratio, correlation = ratio_of(float(measured @ expected), power, own)
     if abs(correlation) < SURE_CORRELATION:
         return None
-    ratio = float(np.copysign(np.sqrt(own / power), product))
     words = named_unit(ratio, units) or ""
     factor = 1 / units.get(words, 1.0)
     if ratio < 0 and (words or OPPOSITE[0] <= -ratio <= OPPOSITE[1]):

@@ -5,7 +5,7 @@ sources -> evidence -> targets -> roles -> proposal; pipeline.
 """
 
 from loose_env.importing.command_timing import command_delays, early_by
-from loose_env.importing.evidence import coding_of
+from loose_env.importing.evidence import coding_of, dry_friction, ratio_of
 from loose_env.importing.mapping import ImportMapping, read_mapping
 from loose_env.importing.pipeline import ImportSettings, import_recording
 from loose_env.importing.proposal import Proposal, proposal_text, propose
@@ -26,6 +26,7 @@ __all__ = [
     "coding_of",
     "command_delays",
     "drives_of",
+    "dry_friction",
     "early_by",
     "filled",
     "followers",
@@ -35,6 +36,7 @@ __all__ = [
     "median_step",
     "proposal_text",
     "propose",
+    "ratio_of",
     "read_mapping",
     "smoothed",
 ]

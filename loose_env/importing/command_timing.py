@@ -17,6 +17,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from loose_env.importing.evidence import dry_friction
 from loose_env.importing.resampling import filled, median_step, smoothed
 from loose_env.importing.targets import SMOOTHED, Drive, drives_of, joint_targets, needed_torques
 from loose_env.recording import CommandTiming, Run, last_known
@@ -32,8 +33,6 @@ _RUNS, _ROWS = 6, 4000
 """Runs, and rows of each about its middle, that are looked at."""
 _PIECES = 8
 """Pieces that are left out in turn for the standard deviation: residuals are correlated."""
-_DRY = 0.1
-"""Speed at which friction is 76 % of its slow value, over the joint's rms speed."""
 
 _STEPS = 4
 """Steps of Gauss and Newton: a delay is linear for a part of the motion's period only."""
@@ -125,10 +124,11 @@ def _terms(drive: Drive, step: float, parts: Sequence[_Part], late: float) -> tu
         command, q = (smoothed(x, SMOOTHED) for x in (asked, position))
         speed, inner = np.gradient(q, step), slice(SMOOTHED, -SMOOTHED)
         given = gear * (gain * command + bias + gear * (stiff * q + damped * speed))
-        dry = np.tanh(speed / (_DRY * np.std(speed) + 1e-12))
         later = -gear * gain * np.gradient(command, step)
         left.append((needed - given)[inner])
-        columns.append(np.stack([later, np.ones_like(q), speed, dry], axis=1)[inner])
+        columns.append(
+            np.stack([later, np.ones_like(q), speed, dry_friction(speed)], axis=1)[inner]
+        )
     return np.concatenate(left), np.concatenate(columns)
 
 

@@ -26,6 +26,7 @@ compared with a rate: arms move below 10 Hz."""
 _FALLS = 5.0
 """Factor by which the largest jump falls where values were wrapped around or had a sign bit."""
 _PERIODS = (2 * np.pi, 360.0, *(float(2**b) for b in (8, 10, 12, 13, 14, 16, 17, 20, 24, 32)))
+_TURNS = ("rev", "turn", "turns")
 _SIGN_BITS = (10, 11, 15, 31)
 SIZES = (1.0, 180 / math.pi, math.pi / 180, 30 / math.pi, 1 / 6, 60.0)
 """Ratios of a velocity to the derivative of a position, in all their units."""
@@ -109,6 +110,11 @@ class Likeness(NamedTuple):
     """Delay of the second behind the first [s]."""
 
 
+def dry_friction(speed: Array) -> Array:
+    """Direction of dry friction; at a tenth of the rms speed it has 76 % of its size."""
+    return np.tanh(speed / (0.1 * np.std(speed) + 1e-12))
+
+
 class Torque(NamedTuple):
     """What there is of a joint's torque in a channel."""
 
@@ -136,7 +142,7 @@ def torque_in(channel: Sequence[Array], needed: Sequence[Array], rates: Sequence
     load, own, speed = np.concatenate(rows, axis=1)
     if np.std(own) == 0 or np.std(load) == 0:
         return Torque()
-    beside = np.stack([speed, np.tanh(speed / (0.1 * np.std(speed) + 1e-9))], axis=1)
+    beside = np.stack([speed, dry_friction(speed)], axis=1)
     columns = np.column_stack([load, beside])
     share = np.linalg.lstsq(columns, own, rcond=None)[0]
     fitted, friction = columns @ share, beside @ share[1:]
@@ -164,8 +170,14 @@ def _averaged(values: Array, step: float) -> Array:
 
 def slope(first: Sequence[Array], second: Sequence[Array]) -> float:
     """Signed ratio of the spread of a second signal to that of the first."""
-    product, one, two = _products(_centred(first), _centred(second))
-    return math.copysign(math.sqrt(two / one), product) if one > 0 else 0.0
+    return ratio_of(*_products(_centred(first), _centred(second)))[0]
+
+
+def ratio_of(product: float, one: float, two: float) -> tuple[float, float]:
+    """Signed ratio of a second signal to a first one, and correlation, by their squares."""
+    if one <= 0 or two <= 0:
+        return 0.0, 0.0
+    return math.copysign(math.sqrt(two / one), product), product / math.sqrt(one * two)
 
 
 def _centred(runs: Sequence[Array]) -> list[Array]:
@@ -218,9 +230,8 @@ class Speed(NamedTuple):
 def speed_in(position: Signal, s: Signal) -> Speed:
     """Compare a channel with the derivative of a position."""
     product, one, two = _products(position.compared[0], s.compared[1])
-    value = product / math.sqrt(one * two) if one * two > 0 else 0.0
-    ratio = max(math.sqrt(two / one), 1e-12) if one > 0 else 1e-12
-    off = 0.0 if s.unit else min(abs(math.log(ratio / each)) for each in SIZES)
+    ratio, value = ratio_of(product, one, two)
+    off = 0.0 if s.unit else min(abs(math.log(max(abs(ratio), 1e-12) / each)) for each in SIZES)
     return Speed(math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value), value)
 
 
@@ -243,7 +254,7 @@ def decoded(values: Array, period: float | None, sign_bit: int | None) -> Array:
     return values
 
 
-def coding_of(values: Array) -> tuple[float | None, int | None]:
+def coding_of(values: Array, unit: str = "") -> tuple[float | None, int | None]:
     """Period at which values wrap around, and bit that holds their sign; None for neither.
 
     Examples
@@ -258,7 +269,7 @@ def coding_of(values: Array) -> tuple[float | None, int | None]:
         return None, None
     tried: list[tuple[float | None, int | None]] = [
         (period, None)
-        for period in _PERIODS
+        for period in (*_PERIODS, *[1.0] * (unit in _TURNS))
         if 0.5 * period < spread <= 1.001 * period and jump > 0.5 * period
     ]
     if np.min(values) >= 0 and np.all(values == np.round(values)):

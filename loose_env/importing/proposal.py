@@ -259,7 +259,7 @@ def _signals(
                             why[key] = _ALL_NAN if nan else str(error)
     coded = dict.fromkeys(units, (None, None)) | {
         key: found for own in reversed(read) for key, each in own.items()
-        if (found := coding_of(each.values)) != (None, None)
+        if (found := coding_of(each.values, units[key])) != (None, None)
     }  # fmt: skip
     bases = [
         on_one_base({k: replace(v, values=decoded(v.values, *coded[k])) for k, v in own.items()})

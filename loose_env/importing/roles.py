@@ -301,16 +301,35 @@ class Roles:
         best: tuple[float, list[tuple[float, int, Vector]]] = (0.0, [])
         for score, i, vector in scored:
             if score > -2.0 and set(vector.members) == set(self.joints):
-                for unit in ("rad", "deg"):
-                    own = {j: Scaling(unit).si(s.runs) for j, s in vector.members.items()}
-                    self._move(own, _ROWS)
-                    whole = self._loads(vector.members)
-                    if whole > best[0]:
-                        best = (whole, [(score + 4 * whole, i, vector)])
+                whole = max(self._weighed(vector.members, unit) for unit in ("rad", "deg"))
+                if whole > best[0]:
+                    best = (whole, [(score + 4 * whole, i, vector)])
         for *_, vector in best[1]:
             why = f"the torque that the model needs for it is in the log ({best[0]:.2f})"
             relations |= {s.sort: (0.0, why) for s in vector.members.values()}
         return best[1]
+
+    def _weighed(self, positions: Mapping[str, Signal], unit: str) -> float:
+        """How much torques, or an accelerometer, are what positions in a unit make of them."""
+        self._move({j: Scaling(s.unit or unit).si(s.runs) for j, s in positions.items()}, _ROWS)
+        return max(self._loads(positions), self._felt())
+
+    def _felt(self) -> float:
+        """Correlation of the accelerometer's axes with what the model feels, however mounted."""
+        kind, own = mujoco.mjtSensor.mjSENS_ACCELEROMETER, list[tuple[int, Signal]]()
+        for column, s, *_ in tool_sensors(self.model, self._free(), {}):
+            sensor = self.model.sensor(column[7:-2])
+            own += [(int(sensor.adr[0]), s)] * (int(sensor.type[0]) == kind)
+        if not own or not self.felt:
+            return 0.0
+        at, whole = own[0][0], np.concatenate(self.felt)
+        every = max(1, round(own[0][1].values.size / len(whole)))
+        read = np.stack([np.concatenate([v[::every] for v in s.smooth]) for _, s in own], axis=1)
+        if len(read) != len(whole):
+            return 0.0
+        implied = np.column_stack([whole[:, at : at + 3], np.ones(len(whole))])
+        left = read - implied @ np.linalg.lstsq(implied, read, rcond=None)[0]
+        return float(np.sqrt(max(0.0, 1 - left.var(axis=0).sum() / read.var(axis=0).sum())))
 
     def _loads(self, positions: Mapping[str, Signal]) -> float:
         """How much some vector is like the torques of positions; 0 where none is."""
@@ -337,24 +356,38 @@ class Roles:
         length = sum(len(v) for v in next(iter(motion.values()), []))
         self.rates = {j: [derivative(v, self.step) for v in own] for j, own in motion.items()}
         every = max(1, length // rows) if rows else 1
-        self.needed = needed_torques(self.model, motion, self.step, every)
+        self.felt = list[Array]()
+        self.needed = needed_torques(self.model, motion, self.step, every, self.felt)
 
     def _take_units(self) -> None:
-        """Units of positions, as stated or by the vector; the motion and its torques follow."""
+        """Units of positions, as stated, by a witness or the vector; motion and torques follow."""
         pairs = {j: (self.joints[j], s) for j, (s, _, _) in self.positions.items()}
-        speeds: dict[str, float] = {}
+        told: dict[str, tuple[float, str]] = {}
         for joint, (target, p) in pairs.items():
-            told = [s for s in self._free() if admits(s.unit, "velocity", slide=target.slide)
-                    and is_rate(p.unit, s.unit)]  # fmt: skip
-            rated = [(abs(speed_in(p, s).evidence), s) for s in told]
+            rated = [
+                (abs(speed_in(p, s).evidence), s)
+                for s in self._free()
+                if admits(s.unit, "velocity", slide=target.slide) and is_rate(p.unit, s.unit)
+            ]
             value, s = max(rated, key=lambda each: each[0], default=(0.0, p))
             ratio = abs(slope(p.rates, s.smooth)) if value >= ALIKE else 0.0
             # Minutes are in no ratio of units but that of turns and turns a minute.
             turns = abs(math.log(max(ratio, 1e-9) / 60)) < _MINUTES and not target.slide
             if ratio and (s.unit or turns):
-                speeds[joint] = 1 / (ratio * unit_named(s.unit or "rpm", "").factor)
+                size = 1 / (ratio * unit_named(s.unit or "rpm", "").factor)
+                told[joint] = size, "by the velocity beside"
+            elif not p.unit and (found := self._followed(joint)) and found[0].unit:
+                told[joint] = slope([found[2]], [found[1]]), f"by {found[0].key}, which it follows"
         defined = all(s.defined for _, s in pairs.values())
-        scalings = position_scalings(pairs, speeds, defined)
+        free = {j for j, (t, s) in pairs.items() if not (s.unit or t.limits or t.slide)} - {*told}
+        if free and not defined:
+            own = {j: s for j, (_, s) in pairs.items()}
+            loads = {unit: self._weighed(own, unit) for unit in ("rad", "deg")}
+            (least, other), (most, unit) = sorted((v, unit) for unit, v in loads.items())
+            if most > _LOADS:
+                words = f"by gravity: {most:.2f} in {unit}, {least:.2f} in {other}"
+                told |= dict.fromkeys(free, (1 / Scaling(unit).factor, words))
+        scalings = position_scalings(pairs, told, defined)
         scalings |= self._by_commands([j for j, scaling in scalings.items() if scaling is None])
         for joint, scaling in scalings.items():
             s, _, reason = self.positions[joint]
@@ -376,27 +409,32 @@ class Roles:
                 )
         self._move({j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()})
 
+    def _followed(self, joint: str) -> tuple[Signal, Array, Array] | None:
+        """Command that a position follows; the position, and the command in SI, both slow.
+
+        A servo follows slow commands as they are.
+        """
+        s, target = self.positions[joint][0], self.joints[joint]
+        own = [c for c in self._free() if self._label(c) in ("", joint)
+               and c.meaning.role in ("", "command")]  # fmt: skip
+        c = max(own, key=lambda c: self._alike(c, s).correlation, default=s)
+        if target.drive != "position" or c is s or self._alike(c, s).correlation < ALIKE:
+            return None
+        scaling = position_scalings({joint: (target, c)}, {}, defined=False)[joint]
+        if scaling is None:
+            return None
+        return c, s.averaged(_SLOW_S), scaling.si([c.averaged(_SLOW_S)])[0]
+
     def _by_commands(self, joints: Sequence[str]) -> dict[str, Scaling]:
         """Scalings of positions that no unit fits, by the commands that they follow together."""
-        found: dict[str, tuple[Array, Array, Signal]] = {}
-        for joint in (j for j in joints if self.joints[j].drive == "position"):
-            s, target = self.positions[joint][0], self.joints[joint]
-            own = [
-                c
-                for c in self._free()
-                if self._label(c) in ("", joint) and c.meaning.role in ("", "command")
-            ]
-            c = max(own, key=lambda c: self._alike(c, s).correlation, default=s)
-            told = position_scalings({joint: (target, c)}, {}, defined=False)[joint]
-            if not s.unit and c is not s and told and self._alike(c, s).correlation >= ALIKE:
-                # A servo follows slow commands as they are.
-                found[joint] = s.averaged(_SLOW_S), told.si([c.averaged(_SLOW_S)])[0], c
+        followed = {j: self._followed(j) for j in joints if not self.positions[j][0].unit}
+        found = {j: each for j, each in followed.items() if each is not None}
         slides = any(self.joints[joint].slide for joint in found)
-        words, per = counted([slope([x], [y]) for x, y, _ in found.values()], slides)
+        words, per = counted([slope([x], [y]) for _, x, y in found.values()], slides)
         return {
             joint: Scaling("m" if slides else "rad", per, float(np.median(y) - per * np.median(x)),
                            f"{words} and a zero by {c.key}, which it follows")
-            for joint, (x, y, c) in found.items() if words and self.joints[joint].slide == slides
+            for joint, (c, x, y) in found.items() if words and self.joints[joint].slide == slides
         }  # fmt: skip
 
     # --------------------------------------------------------------------- the other roles

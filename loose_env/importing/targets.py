@@ -304,11 +304,12 @@ def followers(model: mujoco.MjModel) -> list[str]:
 
 
 def needed_torques(
-    model: mujoco.MjModel, joints: Mapping[str, Sequence[Array]], step: float, every: int = 1
-) -> dict[str, list[Array]]:
+    model: mujoco.MjModel, joints: Mapping[str, Sequence[Array]], step: float, every: int = 1,
+    readings: list[Array] | None = None,
+) -> dict[str, list[Array]]:  # fmt: skip
     """Torques that the model needs for a measured motion [N·m or N], by joint and run.
 
-    Those of each so many rows, where ``every`` is more than 1.
+    Those of each so many rows, where ``every`` is more than 1; ``readings`` takes the sensor data.
 
     Positions are averaged over nine samples before they are differentiated. Joints that follow
     another by an equality move with it. Empty where the motion of a joint is not known, or where
@@ -338,8 +339,12 @@ def needed_torques(
         if length > 2:
             position = smoothed(position, SMOOTHED)
             velocity = np.gradient(position, step, axis=0)
-            motion = (position, velocity, np.gradient(velocity, step, axis=0))
-            torque = inverse_dynamics(model, *(each[::every] for each in motion))
+            change = np.gradient(velocity, step, axis=0)
+            position, velocity, change = (v[::every] for v in (position, velocity, change))
+            felt = np.zeros((len(torque), model.nsensordata))
+            torque = inverse_dynamics(model, position, velocity, change, felt)
+            if readings is not None:
+                readings.append(felt)
         for j, name in enumerate(names):
             found[name].append(torque[:, j])
     return found
@@ -423,21 +428,25 @@ def is_rate(unit: str, of: str) -> bool:
     return not own or not other or _RATE_OF.get(other) == own
 
 
+Told = tuple[float, str]
+"""Values of a position per rad or m, as a witness beside it has them, and the witness in words."""
+
+
 def position_scalings(
-    pairs: Mapping[str, tuple[JointTarget, Signal]], speeds: Mapping[str, float], defined: bool
+    pairs: Mapping[str, tuple[JointTarget, Signal]], told: Mapping[str, Told], defined: bool
 ) -> dict[str, Scaling | None]:
-    """Scaling of the position of each joint, by its speed beside it, too; None where none fits."""
-    ways = {joint: _ways(*pair, turns=bool(speeds)) for joint, pair in pairs.items()}
+    """Scaling of the position of each joint, as a witness tells, too; None where none fits."""
+    ways = {joint: _ways(*pair, turns=bool(told)) for joint, pair in pairs.items()}
     unstated = {j: t for j, (t, s) in pairs.items() if not s.unit}
     against: dict[str, float] = {}
     for way, prior in _AGAINST.items():
         alike = [j for j, t in unstated.items() if way in _ANY or t.slide == (way in _LENGTHS)]
         against[way] = prior - _DEFINED * (defined and way in ("rad", "m")) + sum(
-            _against(way, *pairs[j], ways[j][way], speeds.get(j)) if way in ways[j] else _UNFIT
+            _against(way, *pairs[j], ways[j][way], told.get(j)) if way in ways[j] else _UNFIT
             for j in alike
         )  # fmt: skip
     return {
-        joint: _chosen(*pair, ways[joint], against, speeds.get(joint), defined)
+        joint: _chosen(*pair, ways[joint], against, told.get(joint), defined)
         for joint, pair in pairs.items()
     }
 
@@ -460,9 +469,7 @@ def _ways(joint: JointTarget, s: Signal, *, turns: bool) -> dict[str, Scaling]:
     return found
 
 
-def _against(
-    way: str, joint: JointTarget, s: Signal, scaling: Scaling, speed: float | None
-) -> float:
+def _against(way: str, joint: JointTarget, s: Signal, scaling: Scaling, told: Told | None) -> float:
     """Score of one joint against a way to read its values."""
     ends = scaling.si([np.array([s.low, s.high])])[0]
     share = max(float(np.abs(ends).max()), 1e-9) / max(_end(joint), 1e-9)
@@ -472,7 +479,7 @@ def _against(
         found = 2.0 + 2.0 * math.log(max(share, 1.0))
     else:
         found = 0.0 if joint.limits is None else min(2.0, math.log(share / 0.5) ** 2 / 3)
-    return found + (0.0 if speed is None else 3 * abs(math.log(scaling.factor * speed)))
+    return found + (0.0 if told is None else 3 * abs(math.log(scaling.factor * told[0])))
 
 
 def _end(joint: JointTarget) -> float:
@@ -491,7 +498,7 @@ def _within(joint: JointTarget, ends: Sequence[float] | Array, margin: float = _
 
 def _chosen(
     joint: JointTarget, s: Signal, ways: Mapping[str, Scaling], against: Mapping[str, float],
-    speed: float | None, defined: bool,
+    told: Told | None, defined: bool,
 ) -> Scaling | None:  # fmt: skip
     """Scaling of one position: as stated, as its vector's, or its own where that does not fit."""
     unit = "m" if joint.slide else "rad"
@@ -510,23 +517,23 @@ def _chosen(
         return Scaling(s.unit, reason=f"{s.unit} as stated; {seen}{_exceeds(within)}")
 
     def fits(way: str, margin: float = _MARGIN) -> bool:
-        told = speed is not None or (defined and way == unit)
-        return told or _within(joint, ways[way].si([np.array([s.low, s.high])])[0], margin)
+        sure = told is not None or (defined and way == unit)
+        return sure or _within(joint, ways[way].si([np.array([s.low, s.high])])[0], margin)
 
     common = min(ways, key=lambda way: against[way], default="")
     if common and not fits(common, 0.5):
-        own = {w: _AGAINST[w] + _against(w, joint, s, ways[w], speed) for w in ways if fits(w)}
+        own = {w: _AGAINST[w] + _against(w, joint, s, ways[w], told) for w in ways if fits(w)}
         common = min(own, key=lambda way: own[way], default="")
     if not common:
         return None
     scaling = ways[common]
-    why = "by the velocity beside" if speed is not None else scaling.reason or scaling.unit
+    why = scaling.reason or scaling.unit if told is None else told[1]
     if defined and common == unit:
         why = f"{unit} as the format defines"
     also = "normalised" in ways and common == "deg"
     more = "; values normalised to -100..100 would look alike" if also else ""
     within = _within(joint, scaling.si([np.array([s.low, s.high])])[0])
-    return replace(scaling, reason=f"{seen}: {why}{_exceeds(within)}{more}")
+    return replace(scaling, reason=f"{seen}: {why}{_exceeds(within or limits is None)}{more}")
 
 
 def counted(pers: Sequence[float], slide: bool) -> tuple[str, float]:

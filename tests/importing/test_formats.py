@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from loose_env.cli.main import main
-from loose_env.importing import proposal_text, propose
+from loose_env.importing import inverse_dynamics, proposal_text, propose, smoothed
 from loose_env.importing.messages import _numbers
 from loose_env.recording import Recording, read_recording
 from tests.importing.arm_log import (
@@ -344,6 +344,39 @@ def test_turns_are_told_by_turns_a_minute(home: Path, motion: Motion) -> None:
     assert found == {f"sensor.{j}_pos": (f"phi_{i}", "rev", 1) for i, j in enumerate(JOINTS)} | {
         f"sensor.{j}_vel": (f"n_{i}", "rpm", 1) for i, j in enumerate(JOINTS)
     }
+
+
+@pytest.mark.parametrize("witness", ["command", "torque", "accelerometer"])
+@pytest.mark.parametrize(("unit", "size"), [("deg", 0.2), ("rad", 18.0)])
+def test_a_witness_tells_the_unit_of_joints_without_limits(
+    home: Path, motion: Motion, witness: str, unit: str, size: float
+) -> None:
+    tip = '<accelerometer name="tip" site="tip"/>'
+    arm = re.sub(r' range="[^"]*" limited="true"', "", ARM).replace("<sensor>", f"<sensor>{tip}")
+    arm = re.sub("(<body name=.lower.[^>]*>)", r'\1<site name="tip" pos=".2 0 0"/>', arm)
+    free, step = mujoco.MjModel.from_xml_string(arm), motion.time[1] - motion.time[0]
+    motions = [smoothed(smoothed(size * motion.position, 9), 9)]
+    motions += [np.gradient(motions[0], step, axis=0)]
+    motions += [np.gradient(motions[1], step, axis=0)]
+    felt = np.zeros((len(motion.time), free.nsensordata))
+    torque = inverse_dynamics(free, *motions, felt)
+    felt += 0.2 * np.random.default_rng(0).normal(size=felt.shape)
+    beside = {
+        "command": zip([f"{n}_cmd [rad]" for n in COMMANDS], size * motion.command.T, strict=True),
+        "torque": zip([f"{j}_torque" for j in JOINTS], torque.T, strict=True),
+        "accelerometer": zip(("acc_x", "acc_y", "acc_z"), felt.T[:3] / 9.81, strict=True),
+    }
+    own = size * (np.degrees(motion.position) if unit == "deg" else motion.position)
+    columns = {f"{j}_pos": own[:, i] for i, j in enumerate(JOINTS)} | dict(beside[witness])
+    proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], free)
+    found = {e.column: e.scaling.unit for e in proposal.columns if e.column.endswith("_pos")}
+    assert found == dict.fromkeys([f"sensor.{j}_pos" for j in JOINTS], unit)
+
+
+def test_turns_that_wrap_are_unwrapped(home: Path, motion: Motion) -> None:
+    columns = {f"{j}_pos [rev]": motion.position[:, i] / 2 % 1 for i, j in enumerate(JOINTS)}
+    proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL)
+    assert [e.candidate.period for e in proposal.columns] == [1.0, 1.0, 1.0]
 
 
 def test_numbered_channels_are_a_vector_beside_a_sensor_of_another_file(

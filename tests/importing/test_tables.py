@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from loose_env.cli.main import main
 from loose_env.importing import import_recording
@@ -75,6 +77,32 @@ def test_tables_are_recognised(
     assert [*table.columns] == [*columns]
     for name, values in columns.items():
         np.testing.assert_array_equal(table.columns[name], values)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    values=st.lists(
+        st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3), min_size=3, max_size=20
+    ),
+    separator=st.sampled_from([",", ";", "\t", "|", " "]),
+    comma=st.booleans(),
+    named=st.booleans(),
+    above=st.lists(st.sampled_from(["Logger 5", "made: today", ""]), max_size=3),
+    end=st.sampled_from(["\n", "\r\n"]),
+)
+def test_a_table_of_any_layout_keeps_its_numbers(
+    tmp_path_factory: pytest.TempPathFactory, values: list[list[float]], separator: str,
+    comma: bool, named: bool, above: list[str], end: str,
+) -> None:  # fmt: skip
+    comma &= separator != ","
+    rows = [[f"{v:.6f}".replace(".", "," if comma else ".") for v in row] for row in values]
+    lines = [*above, *[separator.join(row) for row in ([["a", "b", "c"]] * named + rows)]]
+    path = tmp_path_factory.mktemp("table") / "log.csv"
+    path.write_bytes((end.join(lines) + end).encode())
+    (table,) = open_log(path).first()
+    assert [*table.columns] == (["a", "b", "c"] if named else ["1", "2", "3"])
+    read = np.stack([*table.columns.values()], axis=1)
+    np.testing.assert_allclose(read, values, rtol=0, atol=1e-6)
 
 
 # ------------------------------------------------------------------------- dates
