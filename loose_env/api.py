@@ -201,7 +201,7 @@ def diagnose(
     >>> loose_env.diagnose("no/recording")
     Traceback (most recent call last):
         ...
-    loose_env.errors.InvalidData: there is no folder 'no/recording'; a recording is a folder
+    loose_env.errors.InvalidData: there is no folder 'no/recording'; a recording is a folder...
     """
     chosen = DiagnoseSettings(**_checked(DiagnoseSettings, settings))
     read = _recording(recording, model)

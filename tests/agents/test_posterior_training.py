@@ -294,11 +294,13 @@ def test_episodes_of_the_trained_kind_do_not_surprise_and_others_do(
 
 def test_another_arm_is_off_in_every_length_and_mass_and_the_same_each_time() -> None:
     draws: list[MismatchDraw] = []
-    rig: Any = SimpleNamespace(arm=planar(2), mount=lambda slot, fault, draw: draws.append(draw))
+    rig: Any = SimpleNamespace(
+        arm=planar(2), mount_all=lambda slots, faults, own: draws.extend(own)
+    )
     draw = Mismatch().draw(planar(2), np.random.default_rng(3))
     other = OtherArmRig(rig)
     for _ in range(2):
-        other.mount(0, Healthy(), draw)
+        other.mount_all(np.array([0]), [Healthy()], [draw])
     first, second = draws
     for name in ("length", "mass"):
         factor = getattr(first, name) / getattr(draw, name)

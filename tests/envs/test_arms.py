@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 from pathlib import Path
 from typing import Any
@@ -169,9 +168,11 @@ def test_an_episode_drifts_alike_beside_others_and_from_a_saved_state() -> None:
     action = batch.actions.encode(levels=np.array([3, 3]), duration=0)
     batch.step([0], [action])
     batch.step([0], [action])
-    batch.restore(1, copy.deepcopy(batch.episode(0)))
-    batch.step([0, 1], [action, action])
-    np.testing.assert_array_equal(batch.observe(0), batch.observe(1))
+    other = EpisodeBatch(ARM, DRIFTING, num=2, threads=1)
+    other.restore(batch.state())
+    for each in (batch, other):
+        each.step([0], [action])
+    np.testing.assert_array_equal(batch.observe(0), other.observe(0))
 
 
 @pytest.fixture(scope="module")
