@@ -79,8 +79,9 @@ class Import(Output):
         recording = import_recording(
             self.sources, self.mapping, self.out, self.settings, model=self.model, say=console.say
         )
+        count = len(recording.runs)
         return Outcome(
-            text=f"written: {self.out} ({len(recording.runs)} runs)",
+            text=f"written: {self.out} ({count} run{'s' * (count != 1)})",
             json=lambda: json_text({"format": IMPORTED, **contents(recording)}),
         )
 

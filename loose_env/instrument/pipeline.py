@@ -480,6 +480,7 @@ def _places(
     found = []
     for rank, place in enumerate(scores.order):
         kind, at = place.split("@", 1)
+        timing = float(rhythm.timing[names == place].max())
         best = scores.best[place]
         chance = scores.probability[place] if alarm.loose else 0.0
         direction = None
@@ -488,7 +489,11 @@ def _places(
             direction = (round(float(d[0]), 5), round(float(d[1]), 5), round(float(d[2]), 5))
         verdict: PlaceVerdict
         if alarm.loose and rank == 0 and settled:
-            verdict, why = "loose", alarm.reasons[0]
+            verdict = "loose"
+            why = f"it knocks: correlation {timing:.2f}, evidence {scores.knocks[place]:.1f} nats"
+            if direction is not None:
+                ways = ", ".join(f"{x:.2f}" for x in direction)
+                why += f"; it slides along ({ways}) of its frame"
         elif alarm.loose and (chance >= _LISTED or rank == 0) and not settled:
             verdict = "suspect"
             alone = rank == 0 and chance > 1 - _LISTED
@@ -505,7 +510,9 @@ def _places(
             most = float(f"{np.median(rhythm.held[lattice == place]):.2g}")
             held = f"{most:g} {'N·m' if turns else 'N'}"
             why = f"its load reversed by up to {held}, and " + (
-                "another place fits what was heard better" if alarm.loose else "it was not heard"
+                "rhythm and direction fit another place better"
+                if alarm.loose
+                else "it was not heard"
             )
         else:
             verdict, why = "not tested", _untested_words(shares[place], kind)
@@ -515,7 +522,7 @@ def _places(
                 at=at,
                 verdict=verdict,
                 probability=round(float(chance), 4),
-                rhythm=round(float(rhythm.timing[names == place].max()), 4),
+                rhythm=round(timing, 4),
                 tested=round(shares[place], 3),
                 direction=direction,
                 why=why,
@@ -541,7 +548,7 @@ def _words(places: Sequence[Place], alarm: Alarm, *, settled: bool, hobby: bool)
         )
     if alarm.mount:
         return (
-            f"Nothing knocks, but the accelerometer's mount is loose: {alarm.mount}.",
+            f"Nothing knocks, but the accelerometer's mount may be loose: {alarm.mount}.",
             "Screw or glue the accelerometer to bare metal, and repeat the session.",
         )
     if alarm.louder:
@@ -556,7 +563,8 @@ def _words(places: Sequence[Place], alarm: Alarm, *, settled: bool, hobby: bool)
             return f"{headline}.", "Nothing to do; keep the recording as the healthy reference."
         return (
             f"{headline}, {len(untested)} {'was' if len(untested) == 1 else 'were'} not tested.",
-            f"To test {untested[0].words} too: loose plan --known, with its poses.",
+            f"To test {untested[0].words if len(untested) == 1 else 'these'} too: "
+            "loose plan --known, with its poses.",
         )
     top = places[0]
     if hobby:

@@ -105,7 +105,8 @@ def _under_test(plan: Plan) -> list[PlannedRun]:
 
 def _headline(plan: Plan) -> str:
     poses = {tuple(run.pose.items()) for run in _under_test(plan)}
-    return f"Shake the arm in {len(poses)} poses, {plan.seconds:.0f} s in all"
+    first = "" if plan.sweep is None else f"Play {SWEEP} and plan again. Then s"
+    return f"{first or 'S'}hake the arm in {len(poses)} poses, {plan.seconds:.0f} s in all"
 
 
 def _signal_words(plan: Plan) -> str:
