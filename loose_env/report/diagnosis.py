@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _EVIDENCE = {
     "knocks": ("Evidence for the knocks of the best place", " nats", ""),
     "rhythm": ("Correlation of the best place's foretold knocks with what was heard", "", ""),
+    "chance": ("Correlation of some place with what was heard at other times", "", ""),
     "top_db": ("Rise of the ringing over the healthy session", " dB", "top_db"),
     "even_db": ("Rise of the even lines", " dB", ""),
     "odd_db": ("Rise of the odd lines left out", " dB", ""),
