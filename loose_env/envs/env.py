@@ -241,8 +241,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     it carries (`loose_env.faults.preloaded`), `{"pose": ...}` sets the first pose.
 
     ## Version History
-    * v1, of `SixAxis`, `Scara`, `Arm` and the tiers on six axes: hinges of more than a whole turn
-      show their place in their range, without which the pose was ambiguous
+    * v1, where hinges turn by more than a whole turn: they show their place in their range
     * v0: first version
 
     Examples
