@@ -108,8 +108,12 @@ def trains(
     mass, gap, friction, louds = (np.concatenate([own[k] for own in carried]) for k in range(1, 5))
     load = np.concatenate([own[0].T for own in carried], axis=1).T  # time first, as knocks has it
     energy = rung(knocks(load, mass, gap, friction, period), _RING_S, period) * louds[:, None]
-    return [np.vstack([own[:-AXES], own[-AXES:-ROCKS] + own[-ROCKS:]])
-            for own in np.split(energy, len(loads))]  # fmt: skip
+    return [_of_plates(own) for own in np.split(energy, len(loads))]
+
+
+def _of_plates(each: Array, join: np.ufunc = np.add) -> Array:
+    """Values of seats, joints and turns of the base, of those of its axes: two make a plate."""
+    return np.concatenate([each[:-AXES], join(each[-AXES:-ROCKS], each[-ROCKS:])])
 
 
 def _carried(
@@ -168,9 +172,7 @@ def thrown(loads: Loads, directions: Array) -> Array:
     each = _of_each(loads, directions)
     seats = np.concatenate([own @ to.T for own, to in zip(each, loads.throws, strict=True)])
     every = np.vstack([seats, loads.turns])
-    made = every[:, :, None] * every[:, None, :]
-    made = np.concatenate([made[:-AXES], made[-AXES:-ROCKS] + made[-ROCKS:]])
-    made += _STILL * np.eye(3)
+    made = _of_plates(every[:, :, None] * every[:, None, :]) + _STILL * np.eye(3)
     found: Array = made / np.trace(made, axis1=1, axis2=2)[:, None, None]
     return found
 
@@ -188,6 +190,4 @@ def reversing(loads: Loads, directions: Array, slides: Array) -> Array:
     n = len(loads.seats)
     load = np.concatenate([directions @ loads.seats[link].T for link in range(n)] + [loads.turning])
     friction = friction_of(loads, len(directions), slides)
-    each = np.minimum(load.max(1), -load.min(1)) / friction
-    found: Array = np.append(each[:-AXES], np.maximum(each[-AXES:-ROCKS], each[-ROCKS:]))
-    return found
+    return _of_plates(np.minimum(load.max(1), -load.min(1)) / friction, np.maximum)

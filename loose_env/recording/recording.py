@@ -198,8 +198,8 @@ def read_recording(folder: str | Path, *, model: str | Path | None = None) -> Re
     except (OSError, RuntimeError, TypeError, ValueError) as error:
         raise InvalidData(f"{folder!r} is no folder: {error}") from None
     if not there:
-        hint = "; 'loose import' makes one from a log"
-        raise InvalidData(f"there is no folder {str(folder)!r}; a recording is a folder{hint}")
+        words = f"there is no folder {str(folder)!r}; a recording is a folder"
+        raise InvalidData(f"{words}; 'loose import' makes one from a log")
     if not os.path.lexists(home / DESCRIPTION):
         hint = f"there is no file {DESCRIPTION!r} in {home}; 'loose import' makes one from a log"
         raise InvalidData(f"{home.name}: {hint}")
