@@ -115,34 +115,28 @@ def dry_friction(speed: Array) -> Array:
     return np.tanh(speed / (0.1 * np.std(speed) + 1e-12))
 
 
-class Torque(NamedTuple):
-    """What there is of a joint's torque in a channel."""
+class Agreement(NamedTuple):
+    """What there is of what the model predicts for a motion in the channels of a witness."""
 
     whole: float = 0.0
-    """Correlation with the torque that the model needs, and friction; negative if reversed [1]."""
+    """Correlation with it and what acts beside it: friction, or another mount of a sensor [1]."""
     alone: float = 0.0
-    """Correlation with the torque that the model needs [1]."""
+    """Correlation with it as the model has it; negative if reversed [1]."""
     per: float = 0.0
-    """Torque that the model needs for each of its units [N·m or N]."""
+    """Predicted SI units for each of the channels' units."""
 
 
-def torque_in(channel: Sequence[Array], needed: Sequence[Array], rates: Sequence[Array]) -> Torque:
+def torque_in(
+    channel: Sequence[Array], needed: Sequence[Array], rates: Sequence[Array]
+) -> Agreement:
     """What there is of a torque in a channel, by the torque needed for the motion and its speed.
 
-    Friction is viscous and dry. Torques may be those of every so many rows.
+    Friction is viscous and dry: ``whole`` is negative where load or friction is reversed.
     """
-    rows = []
-    for own, load, speed in zip(channel, needed, rates, strict=True):
-        every = max(1, round(len(own) / len(load))) if len(load) else 1
-        parts = [each[::every] for each in (own, speed)]
-        if len(load) > 3 and len(parts[0]) == len(parts[1]) == len(load):
-            rows.append(np.stack([load - load.mean(), parts[0] - parts[0].mean(), parts[1]]))
-    if not rows:
-        return Torque()
-    load, own, speed = np.concatenate(rows, axis=1)
+    load, own, speed, dry = _rows(needed, channel, rates, [dry_friction(v) for v in rates])
     if np.std(own) == 0 or np.std(load) == 0:
-        return Torque()
-    beside = np.stack([speed, dry_friction(speed)], axis=1)
+        return Agreement()
+    beside = np.stack([speed, dry], axis=1)
     columns = np.column_stack([load, beside])
     share = np.linalg.lstsq(columns, own, rcond=None)[0]
     fitted, friction = columns @ share, beside @ share[1:]
@@ -153,7 +147,32 @@ def torque_in(channel: Sequence[Array], needed: Sequence[Array], rates: Sequence
     larger = np.std(load) * abs(share[0]) > np.std(friction)
     sign = float(share[0]) if larger else float(np.mean(friction * speed))
     size = abs(share[0]) if share[0] * alone > 0 else np.std(own) / np.std(load) * abs(alone)
-    return Torque(math.copysign(whole, sign), alone, float(1 / size) if size > 0 else 0.0)
+    return Agreement(math.copysign(whole, sign), alone, float(1 / size) if size > 0 else 0.0)
+
+
+def sensed_in(axes: Sequence[Sequence[Array]], readings: Sequence[Sequence[Array]]) -> Agreement:
+    """What there is of a tool sensor in the channels of its axes, by what the model reads there."""
+    rows = _rows(*readings, *axes)
+    read, own = rows[: len(readings)].T, rows[len(readings) :].T
+    if not own.any() or not read.any():
+        return Agreement()
+    fitted = read @ np.linalg.lstsq(read, own, rcond=None)[0]
+    whole = np.linalg.norm(fitted) / np.linalg.norm(own)
+    alone = np.sum(read * own) / np.linalg.norm(read) / np.linalg.norm(own)
+    per = np.linalg.norm(read) / (np.linalg.norm(fitted) + 1e-12)
+    return Agreement(float(whole), float(alone), float(per))
+
+
+def _rows(few: Sequence[Array], *others: Sequence[Array]) -> Array:
+    """Signals about their means, at every so many rows as the first has."""
+    rows = []
+    for first, *own in zip(few, *others, strict=True):
+        every = max(1, round(len(own[0]) / len(first))) if len(first) else 1
+        parts = [first, *(v[::every] if len(v) > len(first) else v for v in own)]
+        if len(first) > 3 and {len(part) for part in parts} == {len(first)}:
+            rows.append(np.stack(parts))
+    whole = np.concatenate(rows, axis=1) if rows else np.zeros((1 + len(others), 1))
+    return np.asarray(whole - whole.mean(axis=1, keepdims=True))
 
 
 def derivative(values: Array, step: float) -> Array:

@@ -388,7 +388,7 @@ def _line(each: Line, several: bool) -> str:
     parts += [f"channel = {quoted(s.key.channel)}"]
     parts += [f"unit = {quoted(scaling.unit)}"] if scaling.unit else []
     parts += [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
-    parts += [f"sign = {each.sign}"] if each.sign != 1 else []
+    parts += [f"sign = {scaling.sign}"] if scaling.sign != 1 else []
     parts += [f"offset = {scaling.offset:.9g}"] if scaling.offset else []
     parts += [f"period = {s.period:.9g}"] if s.period is not None and each.column else []
     parts += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None and each.column else []

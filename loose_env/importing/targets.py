@@ -15,12 +15,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import mujoco
 import numpy as np
 
-from loose_env.importing.evidence import Signal
+from loose_env.importing.evidence import Agreement, Signal, sensed_in
 from loose_env.importing.names import Role
 from loose_env.importing.resampling import smoothed
 from loose_env.importing.units import nearest_unit, quantity_of, unit_named
@@ -212,52 +212,88 @@ def vector_orders(model: mujoco.MjModel) -> list[list[str]]:
     return orders
 
 
-_TURNING = {"gyro", "gyr", "gyroscope", "angular"}
 _GRAVITY = 0.2
-"""Share by which the mean over a second of an accelerometer that no name tells may be
-off 1 g [1]."""
+"""Share by which the mean over a second of an accelerometer may be off 1 g, where no name tells
+it [1]."""
+_TOOLS = (
+    (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration", ("g", "m/s^2", "mg"),
+     {"a", "acc", "accel", "acceleration", "accelerometer"}),
+    (mujoco.mjtSensor.mjSENS_GYRO, "angular speed", ("rad/s", "deg/s"),
+     {"g", "gyro", "gyr", "gyroscope", "angular"}),
+)  # fmt: skip
+
+
+class Tool(NamedTuple):
+    """The model's only sensor of a kind, and the channels of its axes."""
+
+    name: str
+    quantity: str
+    axes: list[Signal]
+    agreement: Agreement
+    """With what the model reads there; zeros where that is not known."""
+    scaling: Scaling | None
+    """None where neither a unit nor the motion tells it."""
+    fits: bool
 
 
 def tool_sensors(
-    model: mujoco.MjModel, free: Sequence[Signal], rates: Mapping[str, Sequence[Array]]
-) -> Iterator[tuple[str, Signal, str, str]]:
-    """Channels of the model's only accelerometer and gyro: column, channel, unit, and reason.
+    model: mujoco.MjModel, free: Sequence[Signal], felt: Sequence[Array], told: float, untold: float
+) -> Iterator[Tool]:
+    """Channels that the model's only accelerometer and gyro would read, by the readings ``felt``.
 
-    An accelerometer's unit is the one in which its mean over a second is 1 g; a gyro's the one in
-    which it is not much faster than the fastest joint.
+    Three channels whose names differ in their axis are taken where name or unit tells the
+    quantity, and they agree by ``told`` or gravity is in them; others where as many in a row agree
+    by ``untold``, as the model mounts the sensor. An accelerometer's unit is the one in which its
+    mean over a second is 1 g; that of a gyro follows from the motion.
     """
-    kinds = (
-        (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration",
-         {"acc", "accel", "acceleration", "accelerometer"}),
-        (mujoco.mjtSensor.mjSENS_GYRO, "angular speed", _TURNING),
-    )  # fmt: skip
-    for kind, quantity, words in kinds:
+    groups: dict[object, dict[str, Signal]] = {}
+    for s in free:
+        stem, axis = s.meaning.axis
+        groups.setdefault((s.source, s.key.topic, stem), {}).setdefault(axis, s)
+    named = [[g[k] for k in sorted(g, key=lambda k: (len(k), k))] for g in groups.values()]
+    rest = [s for s in free if not s.unit and s.meaning.role in ("", "acceleration")]
+    rows = [[*own] for own in zip(rest, rest[1:], rest[2:], strict=False)]
+    for kind, quantity, units, words in _TOOLS:
+        others = set().union(*(each for *_, each in _TOOLS)) - words
         ids = np.flatnonzero(model.sensor_type == kind)
-        name = model.sensor(int(ids[0])).name if len(ids) == 1 else ""
-        own, told = dict[str, Signal](), True
-        for s in free:
-            stated, named = quantity_of(s.unit), bool(set(s.meaning.words) & words)
-            alone = stated == quantity
-            # A file's name may be all that says acceleration: then gravity has to be in it.
-            beside = quantity == s.meaning.role and not set(s.meaning.words) & _TURNING
-            if s.meaning.axis and (alone or ((named or beside) and stated in ("", quantity))):
-                own.setdefault(s.meaning.axis, s)
-                told &= alone or named
-        if not name or len(own) != 3:
-            continue
-        if quantity == "acceleration":
-            still = [own[axis].averaged(1.0) for axis in "xyz"]
-            norm = float(np.median(np.linalg.norm(still, axis=0)))
-            unit, off = nearest_unit(norm / STANDARD_GRAVITY, ("g", "m/s^2", "mg"))
-            if not told and off > _GRAVITY:
+        found: list[tuple[float, Tool]] = []
+        for own in (g for g in (*named, *rows) if len(g) == 3 and len(ids) == 1):
+            if {len(s.values) for s in own} != {len(own[0].values)} or not len(own[0].values):
                 continue
-        else:
-            joint = max((float(np.std(np.concatenate(v))) for v in rates.values()), default=0.0)
-            fast = max(float(np.std(s.values)) for s in own.values())
-            unit = "deg/s" if joint > 0 and fast / joint > 10 else "rad/s"
-        for axis in "xyz":
-            reason = f"the model's only sensor of {quantity}; check its axes by loose doctor"
-            yield f"sensor.{name}.{axis}", own[axis], own[axis].unit or unit, reason
+            stated = {quantity_of(s.unit) for s in own}
+            at = int(model.sensor_adr[ids[0]])
+            read = [[v[:, at + i] for v in felt] for i in range(3)]
+            like = sensed_in([s.smooth for s in own], read) if felt else Agreement()
+            still = np.linalg.norm([s.averaged(1.0) for s in own], axis=0)
+            heavy = nearest_unit(float(np.median(still)) / STANDARD_GRAVITY, units)
+            weighs = quantity == "acceleration" and heavy[1] < _GRAVITY
+            stems = [set(s.meaning.axis[0]) for s in own]
+            called = all(stem & words for stem in stems) or stated == {quantity}
+            # A file's name may be all that says acceleration: then gravity has to be in it.
+            beside = weighs and not any(stem & others for stem in stems)
+            beside = beside and all(s.meaning.role == "acceleration" for s in own)
+            agrees = not felt or quantity == "acceleration" or like.whole >= told
+            sure = like.alone >= untold or (own in named and like.whole >= untold)
+            if not stated <= {"", quantity} or own[0].source != own[2].source:
+                continue
+            if called or beside or sure:
+                unit = own[0].unit or (heavy[0] if quantity == "acceleration" else "")
+                scaling = _tool_scaling(like.per, unit or "rad/s" * own[0].defined)
+                name = model.sensor(int(ids[0])).name
+                tool = Tool(name, quantity, own, like, scaling, sure or agrees)
+                found.append((tool.fits + called + like.whole, tool))
+        if found:
+            yield max(found, key=lambda each: each[0])[1]
+
+
+def _tool_scaling(per: float, unit: str) -> Scaling | None:
+    """Scaling of a tool sensor: as stated, else in the unit that the motion tells, or by itself."""
+    if unit or not per:
+        return Scaling(unit) if unit else None
+    best, off = nearest_unit(1 / per, ("rad/s", "deg/s"))
+    if off < math.log(NEAR):
+        return Scaling(best, reason=f"{best} by the motion ({per:.4g} rad/s each)")
+    return Scaling("rad/s", per, reason="in no unit: scaled by the motion")
 
 
 def inverse_dynamics(
@@ -336,15 +372,15 @@ def needed_torques(
                 x = position[:, leader] if leader >= 0 else np.zeros(length)
                 position[:, names.index(name)] = np.polynomial.polynomial.polyval(x, poly)
         torque = np.zeros((len(position[::every]), model.nv))
+        felt = np.zeros((len(torque), model.nsensordata))
         if length > 2:
             position = smoothed(position, SMOOTHED)
             velocity = np.gradient(position, step, axis=0)
             change = np.gradient(velocity, step, axis=0)
             position, velocity, change = (v[::every] for v in (position, velocity, change))
-            felt = np.zeros((len(torque), model.nsensordata))
             torque = inverse_dynamics(model, position, velocity, change, felt)
-            if readings is not None:
-                readings.append(felt)
+        if readings is not None:
+            readings.append(felt)
         for j, name in enumerate(names):
             found[name].append(torque[:, j])
     return found
@@ -397,11 +433,12 @@ class Scaling:
     offset: float = 0.0
     """[rad or m]"""
     reason: str = ""
+    sign: int = 1
 
     @property
     def factor(self) -> float:
         """Factor from the channel's values to SI units."""
-        return self.scale * (unit_named(self.unit, "").factor if self.unit else 1.0)
+        return self.sign * self.scale * (unit_named(self.unit, "").factor if self.unit else 1.0)
 
     def si(self, runs: Sequence[Array]) -> list[Array]:
         """Values of runs in SI units."""
