@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -369,14 +370,21 @@ def source_name(given: str, taken: Container[str]) -> str:
 
 
 def _run_names(proposal: Proposal) -> list[str]:
-    """Names of the runs: of their files or folders; numbers where a run has several."""
-    if len(proposal.runs) == 1:
-        return [*proposal.logs][:1]
+    """Names of the runs: of their file or folder, or the words that the names of all files share.
+
+    A number alone is that of a run: ``robot-03.csv`` and ``acc-03.csv`` make ``run-03``.
+    """
     taken: dict[str, None] = {}
     for i, run in enumerate(proposal.runs):
-        folders = {file.split("/")[0] for file in run.values()}
-        call = folders.pop() if len(folders) == 1 else f"run-{i + 1:02d}"
-        taken[source_name(next(iter(run.values())) if len(run) == 1 else call, taken)] = None
+        paths = [Path(file) for file in run.values()]
+        words = [re.split(r"[-_. ]+", path.stem) for path in paths]
+        shared = [word for word in words[0] if all(word in other for other in words)]
+        call = "-".join(shared) or str(i + 1)
+        if len({*run.values()}) == 1:
+            call = next(iter(run.values()))
+        elif len({path.parent for path in paths}) == 1 and paths[0].parent.name:
+            call = paths[0].parent.name
+        taken[source_name(f"run-{int(call):02d}" if call.isdigit() else call, taken)] = None
     return [*taken]
 
 

@@ -33,6 +33,7 @@ MODEL = mujoco.MjModel.from_xml_string(ARM)
 COMMANDS = ("pan", "lift", "bend")
 ALL = {f"sensor.{n}_pos" for n in JOINTS} | {f"ctrl.{n}" for n in COMMANDS}
 RATES = {f"sensor.{n}_vel" for n in JOINTS}
+POSITIONS, ORDERS = (" ".join(f"{j}_{word}" for j in JOINTS) for word in ("pos", "cmd"))
 
 
 @pytest.fixture
@@ -297,6 +298,24 @@ def test_a_position_with_the_unit_of_another_quantity_is_left(home: Path, motion
     assert [left.candidate.key.channel for left in proposal.unassigned] == ["shoulder_lift_pos [g]"]
 
 
+@pytest.mark.parametrize(
+    ("names", "run"),
+    [("sweep sweep-acc", "sweep"), ("robot-7 cmd-7", "run-07"), ("states commands", "run-01"),
+     ("run-03.robot run-03.cmd", "run-03")],
+)  # fmt: skip
+def test_a_run_of_two_files_has_the_name_that_both_share(
+    home: Path, motion: Motion, names: str, run: str
+) -> None:
+    first, second = (f"{home}/{name}.csv" for name in names.split())
+    position, command = motion.position.T, motion.command.T
+    written(
+        Path(first), {"time": motion.time, **dict(zip(POSITIONS.split(), position, strict=True))}
+    )
+    written(Path(second), {"time": motion.time, **dict(zip(ORDERS.split(), command, strict=True))})
+    text = proposal_text(propose([first, second], MODEL), "arm.xml")
+    assert tomllib.loads(text)["runs"][0]["file"] == run
+
+
 def test_files_of_a_folder_are_one_run(home: Path, motion: Motion) -> None:
     for k, folder in enumerate((home / "a", home / "b")):
         folder.mkdir()
@@ -305,6 +324,7 @@ def test_files_of_a_folder_are_one_run(home: Path, motion: Motion) -> None:
             written(folder / f"{name}.csv", {"time": motion.time, **columns})
     proposal = propose([str(home / "a"), str(home / "b")], MODEL)
     runs = [sorted(run.values()) for run in proposal.runs]
+    assert 'file = "a"' in proposal_text(proposal, "arm.xml")
     assert runs == [[f"{k}/commands.csv", f"{k}/states.csv"] for k in "ab"]
     assert len([each for each in proposal.columns if not each.open]) == 6
 
@@ -557,9 +577,6 @@ def guess(home: Path, xml: str, motion: Motion, *blocks: tuple[str, np.ndarray])
         log |= dict(zip(names.split(), values.T, strict=True))
     proposal = propose([written(home / "log.csv", log)], mujoco.MjModel.from_xml_string(xml))
     return {each.column: each for each in proposal.columns if not each.open}
-
-
-POSITIONS, ORDERS = (" ".join(f"{j}_{word}" for j in JOINTS) for word in ("pos", "cmd"))
 
 
 @pytest.mark.parametrize(
