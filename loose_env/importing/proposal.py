@@ -130,9 +130,10 @@ def propose(
     runs = _runs(logs)
     signals = _signals(logs, runs, {t.name: t.aliases for t in joint_targets(model)})
     roles = Roles(model, signals).found()
-    columns, left = (*roles.lines.values(), *roles.open), roles.left()
-    refused = "" if any(not c.startswith("ctrl.") for c in roles.lines) else _nothing(
-        logs, roles, left, [*ModelColumns.of(model).known])  # fmt: skip
+    known, left = [*ModelColumns.of(model).known], roles.left()
+    order = sorted(roles.lines, key=lambda c: (c.startswith("ctrl."), known.index(c)))
+    columns = (*(roles.lines[column] for column in order), *roles.open)
+    refused = _nothing(logs, roles, left, known) if all(c[:5] == "ctrl." for c in order) else ""
     taken = {line.candidate.source for line in roles.lines.values()}
     for name in [name for name in logs if taken and name not in taken]:
         notes.append(f"{name}: none of its channels is used")

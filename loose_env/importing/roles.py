@@ -179,6 +179,10 @@ class Roles:
         only = next(iter(self.joints)) if len(self.joints) == 1 else ""
         return s.meaning.joint or self.places.get(s.sort, only)
 
+    def _place(self, s: Signal) -> tuple[str, int | None]:
+        """Joint and number of a channel by its name."""
+        return self._label(s), s.meaning.index
+
     def _vectors(self) -> list[Vector]:
         """Channels that belong together by their names, by brackets, or by their order."""
         found: list[Vector] = []
@@ -253,7 +257,7 @@ class Roles:
         score, words = (-3.0 if is_of else 0.0), ""
         if rate > is_of:
             score, words = 1.0 + rate, f"{other.key} is its derivative ({rate:.2f})"
-        follows, apart, leads = -math.inf, 0.0, False
+        follows, apart, leads, lead = -math.inf, 0.0, False, ""
         for d in others:
             same = {quantity_of(d.unit), quantity_of(s.unit)} - {""}
             if d is s or len(same) > 1 or d.meaning.role not in ("", "position", "command"):
@@ -264,10 +268,11 @@ class Roles:
             leads |= like.lag < -_TOGETHER * self.step
             # Of two sensors of a joint, one before its gear, a command is in the unit of the other.
             size = min(abs(math.log(abs(slope(d.runs, s.runs)) * each)) for each in SIZES)
-            if like.lag > _TOGETHER * self.step and like.correlation - size > follows:
-                follows, apart = like.correlation, min(size, 0.5)
-                words = words or f"follows {d.key} by {like.lag:.3g} s ({like.correlation:.2f})"
-        return score + (2.0 - apart if follows > -math.inf else -2.0 if leads else 0.0), words
+            near = like.correlation - size - _NAME * (self._place(d) != self._place(s))
+            if like.lag > _TOGETHER * self.step and near > follows:
+                follows, apart = near, min(size, 0.5)
+                lead = f"follows {d.key} by {1e3 * like.lag:.3g} ms ({like.correlation:.2f})"
+        return score + (2.0 - apart if lead else -2.0 if leads else 0.0), words or lead
 
     def _take_positions(self) -> None:
         moving = [s for s in self._free() if s.meaning.role != "other"][:_MOST]
@@ -425,15 +430,19 @@ class Roles:
             else:
                 self.positions[joint] = (s, scaling, reason)
         self._take_signs()
+        bare: list[str] = []
         for joint, (s, scaling, reason) in self.positions.items():
             if column := self.joints[joint].position:
                 self._add(column, s, scaling, reason, scaling.reason)
             else:
                 self.why[s.sort] = f"position of {joint!r}, for which the model has no sensor"
-                self.notes.append(
-                    f"the model has no sensor for the position of {joint!r}: add "
-                    f'<jointpos name="{joint}_position" joint="{joint}"/> to its <sensor>'
-                )
+                bare.append(joint)
+        if bare:
+            self.notes.append(
+                f"the model has no sensor for the position of {', '.join(map(repr, bare))}: add "
+                f'<jointpos name="{bare[0]}_position" joint="{bare[0]}"/> to its <sensor>'
+                f"{', and so for each' * (len(bare) > 1)}"
+            )
         self._move(self._motion())
 
     def _motion(self) -> dict[str, list[Array]]:
@@ -548,10 +557,15 @@ class Roles:
         best = sorted(scored, key=lambda each: -each[0])[:2]
         role = s.meaning.role
         own = next((m for score, m in best if m.why and score >= ALIKE), None)
-        first = f"{own.words}: {own.why}" if own else (
-            f"by its name of another quantity ({role})" if role else "no role")  # fmt: skip
+        first = f"by its name of another quantity ({role})" if role else "no role"
+        if role == "command":
+            of = f" of {s.meaning.of}" if s.meaning.of != "command" else ""
+            first = f"a command{of}, which no joint of the model is driven by"
+        first = f"{own.words}: {own.why}" if own else first
         like = ", then ".join(
-            f"the {m.role} of {m.joint!r} ({m.evidence:.2f})" for _, m in best if m.evidence > 0
+            f"the {m.role} of {m.joint!r} ({m.evidence:.2f})"
+            for _, m in best
+            if m.evidence > 0 and m is not own
         )
         self.why.setdefault(s.sort, f"{first}; most like {like}" if like else first)
 
@@ -589,7 +603,7 @@ class Roles:
         if joint not in self.positions:
             return Match(joint, "velocity")
         told = speed_in(self.positions[joint][0], s)
-        words = f"{told.correlation:.2f} with the derivative of the position of {joint!r}"
+        words = f"the derivative of the position of {joint!r} (correlation {told.correlation:.2f})"
         sign = self.positions[joint][1].sign * (1 if told.evidence >= 0 else -1)
         return Match(joint, "velocity", abs(told.evidence), words, "", sign)
 
@@ -613,14 +627,14 @@ class Roles:
             return Match(joint, "torque", _TRUSTED, words, per=1.0)
         told = self._explained(joint, s)
         value = told.whole if named else told.alone
-        words = f"correlation {value:.2f} with the torque that the model needs at {joint!r}, and "
+        words = f"the torque needed at {joint!r}{' and friction' * named} (correlation {value:.2f})"
         evidence = abs(value)
         if not named:  # a size in no unit speaks against it
             evidence -= _off_size(told.per)
         per = told.per if abs(told.alone) >= _TRUSTED or not named else 0.0
         # A sign is exchanged by what is seen clearly alone.
         sign = -1 if value < -_TRUSTED or (value < 0 and not named) else 1
-        return Match(joint, "torque", evidence, f"{words}friction", "", sign, per)
+        return Match(joint, "torque", evidence, words, "", sign, per)
 
     def _as_command(self, joint: str, s: Signal) -> Match:
         target = self.joints[joint]
@@ -633,16 +647,17 @@ class Roles:
             return Match(joint, "command")
         like = likeness(s.runs, motion, self.step)
         value, why = like.correlation, ""
-        words = f"correlation {value:.2f} with the motion of {joint!r}"
+        words = f"the {'torque needed' if drive == 'torque' else 'motion'} at {joint!r}"
         if value <= -ALIKE and joint not in self.directed:
-            why = "the joint moves against it, so it is none, unless its sign is reversed"
+            why = "the joint moves against it: its sign, or the position's, may be reversed"
         elif like.lag < -_LAGS * self.step and drive != "torque":
-            why = f"it lags by {-like.lag:.3g} s: no command"
+            why = f"it comes {-1e3 * like.lag:.3g} ms later than the motion"
         elif s.meaning.role == "position" and like.lag < self.step:
             why = "a second sensor of it"
         elif s.meaning.role == "velocity" and drive != "velocity" and value < self._speed(s):
             why = "it is more like a velocity"
-        words += "" if why else f", the joint follows it by {like.lag:.3g} s"
+        late = f" by {1e3 * like.lag:.3g} ms" if like.lag > _TOGETHER * self.step else ""
+        words = f"{words} follows it{late} (correlation {value:.2f})"
         evidence = abs(value) * (1.0 if value > 0 or joint in self.directed else 0.5)
         if drive == "torque" and s.meaning.role == "":
             evidence = min(evidence, 0.99 * self._as_torque(joint, s, False).evidence)
@@ -659,7 +674,7 @@ class Roles:
             p, own, _ = self.positions[match.joint]
             per, unit = abs(slope(p.rates, s.smooth)), "m/s" if target.slide else "rad/s"
             scaling = Scaling(unit if abs(math.log(per)) < math.log(NEAR) else "", own.factor)
-        words = f"velocity of {match.joint!r}; {abs(ratio):.3g} times {match.words}"
+        words = f"{abs(ratio):.3g} times {match.words}"
         if not target.velocity:
             self.why[s.sort] = f"velocity of {match.joint!r}, for which the model has no sensor"
         elif scaling.unit:
@@ -680,9 +695,9 @@ class Roles:
         why = f"{per:.4g} times it would be that torque [{unit}]: a current?" if per else (
             "mostly friction, which does not tell its unit: give it")  # fmt: skip
         if current:
-            scaling = Scaling(s.unit, per * match.evidence, sign=match.sign)
-            why = "a current [A]: give the torque constant and gear as scale [N·m/A]; "
-            why += f"{scaling.scale:.4g} fits the torque that the model needs"
+            scaling = Scaling(s.unit, per * match.evidence or 1.0, sign=match.sign)
+            why = "a current: give torque constant times gear as scale [N·m/A]"
+            why += f"; {scaling.scale:.4g} fits that torque" if per else ""
         self._open(target.torque, s, scaling, f"{match.words}; {why}")
 
     def _add_command(self, match: Match, s: Signal) -> None:
@@ -694,10 +709,9 @@ class Roles:
             scaling = self._scaled_as(s, *self.positions[joint][:2], target)
         elif target.drive == "velocity" and not s.unit:
             scaling = Scaling(rate_unit(slope(self.rates[joint], s.runs), target.slide))
-        words = f"{joint!r} follows it, not {there!r} as by its name or place"
-        words *= there not in ("", joint)
-        reasons = (f"command of {joint!r}", words, match.words, scaling.reason)
-        self._add(target.command, s, replace(scaling, sign=match.sign), *reasons)
+        words = f"not of {there!r} as by its name or place" * (there not in ("", joint))
+        scaling = replace(scaling, sign=match.sign)
+        self._add(target.command, s, scaling, words, match.words, scaling.reason)
 
     def _scaled_as(self, s: Signal, p: Signal, own: Scaling, target: JointTarget) -> Scaling:
         """Scaling of a command by its size beside the position's, which turns to where it is."""
@@ -707,11 +721,11 @@ class Roles:
         best, off = nearest_unit(ratio, units)
         plain = own.scale == 1.0 and own.offset == 0.0
         if s.unit and s.unit != "%":
-            scaling = Scaling(s.unit, reason="as stated")
+            scaling = Scaling(s.unit, reason=f"{s.unit} as stated")
         elif like <= (off if plain else off + 0.5):
             scaling = replace(own, reason="scaled as the position")
         else:
-            scaling = Scaling(best, reason=f"{ratio:.3g} times the position [{units[0]}]")
+            scaling = Scaling(best, reason=f"{best}: {ratio:.3g} times the position [{units[0]}]")
         if p.period is not None and target.position in self.lines:
             turn = p.period * own.factor
             apart = np.concatenate(scaling.si(s.runs)) - np.concatenate(own.si(p.runs))
