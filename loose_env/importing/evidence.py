@@ -237,21 +237,14 @@ def likeness(first: Sequence[Array], second: Sequence[Array], step: float) -> Li
     return Likeness(float(np.clip(total[best], -1, 1)), (exact - most) * step)
 
 
-class Speed(NamedTuple):
-    """What there is of the derivative of a position in a channel."""
+def speed_in(position: Signal, s: Signal) -> float:
+    """Correlation of a channel with the derivative of a position, negative if reversed.
 
-    evidence: float
-    """Correlation, less what the size is off those of all units where none is stated [1]."""
-    correlation: float
-    """Negative if reversed [1]."""
-
-
-def speed_in(position: Signal, s: Signal) -> Speed:
-    """Compare a channel with the derivative of a position."""
-    product, one, two = _products(position.compared[0], s.compared[1])
-    ratio, value = ratio_of(product, one, two)
+    Less what its size is off those of all units, where none is stated.
+    """
+    ratio, value = ratio_of(*_products(position.compared[0], s.compared[1]))
     off = 0.0 if s.unit else min(abs(math.log(max(abs(ratio), 1e-12) / each)) for each in SIZES)
-    return Speed(math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value), value)
+    return math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value)
 
 
 def decoded(values: Array, period: float | None, sign_bit: int | None) -> Array:
@@ -305,38 +298,30 @@ def _jump(values: Array) -> float:
 
 def on_one_base(samples: Mapping[K, Samples]) -> tuple[float, dict[K, Array]]:
     """Channels of one run at the times that all of them have, where they move most."""
-    if not samples:
+    origin = min((each.origin_ns for each in samples.values()), default=0)
+    clocks = {(id(s.time), s.origin_ns): s.since(origin) for s in samples.values()}
+    times = {key: clocks[id(s.time), s.origin_ns] for key, s in samples.items()}
+    if not times:
         return 1.0, {}
-    origin = min(each.origin_ns for each in samples.values())
-    shared = {(id(s.time), s.origin_ns): s for s in samples.values()}
-    clocks = {key: (s.since(origin), median_step(s.time)) for key, s in shared.items()}
-    own = {key: clocks[id(s.time), s.origin_ns] for key, s in samples.items()}
-    times = {key: time for key, (time, _) in own.items()}
-    ends = np.array([[t[0], t[-1]] for t in times.values()])
+    first, last = np.median([[t[0], t[-1]] for t in times.values()], axis=0)
     # A channel that speaks of less than half of the others' time is no part of the motion.
-    longest = np.median(ends[:, 1] - ends[:, 0])
-    kept = {
-        key: t
-        for key, t in times.items()
-        if min(t[-1], np.median(ends[:, 1])) - max(t[0], np.median(ends[:, 0])) > 0.5 * longest
-    }
-    if not kept:
-        return 1.0, {}
-    start, stop = max(t[0] for t in kept.values()), min(t[-1] for t in kept.values())
-    step = min(own[key][1] for key in kept)
+    kept = {k: t for k, t in times.items()
+            if min(t[-1], last) - max(t[0], first) > 0.5 * (last - first)}  # fmt: skip
+    start = max((t[0] for t in kept.values()), default=0.0)
+    stop = min((t[-1] for t in kept.values()), default=0.0)
+    step = min((median_step(t) for t in {id(t): t for t in kept.values()}.values()), default=1.0)
     rows = int((stop - start) / step + 1e-6) + 1 if stop > start else 0
     if rows < 10:
         return step, {}
     base = start + step * np.arange(rows)
     if rows > MOST_ROWS:  # the piece is looked for by every so many rows
-        few = base[:: -(-rows // MOST_ROWS)]
-        width = MOST_ROWS * len(few) // rows
-        effort = np.zeros(len(few))
+        every = -(-rows // MOST_ROWS)
+        effort = np.zeros(len(base[::every]) - 1)
         for k, t in kept.items():
-            v = np.interp(few, t, samples[k].values)
-            effort[1:] += np.abs(np.diff(v)) / (np.ptp(v) or 1.0)
-        total = np.cumsum(effort)
-        at = int(np.argmax(total[width - 1 :] - total[: len(few) - width + 1]))
-        first = int(min(np.searchsorted(base, few[at]), rows - MOST_ROWS))
-        base = base[first : first + MOST_ROWS]
+            v = np.interp(base[::every], t, samples[k].values)
+            effort += np.abs(np.diff(v)) / (np.ptp(v) or 1.0)
+        total = np.cumsum(np.insert(effort, 0, 0.0))
+        width = MOST_ROWS // every
+        most = every * int(np.argmax(total[width:] - total[:-width]))
+        base = base[min(most, rows - MOST_ROWS) :][:MOST_ROWS]
     return step, {k: np.interp(base, t, samples[k].values) for k, t in kept.items()}

@@ -245,7 +245,7 @@ class Roles:
         """Correlation of a channel with the derivative of another; 0 where it is no velocity."""
         if s is other or not is_rate(other.unit, s.unit):
             return 0.0
-        value = abs(speed_in(s, other).evidence)
+        value = abs(speed_in(s, other))
         return value if value >= (ALIKE if other.meaning.role == "velocity" else _RATE) else 0.0
 
     def _relation(self, s: Signal, others: Sequence[Signal]) -> tuple[float, str]:
@@ -369,7 +369,7 @@ class Roles:
                 continue
             pairs = [(p, members[joint], self._explained(joint, members[joint]))
                      for joint, p in positions.items()]  # fmt: skip
-            moves = [max(abs(self._alike(s, p).correlation), abs(speed_in(p, s).evidence))
+            moves = [max(abs(self._alike(s, p).correlation), abs(speed_in(p, s)))
                      for p, s, _ in pairs]  # fmt: skip
             named = all(s.meaning.role == "torque" for s in members.values())
             whole = float(
@@ -394,7 +394,7 @@ class Roles:
         told: dict[str, tuple[float, str]] = {}
         for joint, (target, p) in pairs.items():
             rated = [
-                (abs(speed_in(p, s).evidence), s)
+                (abs(speed_in(p, s)), s)
                 for s in self._free()
                 if admits(s.unit, "velocity", slide=target.slide)
                 and is_rate(p.unit, s.unit)
@@ -603,13 +603,13 @@ class Roles:
         if joint not in self.positions:
             return Match(joint, "velocity")
         told = speed_in(self.positions[joint][0], s)
-        words = f"the derivative of the position of {joint!r} (correlation {told.correlation:.2f})"
-        sign = self.positions[joint][1].sign * (1 if told.evidence >= 0 else -1)
-        return Match(joint, "velocity", abs(told.evidence), words, "", sign)
+        words = f"the derivative of the position of {joint!r} (correlation {told:.2f})"
+        sign = self.positions[joint][1].sign * (1 if told >= 0 else -1)
+        return Match(joint, "velocity", abs(told), words, "", sign)
 
     def _speed(self, s: Signal) -> float:
         """Most that a channel is like the derivative of a position."""
-        return max(abs(speed_in(p, s).correlation) for p, _, _ in self.positions.values())
+        return max(abs(speed_in(p, s)) for p, _, _ in self.positions.values())
 
     def _explained(self, joint: str, s: Signal) -> Agreement:
         """What there is of a joint's torque in a channel."""
