@@ -76,14 +76,9 @@ class Signal:
         return any(len(v) and float(np.ptp(v)) > 1e-6 * scale for v in self.runs)
 
     @cached_property
-    def low(self) -> float:
-        """Smallest value."""
-        return float(np.min(self.values))
-
-    @cached_property
-    def high(self) -> float:
-        """Largest value."""
-        return float(np.max(self.values))
+    def ends(self) -> Array:
+        """Smallest and largest value, shape (2,)."""
+        return np.array([np.min(self.values), np.max(self.values)])
 
     @cached_property
     def smooth(self) -> list[Array]:

@@ -423,8 +423,8 @@ class Roles:
         for joint, scaling in scalings.items():
             s, _, reason = self.positions[joint]
             if scaling is None:
-                words = f"{reason}; its values {s.low:.6g} to {s.high:.6g} {s.unit} fit no unit of "
-                words += f"{joint!r}: give unit and scale"
+                words = f"{reason}; its values {s.ends[0]:.6g} to {s.ends[1]:.6g} {s.unit} "
+                words += f"fit no unit of {joint!r}: give unit and scale"
                 self._open(self.joints[joint].position, s, Scaling(""), words)
                 del self.positions[joint]
             else:
@@ -812,23 +812,20 @@ class Roles:
         for s in self.signals:
             if not s.moves and s.values.size:
                 self.why[s.sort] = f"constant, {s.values[0]:.6g}"
-        of = {line.candidate.sort: line for line in self.lines.values()}
-        columns = {t.position: "position" for t in self.joints.values()}
-        columns |= {t.command: "command" for t in self.joints.values()}
+        roles = {getattr(t, role): role for t in self.joints.values()
+                 for role in ("position", "command")}  # fmt: skip
+        of = {line.candidate.sort: line for column, line in self.lines.items() if column in roles}
         for members in (v.members for v in self.vectors if v.given):
             own = next((of[s.sort] for s in members.values() if s.sort in of), None)
-            role = columns.get(own.column) if own else None
-            for joint, s in members.items() if own and role else ():
-                t = self.joints[joint]
-                column, rival = (t.position, t.command)[:: 1 if role == "position" else -1]
-                other = self.lines.get(rival)
-                free = column and column not in self.lines and not s.moves and s.values.size
-                if own is None or not free or (other is not None and other.candidate.moves):
-                    continue
-                plain = Scaling(own.scaling.unit) if own.scaling.scale == 1.0 else None
-                scaling = plain or position_scalings({joint: (t, s)}, {}, defined=False)[joint]
-                if scaling is not None:
-                    self._add(column, s, scaling, f"{joint!r} is at rest")
+            for joint, s in members.items() if own else ():
+                t, scaling = self.joints[joint], own.scaling if own else None
+                column = getattr(t, roles[own.column]) if own else ""
+                if column and column not in self.lines and not s.moves and s.values.size:
+                    if scaling is None or scaling.scale != 1.0:
+                        scaling = position_scalings({joint: (t, s)}, {}, defined=False)[joint]
+                    if scaling is not None:
+                        self._add(column, s, Scaling(scaling.unit, scaling.scale, scaling.offset),
+                                  f"{joint!r} is at rest")  # fmt: skip
 
     def _add(self, column: str, s: Signal, scaling: Scaling, *reasons: str) -> None:
         reason = "; ".join(filter(None, reasons))

@@ -474,10 +474,10 @@ def position_scalings(
 ) -> dict[str, Scaling | None]:
     """Scaling of the position of each joint, as a witness tells, too; None where none fits."""
     ways = {joint: _ways(*pair, turns=bool(told)) for joint, pair in pairs.items()}
-    unstated = {j: t for j, (t, s) in pairs.items() if not s.unit}
     against: dict[str, float] = {}
     for way, prior in _AGAINST.items():
-        alike = [j for j, t in unstated.items() if way in _ANY or t.slide == (way in _LENGTHS)]
+        alike = [j for j, (t, s) in pairs.items()
+                 if not s.unit and (way in _ANY or t.slide == (way in _LENGTHS))]  # fmt: skip
         against[way] = prior - _DEFINED * (defined and way in ("rad", "m")) + sum(
             _against(way, *pairs[j], ways[j][way], told.get(j)) if way in ways[j] else _UNFIT
             for j in alike
@@ -490,17 +490,20 @@ def position_scalings(
 
 def _ways(joint: JointTarget, s: Signal, *, turns: bool) -> dict[str, Scaling]:
     """Ways to read the values of a position; turns are rare, and only a speed tells them."""
+    if s.unit != "%" and quantity_of(s.unit) not in ("", "number"):
+        fits = quantity_of(s.unit) == ("length" if joint.slide else "angle")
+        return {"stated": Scaling(s.unit, reason=f"{s.unit} as stated")} if fits else {}
     units = ("m", "mm") if joint.slide else ("rad", "deg", *["rev"] * turns)
-    found = {unit: Scaling(unit) for unit in units}
-    if joint.limits is not None and max(abs(s.low), abs(s.high)) <= _NORMALISED:
-        (bottom, top), unit = joint.limits, next(iter(found))
-        words = "normalised to -100..100 of the limits"
-        found["normalised"] = Scaling(unit, (top - bottom) / 200, (top + bottom) / 2, words)
-        if s.low >= -1:
-            words = "normalised to 0..100 of the limits"
-            found["normalised"] = Scaling(unit, (top - bottom) / 100, bottom, words)
-    if s.whole and not joint.slide and s.high < _TICKS:
-        zero = 0 if s.low < 0 else _TICKS // 2
+    found = {unit: Scaling(unit) for unit in units if s.unit != "%"}
+    if joint.limits is not None and max(abs(s.ends)) <= _NORMALISED:
+        low, high = joint.limits
+        ways = [(-100, (high - low) / 200, (high + low) / 2)]
+        ways += [(0, (high - low) / 100, low)] * bool(s.ends[0] >= -1)
+        bottom, scale, offset = ways[-1]
+        reason = f"normalised to {bottom}..100 of the limits"
+        found["normalised"] = Scaling(units[0], scale, offset, reason)
+    if s.whole and not joint.slide and s.ends[1] < _TICKS and s.unit != "%":
+        zero = 0 if s.ends[0] < 0 else _TICKS // 2
         words = f"ticks of {_TICKS} a turn, {zero} at zero"
         found["ticks"] = Scaling("rad", 2 * math.pi / _TICKS, -math.pi * (zero > 0), words)
     return found
@@ -508,10 +511,10 @@ def _ways(joint: JointTarget, s: Signal, *, turns: bool) -> dict[str, Scaling]:
 
 def _against(way: str, joint: JointTarget, s: Signal, scaling: Scaling, told: Told | None) -> float:
     """Score of one joint against a way to read its values."""
-    ends = scaling.si([np.array([s.low, s.high])])[0]
+    ends = scaling.si([s.ends])[0]
     share = max(float(np.abs(ends).max()), 1e-9) / max(_end(joint), 1e-9)
     if way == "normalised":
-        share = max(abs(s.low), abs(s.high), 1e-9) / 100
+        share = max(*np.abs(s.ends), 1e-9) / 100
     if not _within(joint, ends):
         found = 2.0 + 2.0 * math.log(max(share, 1.0))
     else:
@@ -524,13 +527,11 @@ def _end(joint: JointTarget) -> float:
     return (1.0 if joint.slide else _TURNS) if joint.limits is None else max(map(abs, joint.limits))
 
 
-def _within(joint: JointTarget, ends: Sequence[float] | Array, margin: float = _MARGIN) -> bool:
+def _within(joint: JointTarget, ends: Array, margin: float = _MARGIN) -> bool:
     """Return whether positions lie within a joint's limits, and a share of them beyond."""
-    low, high = ends
-    if joint.limits is None:
-        return bool(max(abs(low), abs(high)) <= _end(joint))
-    margin = margin * (joint.limits[1] - joint.limits[0])
-    return bool(joint.limits[0] - margin <= low and high <= joint.limits[1] + margin)
+    low, high = joint.limits or (-_end(joint), _end(joint))
+    margin *= (high - low) * (joint.limits is not None)
+    return bool(low - margin <= ends[0] and ends[1] <= high + margin)
 
 
 def _chosen(
@@ -539,38 +540,35 @@ def _chosen(
 ) -> Scaling | None:  # fmt: skip
     """Scaling of one position: as stated, as its vector's, or its own where that does not fit."""
     unit = "m" if joint.slide else "rad"
+    within = {way: _within(joint, scaling.si([s.ends])[0]) for way, scaling in ways.items()}
+
+    def fits(way: str) -> bool:
+        return told is not None or (defined and way == unit) or within[way]
+
+    best = min(ways, key=lambda way: against.get(way, 0.0), default="")
+    near = best in ("", "stated") or fits(best) or _within(joint, ways[best].si([s.ends])[0], 0.5)
+    if not near:
+        own = {w: _AGAINST[w] + _against(w, joint, s, ways[w], told) for w in ways if fits(w)}
+        best = min(own, key=lambda way: own[way], default="")
+    if not best:
+        return None
     limits = joint.limits
     about = "no limits in the model" if limits is None else (
         f"limits {limits[0]:.4g} to {limits[1]:.4g} {unit}")  # fmt: skip
-    seen = f"values {s.low:.4g} to {s.high:.4g}, {about}"
-    stated = quantity_of(s.unit)
-    if s.unit == "%":
-        ways = {way: each for way, each in ways.items() if way == "normalised"}
-    elif stated not in ("", "number"):
-        if stated != quantity_of(unit):
-            return None
-        factor = unit_named(s.unit, "").factor
-        within = _within(joint, (s.low * factor, s.high * factor))
-        return Scaling(s.unit, reason=f"{s.unit} as stated; {seen}{_exceeds(within)}")
-
-    def fits(way: str, margin: float = _MARGIN) -> bool:
-        sure = told is not None or (defined and way == unit)
-        return sure or _within(joint, ways[way].si([np.array([s.low, s.high])])[0], margin)
-
-    common = min(ways, key=lambda way: against[way], default="")
-    if common and not fits(common, 0.5):
-        own = {w: _AGAINST[w] + _against(w, joint, s, ways[w], told) for w in ways if fits(w)}
-        common = min(own, key=lambda way: own[way], default="")
-    if not common:
-        return None
-    scaling = ways[common]
-    why = scaling.reason or scaling.unit if told is None else told[1]
-    if defined and common == unit:
-        why = f"{unit} as the format defines"
-    also = "normalised" in ways and common == "deg"
-    more = "; values normalised to -100..100 would look alike" if also else ""
-    within = _within(joint, scaling.si([np.array([s.low, s.high])])[0])
-    return replace(scaling, reason=f"{seen}: {why}{_exceeds(within or limits is None)}{more}")
+    why = ways[best].reason or ways[best].unit
+    if best != "stated":
+        why = (
+            f"{unit} as the format defines"
+            if defined and best == unit
+            else told[1]
+            if told
+            else why
+        )
+    reason = f"{why}; values {s.ends[0]:.4g} to {s.ends[1]:.4g}, {about}"
+    reason += "" if within[best] or (limits is None and best != "stated") else ", which they exceed"
+    if best == "deg" and "normalised" in ways:
+        reason += "; values normalised to -100..100 would look alike"
+    return replace(ways[best], reason=reason)
 
 
 def counted(pers: Sequence[float], slide: bool) -> tuple[str, float]:
@@ -592,10 +590,6 @@ def counted(pers: Sequence[float], slide: bool) -> tuple[str, float]:
     best = min(off, key=lambda words: sum(off[words]))
     told = bool(pers) and off[best][0] < _COUNTS and off[best][-1] < _DENIED
     return (best, known[best]) if told else ("", 0.0)
-
-
-def _exceeds(within: bool) -> str:
-    return "" if within else ", which they exceed"
 
 
 def rate_unit(ratio: float, slide: bool) -> str:
