@@ -516,8 +516,7 @@ class Roles:
 
     def _take_rest(self) -> None:
         """Velocity, torque and command of every joint, by the largest scores in sum."""
-        from scipy.sparse import csr_array  # half a second, and only a guess needs them
-        from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+        from scipy.optimize import linear_sum_assignment  # half a second, and only a guess needs it
 
         candidates = self._free()
         places: list[tuple[str, Role]] = [
@@ -531,11 +530,8 @@ class Roles:
                            for row in table]).reshape(len(places), len(candidates))  # fmt: skip
         open_to = np.array([[not m.why for m in row] for row in table]).reshape(scores.shape)
         order = _ORDER * np.outer(np.arange(len(places)), np.arange(len(candidates)))
-        chosen: dict[int, Match] = {}
-        costs = csr_array(10.0 - scores * open_to - order)  # all above 0: none is left out
-        for i, k in np.transpose(min_weight_full_bipartite_matching(costs)) if scores.size else ():
-            if scores[i, k] >= ALIKE and open_to[i, k]:
-                chosen[k] = table[i][k]
+        pairs = zip(*linear_sum_assignment(scores * open_to + order, maximize=True), strict=True)
+        chosen = {k: table[i][k] for i, k in pairs if scores[i, k] >= ALIKE and open_to[i, k]}
         per: dict[object, list[float]] = {}
         for k, match in chosen.items():
             if match.per > 0:

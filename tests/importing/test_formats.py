@@ -643,6 +643,19 @@ def test_numbers_within_names_make_vectors_beside_channels_of_no_use(
         assert found[f"ctrl.{command}"][0] == f"m{i + 1}_ref"
 
 
+def test_a_wrapped_position_is_put_to_the_turn_of_its_command(home: Path, motion: Motion) -> None:
+    turns = np.array([0, 3, -2])
+    found = guess(home, ARM.replace('limited="true"', 'limited="false"'), motion,
+                  (POSITIONS, DEG * motion.position % 360),
+                  (ORDERS.replace("cmd", "cmd_deg"), DEG * motion.command + 360 * turns),
+                 )  # fmt: skip
+    lines = [found[f"sensor.{joint}_pos"] for joint in JOINTS]
+    assert [each.candidate.period for each in lines] == [360] * 3
+    for i, each in enumerate(lines):
+        (own,) = each.scaling.si(each.candidate.runs)
+        np.testing.assert_allclose(own, motion.position[:, i] + 2 * np.pi * turns[i], atol=1e-6)
+
+
 def test_words_of_a_servo_are_ticks(home: Path, motion: Motion) -> None:
     def ticks(values: np.ndarray) -> np.ndarray:
         return np.round(values / (2 * np.pi) * 4096 + 2048)
