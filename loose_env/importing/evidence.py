@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, TypeVar
@@ -145,16 +145,22 @@ def torque_in(
     return Agreement(math.copysign(whole, sign), alone, float(1 / size) if size > 0 else 0.0)
 
 
-def sensed_in(axes: Sequence[Sequence[Array]], readings: Sequence[Sequence[Array]]) -> Agreement:
-    """What there is of a tool sensor in the channels of its axes, by what the model reads there."""
+def sensed_in(
+    places: Iterable[int], axes: Sequence[Sequence[Array]], readings: Sequence[Sequence[Array]]
+) -> Agreement:
+    """What there is of a tool sensor in channels of its axes, by what the model reads there.
+
+    ``places`` are those of the channels among the readings; a mount mixes all readings.
+    """
     rows = _rows(*readings, *axes)
     read, own = rows[: len(readings)].T, rows[len(readings) :].T
-    if not own.any() or not read.any():
+    same = read[:, [*places]]
+    if not own.any() or not same.any():
         return Agreement()
     fitted = read @ np.linalg.lstsq(read, own, rcond=None)[0]
     whole = np.linalg.norm(fitted) / np.linalg.norm(own)
-    alone = np.sum(read * own) / np.linalg.norm(read) / np.linalg.norm(own)
-    per = np.linalg.norm(read) / (np.linalg.norm(fitted) + 1e-12)
+    alone = np.sum(same * own) / np.linalg.norm(same) / np.linalg.norm(own)
+    per = np.linalg.norm(same) / (np.linalg.norm(fitted) + 1e-12)
     return Agreement(float(whole), float(alone), float(per))
 
 

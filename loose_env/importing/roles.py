@@ -338,8 +338,8 @@ class Roles:
             seen = f"correlation {like.whole:.2f} with what it reads in this motion"
             if like.whole > 0 and like.alone < like.whole - _NAME:
                 seen += f", {like.alone:.2f} as it is mounted: check its axes by loose doctor"
-            for axis, s in zip("xyz", tool.axes, strict=True):
-                column, scaling = f"sensor.{tool.name}.{axis}", tool.scaling
+            for i, s in tool.axes.items():
+                column, scaling = f"sensor.{tool.name}.{'xyz'[i]}", tool.scaling
                 if not tool.fits:
                     self.why[s.sort] = f"not {where}: {seen}"
                 elif scaling is None:

@@ -23,7 +23,7 @@ import numpy as np
 from loose_env.importing.evidence import Agreement, Signal, sensed_in
 from loose_env.importing.names import Role
 from loose_env.importing.resampling import smoothed
-from loose_env.importing.units import nearest_unit, quantity_of, unit_named
+from loose_env.importing.units import UNITS, nearest_unit, quantity_of, unit_named
 from loose_env.recording import ModelColumns, joint_sensors
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.typing import Array
@@ -219,7 +219,7 @@ _TOOLS = (
     (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration", ("g", "m/s^2", "mg"),
      {"a", "acc", "accel", "acceleration", "accelerometer"}),
     (mujoco.mjtSensor.mjSENS_GYRO, "angular speed", ("rad/s", "deg/s"),
-     {"g", "gyro", "gyr", "gyroscope", "angular"}),
+     {"g", "gyro", "gyr", "gyroscope", "angular", "omega"}),
 )  # fmt: skip
 
 
@@ -228,7 +228,8 @@ class Tool(NamedTuple):
 
     name: str
     quantity: str
-    axes: list[Signal]
+    axes: dict[int, Signal]
+    """By their places, 0 for x; one may be missing."""
     agreement: Agreement
     """With what the model reads there; zeros where that is not known."""
     scaling: Scaling | None
@@ -250,35 +251,40 @@ def tool_sensors(
     for s in free:
         stem, axis = s.meaning.axis
         groups.setdefault((s.source, s.key.topic, stem), {}).setdefault(axis, s)
-    named = [[g[k] for k in sorted(g, key=lambda k: (len(k), k))] for g in groups.values()]
+    named = []
+    for group in groups.values():
+        keys = sorted(group, key=lambda k: (len(k), k))
+        if (lettered := set(keys) <= {*"xyz"}) or len(keys) == 3:
+            places = map("xyz".index, keys) if lettered else range(3)
+            named.append(dict(zip(places, map(group.__getitem__, keys), strict=True)))
     rest = [s for s in free if not s.unit and s.meaning.role in ("", "acceleration")]
-    rows = [[*own] for own in zip(rest, rest[1:], rest[2:], strict=False)]
+    rows = [dict(enumerate(own)) for own in zip(rest, rest[1:], rest[2:], strict=False)]
     for kind, quantity, units, words in _TOOLS:
         others = set().union(*(each for *_, each in _TOOLS)) - words
         ids = np.flatnonzero(model.sensor_type == kind)
         found: list[tuple[float, Tool]] = []
-        for own in (g for g in (*named, *rows) if len(g) == 3 and len(ids) == 1):
-            if {len(s.values) for s in own} != {len(own[0].values)} or not len(own[0].values):
+        for own in (*named, *rows) if len(ids) == 1 else ():
+            signals = [*own.values()]
+            if len({(s.source, len(s.values)) for s in signals}) != 1 or len(own) < 2:
                 continue
-            stated = {quantity_of(s.unit) for s in own}
             at = int(model.sensor_adr[ids[0]])
             read = [[v[:, at + i] for v in felt] for i in range(3)]
-            like = sensed_in([s.smooth for s in own], read) if felt else Agreement()
-            still = np.linalg.norm([s.averaged(1.0) for s in own], axis=0)
+            like = sensed_in(own, [s.smooth for s in signals], read) if felt else Agreement()
+            still = np.linalg.norm([s.averaged(1.0) for s in signals], axis=0)
             heavy = nearest_unit(float(np.median(still)) / STANDARD_GRAVITY, units)
-            weighs = quantity == "acceleration" and heavy[1] < _GRAVITY
-            stems = [set(s.meaning.axis[0]) for s in own]
+            weighs = quantity == "acceleration" and len(own) == 3 and heavy[1] < _GRAVITY
+            stems = [set(s.meaning.axis[0]) for s in signals]
+            stated = {quantity_of(s.unit) for s in signals}
             called = all(stem & words for stem in stems) or stated == {quantity}
             # A file's name may be all that says acceleration: then gravity has to be in it.
-            beside = weighs and not any(stem & others for stem in stems)
-            beside = beside and all(s.meaning.role == "acceleration" for s in own)
+            plain = all(s.meaning.role == "acceleration" for s in signals)
+            beside = weighs and plain and not any(stem & others for stem in stems)
             agrees = not felt or quantity == "acceleration" or like.whole >= told
-            sure = like.alone >= untold or (own in named and like.whole >= untold)
-            if not stated <= {"", quantity} or own[0].source != own[2].source:
-                continue
-            if called or beside or sure:
-                unit = own[0].unit or (heavy[0] if quantity == "acceleration" else "")
-                scaling = _tool_scaling(like.per, unit or "rad/s" * own[0].defined)
+            sure = len(own) == 3 and all(s in rest for s in signals) and (
+                like.alone >= untold or (own in named and like.whole >= untold))  # fmt: skip
+            if stated <= {"", quantity} and (called or beside or sure):
+                unit = signals[0].unit or heavy[0] * weighs or "rad/s" * signals[0].defined
+                scaling = _tool_scaling(like.per, unit, units)
                 name = model.sensor(int(ids[0])).name
                 tool = Tool(name, quantity, own, like, scaling, sure or agrees)
                 found.append((tool.fits + called + like.whole, tool))
@@ -286,14 +292,15 @@ def tool_sensors(
             yield max(found, key=lambda each: each[0])[1]
 
 
-def _tool_scaling(per: float, unit: str) -> Scaling | None:
+def _tool_scaling(per: float, unit: str, units: Sequence[str]) -> Scaling | None:
     """Scaling of a tool sensor: as stated, else in the unit that the motion tells, or by itself."""
     if unit or not per:
         return Scaling(unit) if unit else None
-    best, off = nearest_unit(1 / per, ("rad/s", "deg/s"))
+    best, off = nearest_unit(1 / per, units)
     if off < math.log(NEAR):
-        return Scaling(best, reason=f"{best} by the motion ({per:.4g} rad/s each)")
-    return Scaling("rad/s", per, reason="in no unit: scaled by the motion")
+        return Scaling(best, reason=f"{best} by the motion")
+    si = next(each for each in units if UNITS[each].factor == 1.0)
+    return Scaling(si, per, reason="in no unit: scaled by the motion")
 
 
 def inverse_dynamics(
