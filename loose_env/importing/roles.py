@@ -31,17 +31,18 @@ from loose_env.importing.evidence import (
 )
 from loose_env.importing.names import Role
 from loose_env.importing.targets import (
-    NEAR,
+    RATES,
+    SPEEDS,
     JointTarget,
     Scaling,
     Tool,
     admits,
+    by_motion,
     counted,
     is_rate,
     joint_targets,
     needed_torques,
     position_scalings,
-    rate_unit,
     tool_sensors,
     vector_orders,
 )
@@ -342,8 +343,8 @@ class Roles:
                 column, scaling = f"sensor.{tool.name}.{'xyz'[i]}", tool.scaling
                 if not tool.fits:
                     self.why[s.sort] = f"not {where}: {seen}"
-                elif scaling is None:
-                    self._open(column, s, Scaling("rad/s"), f"{where}; nothing tells its unit")
+                elif not scaling.unit:
+                    self._open(column, s, scaling, f"{where}; nothing tells its unit")
                 elif s.sort not in self.used:
                     self._add(column, s, scaling, where, seen * bool(like.whole), scaling.reason)
 
@@ -354,8 +355,8 @@ class Roles:
         """
         found = [(0.0, 0.0)]
         for tool in self._tools():
-            like, unit = tool.agreement, tool.scaling.factor if tool.scaling else 1.0
-            found.append((like.whole - _off_size(like.per / unit), max(like.alone, 0.0)))
+            like, off = tool.agreement, _off_size(tool.agreement.per / tool.scaling.factor)
+            found.append((like.whole - off, max(like.alone, 0.0)))
         return np.asarray(np.mean(found[1:] or found, axis=0) ** 2)
 
     def _loads(self, positions: Mapping[str, Signal]) -> float:
@@ -665,15 +666,12 @@ class Roles:
     def _add_velocity(self, match: Match, s: Signal) -> None:
         target = self.joints[match.joint]
         ratio = slope(self.rates[match.joint], s.smooth)
-        scaling = Scaling(s.unit or rate_unit(ratio, target.slide))
-        if not scaling.unit:  # steps, ticks or percent of the position in a second
-            p, own, _ = self.positions[match.joint]
-            per, unit = abs(slope(p.rates, s.smooth)), "m/s" if target.slide else "rad/s"
-            scaling = Scaling(unit if abs(math.log(per)) < math.log(NEAR) else "", own.factor)
+        units, scale = SPEEDS if target.slide else RATES, abs(self.positions[match.joint][1].factor)
+        scaling = Scaling(s.unit) if s.unit else by_motion(1 / abs(ratio), units, scale)
         words = f"{abs(ratio):.3g} times {match.words}"
         if not target.velocity:
             self.why[s.sort] = f"velocity of {match.joint!r}, for which the model has no sensor"
-        elif scaling.unit:
+        elif scaling is not None:
             self._add(target.velocity, s, replace(scaling, sign=match.sign), words)
         else:
             self._open(target.velocity, s, Scaling("rad/s"), f"{words}: no unit is")
@@ -704,7 +702,8 @@ class Roles:
         if target.drive == "position":
             scaling = self._scaled_as(s, *self.positions[joint][:2], target)
         elif target.drive == "velocity" and not s.unit:
-            scaling = Scaling(rate_unit(slope(self.rates[joint], s.runs), target.slide))
+            ratio, units = slope(self.rates[joint], s.runs), SPEEDS if target.slide else RATES
+            scaling = by_motion(1 / abs(ratio), units) or scaling
         words = f"not of {there!r} as by its name or place" * (there not in ("", joint))
         scaling = replace(scaling, sign=match.sign)
         self._add(target.command, s, scaling, words, match.words, scaling.reason)

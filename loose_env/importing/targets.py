@@ -23,7 +23,7 @@ import numpy as np
 from loose_env.importing.evidence import Agreement, Signal, sensed_in
 from loose_env.importing.names import Role
 from loose_env.importing.resampling import smoothed
-from loose_env.importing.units import UNITS, nearest_unit, quantity_of, unit_named
+from loose_env.importing.units import nearest_unit, quantity_of, unit_named
 from loose_env.recording import ModelColumns, joint_sensors
 from loose_env.sensors import STANDARD_GRAVITY
 from loose_env.typing import Array
@@ -216,7 +216,7 @@ _GRAVITY = 0.2
 """Share by which the mean over a second of an accelerometer may be off 1 g, where no name tells
 it [1]."""
 _TOOLS = (
-    (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration", ("g", "m/s^2", "mg"),
+    (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration", ("m/s^2", "g", "mg"),
      {"a", "acc", "accel", "acceleration", "accelerometer"}),
     (mujoco.mjtSensor.mjSENS_GYRO, "angular speed", ("rad/s", "deg/s"),
      {"g", "gyro", "gyr", "gyroscope", "angular", "omega"}),
@@ -232,8 +232,8 @@ class Tool(NamedTuple):
     """By their places, 0 for x; one may be missing."""
     agreement: Agreement
     """With what the model reads there; zeros where that is not known."""
-    scaling: Scaling | None
-    """None where neither a unit nor the motion tells it."""
+    scaling: Scaling
+    """Without a unit where neither the file nor the motion tells it."""
     fits: bool
 
 
@@ -283,24 +283,20 @@ def tool_sensors(
             sure = len(own) == 3 and all(s in rest for s in signals) and (
                 like.alone >= untold or (own in named and like.whole >= untold))  # fmt: skip
             if stated <= {"", quantity} and (called or beside or sure):
-                unit = signals[0].unit or heavy[0] * weighs or "rad/s" * signals[0].defined
-                scaling = _tool_scaling(like.per, unit, units)
+                unit = signals[0].unit or heavy[0] * weighs or units[0] * signals[0].defined
+                scaling = (
+                    Scaling(unit)
+                    if unit or not like.per
+                    else (
+                        by_motion(like.per, units)
+                        or Scaling(units[0], like.per, reason="in no unit: scaled by the motion")
+                    )
+                )
                 name = model.sensor(int(ids[0])).name
                 tool = Tool(name, quantity, own, like, scaling, sure or agrees)
                 found.append((tool.fits + called + like.whole, tool))
         if found:
             yield max(found, key=lambda each: each[0])[1]
-
-
-def _tool_scaling(per: float, unit: str, units: Sequence[str]) -> Scaling | None:
-    """Scaling of a tool sensor: as stated, else in the unit that the motion tells, or by itself."""
-    if unit or not per:
-        return Scaling(unit) if unit else None
-    best, off = nearest_unit(1 / per, units)
-    if off < math.log(NEAR):
-        return Scaling(best, reason=f"{best} by the motion")
-    si = next(each for each in units if UNITS[each].factor == 1.0)
-    return Scaling(si, per, reason="in no unit: scaled by the motion")
 
 
 def inverse_dynamics(
@@ -404,7 +400,7 @@ _NORMALISED = 102.0
 """Largest value taken as normalised to 100 [1]: a calibrated end, and a margin."""
 _TICKS = 4096
 """Ticks a turn of the servos whose words are logged as they are."""
-NEAR = 1.5
+_NEAR = 1.5
 """Factor within which a ratio of rates counts as that of a unit [1]."""
 _AGAINST = {"rad": 0.0, "m": 0.0, "deg": 0.5, "mm": 0.5, "ticks": 0.5, "rev": 2.0,
             "normalised": 2.0}  # fmt: skip
@@ -417,7 +413,7 @@ _UNFIT = 4.0
 """What a joint whose values no unit of a kind can be speaks against it."""
 _DEFINED = 2.0
 """What the definition of a format speaks for radians: less than values far outside the limits."""
-_RATES, _SPEEDS = ("rad/s", "deg/s", "rpm", "rev/s"), ("m/s", "mm/s", "cm/s", "mm/min")
+RATES, SPEEDS = ("rad/s", "deg/s", "rpm", "rev/s"), ("m/s", "mm/s", "cm/s", "mm/min")
 _ALLOWED: dict[str, tuple[str, ...]] = {
     "position": ("angle", "length", "number"),
     "velocity": ("angular speed", "speed"),
@@ -599,13 +595,18 @@ def counted(pers: Sequence[float], slide: bool) -> tuple[str, float]:
     return (best, known[best]) if told else ("", 0.0)
 
 
-def rate_unit(ratio: float, slide: bool) -> str:
-    """Unit of a velocity by its ratio to the derivative of the position in SI; "" if none fits.
+def by_motion(per: float, units: Sequence[str], scale: float = 1.0) -> Scaling | None:
+    """Scaling of channels by what each of their units is [SI]; None where no unit is near.
+
+    ``scale`` makes a unit more of the first one, such as counts of a position in a second.
 
     Examples
     --------
-    >>> rate_unit(-57.0, slide=False)
-    'deg/s'
+    >>> by_motion(0.0173, RATES).unit, by_motion(0.3, ("m/s",))
+    ('deg/s', None)
     """
-    best, off = nearest_unit(ratio, _SPEEDS if slide else _RATES)
-    return best if off < math.log(NEAR) else ""
+    ways = [*map(Scaling, units), Scaling(units[0], scale)]
+    off = {i: abs(math.log(max(per, 1e-12) / way.factor)) for i, way in enumerate(ways)}
+    best = min(off, key=lambda i: off[i])
+    told = replace(ways[best], reason=f"{ways[best].unit} by the motion")
+    return told if off[best] < math.log(_NEAR) else None
