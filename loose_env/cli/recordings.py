@@ -132,7 +132,7 @@ def proposed(proposal: Proposal, target: Path) -> dict[str, Any]:
             "channel": each.candidate.key.channel,
             "unit": each.scaling.unit or None,
             "scale": each.scaling.scale,
-            "sign": each.sign,
+            "sign": each.scaling.sign,
             "offset": each.scaling.offset,
             "complete": not each.open,
             "reason": each.reason,

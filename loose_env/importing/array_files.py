@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -29,18 +29,17 @@ _FEWEST = 10
 """Samples from which an array is a signal and no constant of the set-up."""
 _WIDEST = 4096
 """Entries from which a vector is an image or a matrix of weights."""
-_DEEPEST = 7
 _RATES = re.compile(r"(\w*_?hz|rate|freq|frequency|fs|fps|control_freq|sample_rate)", re.I)
 _STEPS = re.compile(r"(dt|ts|sample_time|timestep|time_step|sampling_time)", re.I)
 _NAMES = ("columns", "names", "labels", "header", "headers", "fields", "joint_names", "joints",
           "channels", "dof_names", "data_columns")  # fmt: skip
-Tree = dict[str, Any]
-"""Nested tables, lists, arrays, numbers and texts, as a file holds them."""
+Leaves = dict[str, Any]
+"""Arrays, lists, numbers and texts of a file by the ways to them, such as "group/name"."""
 
 
 def open_arrays(path: Path, name: str) -> Log:
     """Open a file of arrays."""
-    read = lru_cache(maxsize=1)(lambda: _tree(path, name))  # asked for an episode at a time
+    read = lru_cache(maxsize=1)(lambda: _leaves(path, name))  # asked for an episode at a time
     places = _episodes(read())
 
     def tables(episode: str, _: Sequence[ChannelKey] | None) -> list[Table]:
@@ -49,7 +48,7 @@ def open_arrays(path: Path, name: str) -> Log:
 
     if "" in places and not tables("", None)[0].columns:
         shapes = [f"{k} of {'x'.join(map(str, np.shape(v))) or 'one'}"
-                  for k, v in [*_leaves(read())][:4]]  # fmt: skip
+                  for k, v in [*read().items()][:4]]  # fmt: skip
         raise InvalidData(
             f"{name}: it holds no arrays of numbers that share {_FEWEST} or more samples"
             f"{' (' + ', '.join(shapes) + ')' if shapes else ''}: is it a log? Save the measured "
@@ -62,20 +61,18 @@ def open_arrays(path: Path, name: str) -> Log:
 # ------------------------------------------------------------------------- tables
 
 
-def _episodes(tree: Tree) -> dict[str, Tree]:
-    """Groups of like names that hold signals; the tree itself under "" where there are none."""
-    here = tree
-    while not any(map(_is_signal, here.values())):
-        groups = {k: v for k, v in here.items() if isinstance(v, dict) and _has_signals(v)}
-        if len(groups) != 1:
-            alike = len({(*sorted(v),) for v in groups.values()}) == 1
-            return {k: groups[k] for k in sorted(groups, key=natural)} if alike else {"": here}
-        ((_, here),) = groups.items()
-    return {"": here}
-
-
-def _has_signals(tree: Mapping[str, Any]) -> bool:
-    return any(_has_signals(v) if isinstance(v, dict) else _is_signal(v) for v in tree.values())
+def _episodes(leaves: Leaves) -> dict[str, Leaves]:
+    """Groups of like names that hold signals; all of the only one under "" where there are none."""
+    while True:
+        groups: dict[str, Leaves] = {}
+        for key, value in leaves.items():
+            head, inside, rest = key.partition("/")
+            groups.setdefault(head if inside else "", {})[rest or key] = value
+        found = {k: g for k, g in groups.items() if any(map(_is_signal, g.values()))}
+        if "" in found or len(found) != 1:
+            alike = "" not in found and len({(*sorted(g),) for g in found.values()}) == 1
+            return {k: found[k] for k in sorted(found, key=natural)} if alike else {"": leaves}
+        ((_, leaves),) = found.items()
 
 
 def _is_signal(value: Any) -> bool:
@@ -83,38 +80,25 @@ def _is_signal(value: Any) -> bool:
     return matrix is not None and max(matrix.shape) >= _FEWEST
 
 
-def _leaves(tree: Mapping[str, Any], key: str = "") -> Iterator[tuple[str, Any]]:
-    """Arrays, lists, numbers and texts of a tree with the ways to them."""
-    for name, value in tree.items():
-        own = f"{key}/{name}" if key else str(name)
-        if isinstance(value, dict):
-            yield from _leaves(value, own)
-        else:
-            yield own, value
-
-
-def _table(tree: Tree, place: str, whole: Tree) -> Table:
-    """Arrays of a tree that have the length that most of them have, as columns."""
-    leaves = dict(_leaves(tree))
+def _table(leaves: Leaves, place: str, whole: Leaves) -> Table:
+    """Arrays that have the length that most of them have, as columns."""
     found = {key: _matrix(value) for key, value in leaves.items()}
     arrays = {k: v for k, v in found.items() if v is not None and v.shape[1] <= _WIDEST}
     lengths = [n for a in arrays.values() for n in {*a.shape} if n >= _FEWEST]
     # Most values lie along the time; of equals the longer one is it.
     length = max(set(lengths), key=lambda n: (lengths.count(n), n), default=0)
-    around = [*leaves.items(), *_leaves(whole)]
+    around = [*leaves.items(), *whole.items()]
     columns: dict[str, NDArray[Any]] = {}
     units: dict[str, str] = {}
     for key, array in arrays.items():
         if array.shape[0] != length and array.shape[1] == length:
             array = array.T  # as MATLAB keeps rows
-        if array.shape[0] != length:
-            continue
-        width = array.shape[1]
-        labels = _labels(around, key, width, _NAMES) if width > 1 else ()
-        own = vector_columns(key, array, labels)
-        told = _labels(around, key, width, ("units", "unit"), unique=False)
-        columns |= own
-        units |= {n: u for n, u in zip(own, told, strict=False) if unit_in(f"[{u}]")}
+        if array.shape[0] == length:
+            width = array.shape[1]
+            own = vector_columns(key, array, _labels(around, key, width, _NAMES))
+            told = _labels(around, key, width, ("units", "unit"), unique=False)
+            columns |= own
+            units |= {n: u for n, u in zip(own, told, strict=False) if unit_in(f"[{u}]")}
     if length * len(columns) > MOST_VALUES:
         raise InvalidData(f"{place}: more than {MOST_VALUES} values; split the file")
     timed = any("time" in key.lower() or key in ("t", "ts") for key in columns)
@@ -142,11 +126,9 @@ def _matrix(value: Any) -> NDArray[Any] | None:
         return None
     if value.ndim == 3 and 1 in value.shape:
         value = value.reshape([n for n in value.shape if n != 1] or [1])
-    if value.ndim not in (1, 2):
-        return None
-    if value.dtype.kind != "i" or value.itemsize != 8:
+    if value.dtype != np.int64:
         value = value.astype(np.float64, copy=False)
-    return np.asarray(value.reshape(len(value), -1))
+    return np.asarray(value.reshape(len(value), -1)) if value.ndim in (1, 2) else None
 
 
 def _labels(
@@ -154,7 +136,7 @@ def _labels(
     *, unique: bool = True,
 ) -> tuple[str, ...]:  # fmt: skip
     """Names, or units, of the entries of a vector where the file gives one for each."""
-    lasts = ((way.rsplit("/", 1)[-1].lower(), value) for way, value in leaves)
+    lasts = ((way.rsplit("/", 1)[-1].lower(), value) for way, value in leaves if width > 1)
     lists = (v for last, v in lasts if last in names or last in {f"{key}_{n}" for n in names})
     told = (entry_names(v, width, unique=unique) for v in lists if np.ndim(v) == 1)
     return next(filter(None, told), ())
@@ -172,7 +154,7 @@ def _rate(way: str, value: Any) -> float | None:
 # ------------------------------------------------------------------------- files
 
 
-def _tree(path: Path, name: str) -> Tree:
+def _leaves(path: Path, name: str) -> Leaves:
     """Contents of a file; nothing in it is executed."""
     try:
         if path.stat().st_size > _MOST_BYTES:
@@ -184,24 +166,32 @@ def _tree(path: Path, name: str) -> Tree:
         raise damaged(name, f"{path.suffix.lstrip('.')} file", error) from None
 
 
-def _of_npz(path: Path) -> Tree:
+def _flat(tree: Any, way: str = "") -> Leaves:
+    """Contents of nested tables by the ways to them."""
+    if not isinstance(tree, dict):
+        return {way or "data": tree}
+    inner = (_flat(value, f"{way}/{key}" if way else str(key)) for key, value in tree.items())
+    return {key: value for each in inner for key, value in each.items()}
+
+
+def _of_npz(path: Path) -> Leaves:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         if sum(each.file_size for each in archive.zip.infolist()) > _MOST_BYTES:
             raise InvalidData(f"more than {_MOST_BYTES} bytes once expanded")
         return dict(archive)
 
 
-def _of_mat(path: Path) -> Tree:
+def _of_mat(path: Path) -> Leaves:
     from scipy import io
 
     try:
         whole = io.loadmat(path, simplify_cells=True)
     except NotImplementedError:  # version 7.3 is HDF5
         return _of_hdf5(path)
-    return {key: each for key, each in whole.items() if not key.startswith("__")}
+    return _flat({key: each for key, each in whole.items() if not key.startswith("__")})
 
 
-def _of_torch(path: Path) -> Tree:
+def _of_torch(path: Path) -> Leaves:
     try:
         import torch
     except ImportError:
@@ -213,14 +203,8 @@ def _of_torch(path: Path) -> Tree:
             "it holds more than tensors, numbers and texts, or is damaged; files that can hold "
             "code are not read: save its tensors as a dictionary, or as .npz"
         ) from None
-
-    def plain(each: Any) -> Any:
-        if isinstance(each, dict):
-            return {str(k): plain(v) for k, v in each.items()}
-        return each.numpy() if isinstance(each, torch.Tensor) else each
-
-    found = plain(whole)
-    return found if isinstance(found, dict) else {"data": found}
+    tensor = torch.Tensor
+    return {k: v.numpy() if isinstance(v, tensor) else v for k, v in _flat(whole).items()}
 
 
 def parquet_columns(path: Path) -> dict[str, NDArray[Any]]:
@@ -239,45 +223,41 @@ def parquet_columns(path: Path) -> dict[str, NDArray[Any]]:
             width, column = widths[0] if len(widths) == 1 else 0, pc.list_flatten(column)
         if pa.types.is_timestamp(column.type):
             column = column.cast("int64")
-        plain = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-        if (plain or pa.types.is_boolean(column.type)) and width:
-            values = np.asarray(column.to_numpy())
+        values = np.asarray(column.to_numpy()) if width else np.empty(0, object)
+        if values.dtype.kind in "fiub":
             found[key] = values.reshape(table.num_rows, width) if width > 1 else values
     return found
 
 
-def _of_hdf5(path: Path) -> Tree:
+def _of_hdf5(path: Path) -> Leaves:
     """Numbers of an HDF5 file; links to other files, which were not given, are not followed."""
     try:
         import h5py
     except ImportError:
         raise MissingExtra("HDF5 files need h5py: pip install 'loose-env[import]'") from None
+    found: Leaves = {}
 
-    def walk(group: Any, depth: int) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for key in group:
-            if depth == _DEEPEST or not isinstance(group.get(key, getlink=True), h5py.HardLink):
-                continue
-            here = group[key]
-            if isinstance(here, h5py.Group):
-                found[key] = walk(here, depth + 1)
-            elif not here.is_virtual and not here.external and here.dtype.kind in "fiub":
-                if len(here.shape) < 3 and here.size <= MOST_VALUES:
-                    found[key] = here[()]
-            elif here.dtype.kind in "SO" and len(here.shape) == 1 and len(here) <= _WIDEST:
-                found[key] = [str(v, "utf-8") if isinstance(v, bytes) else str(v) for v in here[()]]
-        for key, value in group.attrs.items():
+    def take(way: str, here: Any) -> None:
+        if isinstance(here, h5py.Dataset):
+            own = not here.is_virtual and not here.external and len(here.shape) < 3
+            if own and here.dtype.kind in "fiub" and here.size <= MOST_VALUES:
+                found[way] = here[()]
+            elif own and here.dtype.kind in "SO" and len(here.shape) == 1 and len(here) <= _WIDEST:
+                found[way] = [str(v, "utf-8") if isinstance(v, bytes) else str(v) for v in here[()]]
+            return
+        for key, value in here.attrs.items():
             if isinstance(value, str) and value[:1] == "{":  # robomimic's hold a table
-                found[f"@{key}"] = json.loads(value)
+                found.update(_flat(json.loads(value), f"{way}/@{key}"))
             elif np.ndim(value) == 0:
-                found[f"@{key}"] = value
-        return found
+                found[f"{way}/@{key}"] = value
 
     with h5py.File(path, "r") as file:
-        return walk(file, 0)
+        take("", file)
+        file.visititems(take)  # which follows no links to other files
+    return found
 
 
-READERS: dict[str, Callable[[Path], Tree]] = {
+READERS: dict[str, Callable[[Path], Leaves]] = {
     ".npz": _of_npz, ".mat": _of_mat, ".pt": _of_torch, ".pth": _of_torch,
     ".parquet": parquet_columns, ".hdf5": _of_hdf5, ".h5": _of_hdf5,
 }  # fmt: skip

@@ -62,19 +62,18 @@ def samples_of(table: Table, channel: str, time: TimeSource) -> Samples:
     values = np.asarray(_numbers(table, channel, "number"), dtype=np.float64)
     place = f"{table.place}: {table.column_word} {channel!r}"
     if np.isfinite(values).all():
-        at, origin, keep, done = _times(table, time)
+        at, origin, keep, done = _all_times(table, time)
     else:
-        at, origin, keep, done = _times_of(table, time, np.flatnonzero(~np.isnan(values)))
+        at, origin, keep, done = _ordered(table, time, np.flatnonzero(~np.isnan(values)))
         if (infinite := np.flatnonzero(np.isinf(values))).size:
             raise InvalidData(f"{table.row(int(infinite[0]))}: the value is infinite, {channel!r}")
-    count = len(values) if keep is None else len(keep)
-    if count < 2:
-        raise InvalidData(f"{place}: it has {count} samples; at least 2 needed")
+    if len(keep) < 2:
+        raise InvalidData(f"{place}: it has {len(keep)} samples; at least 2 needed")
     return Samples(
         place=place,
         origin_ns=origin,
         time=at,
-        values=values if keep is None else values[keep],
+        values=values[keep],
         unit=table.units.get(channel, ""),
         done=(*table.done, *done),
     )
@@ -91,12 +90,8 @@ def chosen_time(tables: Sequence[Table]) -> tuple[TimeSource, str]:
         done: dict[str, None] = {}
         try:
             for table in tables:
-                clock = _clock(table, each)
-                raw = np.empty(0) if clock is None else clock.raw
-                rows = np.flatnonzero(~np.isnan(np.asarray(raw, dtype=np.float64)))
-                if clock is not None:
-                    *_, own = _ordered(table, clock, rows if len(rows) < len(table) else None)
-                    done |= dict.fromkeys(own)
+                raw = np.asarray(_clock(table, each).raw, dtype=np.float64)
+                done |= dict.fromkeys(_ordered(table, each, np.flatnonzero(~np.isnan(raw)))[-1])
         except InvalidData as error:
             refused.append(str(error))
             continue
@@ -142,23 +137,19 @@ def time_unit(step: float, value: float = 0.0) -> str:
 
 def _named(table: Table) -> list[TimeSource]:
     """Columns that their names or units call a time, those of a clock that is never set first."""
-    found: list[tuple[int, TimeSource]] = []
+    found: list[tuple[bool, TimeSource]] = []
     for name in [each for each in table.columns if each != table.time]:
         words = set(re.findall(r"[a-zäöü]+\d*", name.lower()))
         unit = table.units.get(name) or unit_in(name)
-        timed = bool(unit) and quantity_of(unit) == "time"
-        if words & _SECONDS:
-            fine = next((n for n in table.columns if _same_but(name, n)), "")
-            if fine:
-                found.append((1, TimeSource(column=name, fine=fine)))
-                continue
-        if not (words & (_NAMES | _STEADY) or timed or any("time" in word for word in words)) or (
-            words & _NANOS and not words & _NAMES
-        ):
-            continue
-        if words & {"task", "index", "lag", "delay", "duration", "execution"} and not timed:
-            continue
-        found.append((0 if words & _STEADY else 1, _with_unit(table, name, unit if timed else "")))
+        timed = quantity_of(unit) == "time"
+        fine = next((n for n in table.columns if words & _SECONDS and _same_but(name, n)), "")
+        called = words & (_NAMES | _STEADY) or any("time" in word for word in words)
+        other = words & {"task", "index", "lag", "delay", "duration", "execution"}
+        rest = words & _NANOS and not words & _NAMES  # of another column's seconds
+        if fine:
+            found.append((True, TimeSource(column=name, fine=fine)))
+        elif (timed or (called and not other)) and not rest:
+            found.append((not words & _STEADY, _with_unit(table, name, unit if timed else "")))
     return [each for _, each in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -210,11 +201,12 @@ def _short(words: str) -> str:
 
 
 @lru_cache(maxsize=8)
-def _clock(table: Table, time: TimeSource) -> _Clock | None:
-    """Times of all rows; None where they follow from a rate."""
+def _clock(table: Table, time: TimeSource) -> _Clock:
+    """Times of all rows as the file has them, or by a rate."""
     place, own = table.place, time.column or table.time
-    if time.rate_hz is not None or (not own and table.rate_hz is not None):
-        return None
+    rate = time.rate_hz or (None if own else table.rate_hz)
+    if rate is not None:
+        return _Clock(f"at {rate:g} Hz", np.arange(float(len(table))), 1 / rate)
     if not own:
         raise InvalidData(
             f"{place}: its time is not known. Name its column, time = {{ column = 'Time' }}, or "
@@ -232,43 +224,32 @@ def _clock(table: Table, time: TimeSource) -> _Clock | None:
     return _Clock(f"{own!r} [{unit}]", raw, unit_named(unit, f"{place}: time.unit").factor)
 
 
-_Ordered = tuple[Array, int, NDArray[np.int64] | None, tuple[str, ...]]
-
-
-def _times_of(table: Table, time: TimeSource, keep: NDArray[np.int64] | None) -> _Ordered:
-    """Times of all rows or of some, as `_ordered`, or by the rate."""
-    clock = _clock(table, time)
-    if clock is not None:
-        return _ordered(table, clock, keep)
-    at = np.arange(len(table)) / (time.rate_hz or table.rate_hz or 1.0)
-    return (at if keep is None else at[keep]), 0, keep, ()
+_Ordered = tuple[Array, int, NDArray[np.int64], tuple[str, ...]]
 
 
 @lru_cache(maxsize=8)
-def _times(table: Table, time: TimeSource) -> _Ordered:
+def _all_times(table: Table, time: TimeSource) -> _Ordered:
     """Times of all rows, which channels without missing samples share."""
-    return _times_of(table, time, None)
+    return _ordered(table, time, np.arange(len(table)))
 
 
-def _ordered(table: Table, clock: _Clock, keep: NDArray[np.int64] | None) -> _Ordered:
-    """Times [s] after an origin [ns], the rows in their order, and what was done."""
-    raw = clock.raw if keep is None else clock.raw[keep]
-    rows = np.arange(len(clock.raw)) if keep is None else keep
-    if raw.dtype.kind == "f":
-        bad = np.flatnonzero(~np.isfinite(raw))
-        if bad.size:
-            value = raw[int(bad[0])]
-            words = "''" if np.isnan(value) else f"'{value}'"
-            name = clock.label.rsplit(" [", 1)[0]
-            raise InvalidData(f"{table.row(int(rows[bad[0]]))}, column {name}: {words} is no time")
+def _ordered(table: Table, time: TimeSource, rows: NDArray[np.int64]) -> _Ordered:
+    """Times of rows [s] after an origin [ns], the rows in their order, and what was done."""
+    clock = _clock(table, time)
+    raw = clock.raw[rows]
+    bad = np.flatnonzero(~np.isfinite(raw))
+    if bad.size:
+        value = raw[int(bad[0])]
+        words = "''" if np.isnan(value) else f"'{value}'"
+        name = clock.label.rsplit(" [", 1)[0]
+        raise InvalidData(f"{table.row(int(rows[bad[0]]))}, column {name}: {words} is no time")
     done: list[str] = []
     if len(raw) > 1 and np.any(np.diff(raw) <= 0):
         raw, order = _mended(table, clock, raw, rows, done)
-        keep, raw = (rows[order], raw[order])
-    first = raw[0] if len(raw) else 0
-    nanos = round(clock.factor * 1e9)
-    origin = int(first) * nanos if raw.dtype.kind in "iu" else round(float(first) * nanos)
-    return (raw - first) * clock.factor, origin, keep, tuple(done)
+        rows, raw = (rows[order], raw[order])
+    first = raw[0] if len(raw) else np.float64()
+    nanos = round(clock.factor * 1e9) if raw.dtype.kind in "iu" else clock.factor * 1e9
+    return (raw - first) * clock.factor, round(first.item() * nanos), rows, tuple(done)
 
 
 def _mended(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, TypeVar
@@ -76,14 +76,9 @@ class Signal:
         return any(len(v) and float(np.ptp(v)) > 1e-6 * scale for v in self.runs)
 
     @cached_property
-    def low(self) -> float:
-        """Smallest value."""
-        return float(np.min(self.values))
-
-    @cached_property
-    def high(self) -> float:
-        """Largest value."""
-        return float(np.max(self.values))
+    def ends(self) -> Array:
+        """Smallest and largest value, shape (2,)."""
+        return np.array([np.min(self.values), np.max(self.values)])
 
     @cached_property
     def smooth(self) -> list[Array]:
@@ -115,34 +110,28 @@ def dry_friction(speed: Array) -> Array:
     return np.tanh(speed / (0.1 * np.std(speed) + 1e-12))
 
 
-class Torque(NamedTuple):
-    """What there is of a joint's torque in a channel."""
+class Agreement(NamedTuple):
+    """What there is of what the model predicts for a motion in the channels of a witness."""
 
     whole: float = 0.0
-    """Correlation with the torque that the model needs, and friction; negative if reversed [1]."""
+    """Correlation with it and what acts beside it: friction, or another mount of a sensor [1]."""
     alone: float = 0.0
-    """Correlation with the torque that the model needs [1]."""
+    """Correlation with it as the model has it; negative if reversed [1]."""
     per: float = 0.0
-    """Torque that the model needs for each of its units [N·m or N]."""
+    """Predicted SI units for each of the channels' units."""
 
 
-def torque_in(channel: Sequence[Array], needed: Sequence[Array], rates: Sequence[Array]) -> Torque:
+def torque_in(
+    channel: Sequence[Array], needed: Sequence[Array], rates: Sequence[Array]
+) -> Agreement:
     """What there is of a torque in a channel, by the torque needed for the motion and its speed.
 
-    Friction is viscous and dry. Torques may be those of every so many rows.
+    Friction is viscous and dry: ``whole`` is negative where load or friction is reversed.
     """
-    rows = []
-    for own, load, speed in zip(channel, needed, rates, strict=True):
-        every = max(1, round(len(own) / len(load))) if len(load) else 1
-        parts = [each[::every] for each in (own, speed)]
-        if len(load) > 3 and len(parts[0]) == len(parts[1]) == len(load):
-            rows.append(np.stack([load - load.mean(), parts[0] - parts[0].mean(), parts[1]]))
-    if not rows:
-        return Torque()
-    load, own, speed = np.concatenate(rows, axis=1)
+    load, own, speed, dry = _rows(needed, channel, rates, [dry_friction(v) for v in rates])
     if np.std(own) == 0 or np.std(load) == 0:
-        return Torque()
-    beside = np.stack([speed, dry_friction(speed)], axis=1)
+        return Agreement()
+    beside = np.stack([speed, dry], axis=1)
     columns = np.column_stack([load, beside])
     share = np.linalg.lstsq(columns, own, rcond=None)[0]
     fitted, friction = columns @ share, beside @ share[1:]
@@ -153,7 +142,38 @@ def torque_in(channel: Sequence[Array], needed: Sequence[Array], rates: Sequence
     larger = np.std(load) * abs(share[0]) > np.std(friction)
     sign = float(share[0]) if larger else float(np.mean(friction * speed))
     size = abs(share[0]) if share[0] * alone > 0 else np.std(own) / np.std(load) * abs(alone)
-    return Torque(math.copysign(whole, sign), alone, float(1 / size) if size > 0 else 0.0)
+    return Agreement(math.copysign(whole, sign), alone, float(1 / size) if size > 0 else 0.0)
+
+
+def sensed_in(
+    places: Iterable[int], axes: Sequence[Sequence[Array]], readings: Sequence[Sequence[Array]]
+) -> Agreement:
+    """What there is of a tool sensor in channels of its axes, by what the model reads there.
+
+    ``places`` are those of the channels among the readings; a mount mixes all readings.
+    """
+    rows = _rows(*readings, *axes)
+    read, own = rows[: len(readings)].T, rows[len(readings) :].T
+    same = read[:, [*places]]
+    if not own.any() or not same.any():
+        return Agreement()
+    fitted = read @ np.linalg.lstsq(read, own, rcond=None)[0]
+    whole = np.linalg.norm(fitted) / np.linalg.norm(own)
+    alone = np.sum(same * own) / np.linalg.norm(same) / np.linalg.norm(own)
+    per = np.linalg.norm(same) / (np.linalg.norm(fitted) + 1e-12)
+    return Agreement(float(whole), float(alone), float(per))
+
+
+def _rows(few: Sequence[Array], *others: Sequence[Array]) -> Array:
+    """Signals about their means, at every so many rows as the first has."""
+    rows = []
+    for first, *own in zip(few, *others, strict=True):
+        every = max(1, round(len(own[0]) / len(first))) if len(first) else 1
+        parts = [first, *(v[::every] if len(v) > len(first) else v for v in own)]
+        if len(first) > 3 and {len(part) for part in parts} == {len(first)}:
+            rows.append(np.stack(parts))
+    whole = np.concatenate(rows, axis=1) if rows else np.zeros((1 + len(others), 1))
+    return np.asarray(whole - whole.mean(axis=1, keepdims=True))
 
 
 def derivative(values: Array, step: float) -> Array:
@@ -218,21 +238,14 @@ def likeness(first: Sequence[Array], second: Sequence[Array], step: float) -> Li
     return Likeness(float(np.clip(total[best], -1, 1)), (exact - most) * step)
 
 
-class Speed(NamedTuple):
-    """What there is of the derivative of a position in a channel."""
+def speed_in(position: Signal, s: Signal) -> float:
+    """Correlation of a channel with the derivative of a position, negative if reversed.
 
-    evidence: float
-    """Correlation, less what the size is off those of all units where none is stated [1]."""
-    correlation: float
-    """Negative if reversed [1]."""
-
-
-def speed_in(position: Signal, s: Signal) -> Speed:
-    """Compare a channel with the derivative of a position."""
-    product, one, two = _products(position.compared[0], s.compared[1])
-    ratio, value = ratio_of(product, one, two)
+    Less what its size is off those of all units, where none is stated.
+    """
+    ratio, value = ratio_of(*_products(position.compared[0], s.compared[1]))
     off = 0.0 if s.unit else min(abs(math.log(max(abs(ratio), 1e-12) / each)) for each in SIZES)
-    return Speed(math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value), value)
+    return math.copysign(max(abs(value) - min(off, _TOLD), 0.0), value)
 
 
 def decoded(values: Array, period: float | None, sign_bit: int | None) -> Array:
@@ -286,38 +299,30 @@ def _jump(values: Array) -> float:
 
 def on_one_base(samples: Mapping[K, Samples]) -> tuple[float, dict[K, Array]]:
     """Channels of one run at the times that all of them have, where they move most."""
-    if not samples:
+    origin = min((each.origin_ns for each in samples.values()), default=0)
+    clocks = {(id(s.time), s.origin_ns): s.since(origin) for s in samples.values()}
+    times = {key: clocks[id(s.time), s.origin_ns] for key, s in samples.items()}
+    if not times:
         return 1.0, {}
-    origin = min(each.origin_ns for each in samples.values())
-    shared = {(id(s.time), s.origin_ns): s for s in samples.values()}
-    clocks = {key: (s.since(origin), median_step(s.time)) for key, s in shared.items()}
-    own = {key: clocks[id(s.time), s.origin_ns] for key, s in samples.items()}
-    times = {key: time for key, (time, _) in own.items()}
-    ends = np.array([[t[0], t[-1]] for t in times.values()])
+    first, last = np.median([[t[0], t[-1]] for t in times.values()], axis=0)
     # A channel that speaks of less than half of the others' time is no part of the motion.
-    longest = np.median(ends[:, 1] - ends[:, 0])
-    kept = {
-        key: t
-        for key, t in times.items()
-        if min(t[-1], np.median(ends[:, 1])) - max(t[0], np.median(ends[:, 0])) > 0.5 * longest
-    }
-    if not kept:
-        return 1.0, {}
-    start, stop = max(t[0] for t in kept.values()), min(t[-1] for t in kept.values())
-    step = min(own[key][1] for key in kept)
+    kept = {k: t for k, t in times.items()
+            if min(t[-1], last) - max(t[0], first) > 0.5 * (last - first)}  # fmt: skip
+    start = max((t[0] for t in kept.values()), default=0.0)
+    stop = min((t[-1] for t in kept.values()), default=0.0)
+    step = min((median_step(t) for t in {id(t): t for t in kept.values()}.values()), default=1.0)
     rows = int((stop - start) / step + 1e-6) + 1 if stop > start else 0
     if rows < 10:
         return step, {}
     base = start + step * np.arange(rows)
     if rows > MOST_ROWS:  # the piece is looked for by every so many rows
-        few = base[:: -(-rows // MOST_ROWS)]
-        width = MOST_ROWS * len(few) // rows
-        effort = np.zeros(len(few))
+        every = -(-rows // MOST_ROWS)
+        effort = np.zeros(len(base[::every]) - 1)
         for k, t in kept.items():
-            v = np.interp(few, t, samples[k].values)
-            effort[1:] += np.abs(np.diff(v)) / (np.ptp(v) or 1.0)
-        total = np.cumsum(effort)
-        at = int(np.argmax(total[width - 1 :] - total[: len(few) - width + 1]))
-        first = int(min(np.searchsorted(base, few[at]), rows - MOST_ROWS))
-        base = base[first : first + MOST_ROWS]
+            v = np.interp(base[::every], t, samples[k].values)
+            effort += np.abs(np.diff(v)) / (np.ptp(v) or 1.0)
+        total = np.cumsum(np.insert(effort, 0, 0.0))
+        width = MOST_ROWS // every
+        most = every * int(np.argmax(total[width:] - total[:-width]))
+        base = base[min(most, rows - MOST_ROWS) :][:MOST_ROWS]
     return step, {k: np.interp(base, t, samples[k].values) for k, t in kept.items()}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -54,12 +54,11 @@ def _tables(path: Path, name: str, topics: set[str] | None) -> list[Table]:
     found: dict[str, _Topic] = {}
     metadata = path / "metadata.yaml"
     packed = metadata.is_file() and _COMPRESSED.search(metadata.read_text("utf-8", "replace"))
-    for file in [path] if path.is_file() or packed else storages(path):
-        place = name if file == path else f"{name}/{file.name}"
-        for topic, decoder, stamp_ns, data in _messages(file, place):
-            own = found.setdefault(topic, _Topic(f"{name}: topic {topic!r}", topic))
-            if topics is None or topic in topics:
-                own.take(decoder, stamp_ns, data, strict=topics is not None)
+    files = [path] if path.is_file() or packed else storages(path)
+    for topic, decoder, stamp_ns, data in _messages(files, name):
+        own = found.setdefault(topic, _Topic(f"{name}: topic {topic!r}", topic))
+        if topics is None or topic in topics:
+            own.take(decoder, stamp_ns, data, strict=topics is not None)
     return [topic.table() for topic in found.values()]
 
 
@@ -173,51 +172,33 @@ def _fields_of(kind: type) -> tuple[str, ...]:
 # ------------------------------------------------------------------------- containers
 
 
-def _messages(path: Path, place: str) -> Iterator[tuple[str, Decoder, int, bytes]]:
-    """Topic, decoder, stamp [ns] and bytes of the messages of one file in its order."""
+def _messages(paths: Sequence[Path], name: str) -> Iterator[tuple[str, Decoder, int, bytes]]:
+    """Topic, decoder, stamp [ns] and bytes of the messages of the files of one bag."""
     try:
-        from rosbags.rosbag1 import Reader as Reader1
-        from rosbags.rosbag2 import Reader as Reader2
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise MissingExtra(
             "ROS bags and MCAP files need rosbags: pip install 'loose-env[import]'"
         ) from None
+
+    def refuse(kind: str) -> Decoder:
+        raise InvalidData(
+            f"{name}: the bag has no definition of {kind!r}; record with a version of ROS 2 that "
+            "stores 'ros2msg' schemas"
+        )
+
+    standard = get_typestore(Stores.ROS1_NOETIC if paths[0].suffix == ".bag" else Stores.LATEST)
     try:
-        first = path.suffix == ".bag"
-        with Reader1(path) if first else Reader2(path) as reader:
-            decoders: dict[int, Decoder] = {}
-            for connection, stamp, data in reader.messages(connections=reader.connections):
-                if connection.id not in decoders:
-                    decoders[connection.id] = _decoder(connection, place, first=first)
-                yield connection.topic, decoders[connection.id], stamp, bytes(data)
+        with AnyReader(paths, default_typestore=standard) as reader:
+            known = reader.typestore.fielddefs
+            for connection, stamp, data in reader.messages():
+                kind = connection.msgtype
+                decode = partial(reader.deserialize, typ=kind) if kind in known else (
+                    lambda _, kind=kind: refuse(kind))  # fmt: skip
+                yield connection.topic, decode, stamp, data
     except LooseEnvError:
         raise
     except Exception as error:  # the library raises errors of many kinds on damaged bytes
         more = "; 'ros2 bag reindex', or 'mcap recover', may save what is whole"
-        raise damaged(place, "ROS bag", error, more) from None
-
-
-def _decoder(connection: Any, place: str, *, first: bool) -> Decoder:
-    """Decoder of the messages of a connection; standard types need no definition."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-
-    kind, text = connection.msgtype, connection.msgdef.data
-    idl = connection.msgdef.format.name == "IDL"
-    full = kind if kind.count("/") == 2 else kind.replace("/", "/msg/", 1)
-    place = f"{place}: topic {connection.topic!r}"
-    standard = get_typestore(Stores.ROS1_NOETIC if first else Stores.LATEST)
-    store = get_typestore(Stores.EMPTY)
-    try:
-        told = (get_types_from_idl(text) if idl else get_types_from_msg(text, full)) if text else {}
-        store.register({**standard.fielddefs, **told})
-    except Exception as error:  # whatever a parser raises
-        raise damaged(place, f"definition of {kind[:80]!r}", error) from None
-    if full not in store.fielddefs:  # matters only where the topic is asked for
-        words = f"{place}: the bag has no definition of {kind!r}; record with a version of ROS 2 "
-
-        def refuse(_: bytes) -> Any:
-            raise InvalidData(f"{words}that stores 'ros2msg' schemas")
-
-        return refuse
-    read = store.deserialize_ros1 if first else store.deserialize_cdr
-    return lambda data: read(data, full)
+        raise damaged(name, "ROS bag", error, more) from None

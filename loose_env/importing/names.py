@@ -23,6 +23,7 @@ other: error err seq count counter id status state_machine enable kp kd gain mas
 command: target target command commands cmd action actions desired des ref reference setpoint goal
 command: ctrl control controls soll sollwert demand tgt sp set cmds traj trajectory
 acceleration: qdd ddq acc accel acceleration accelerometer qacc gyro gyr gyroscope imu
+acceleration: gx gy gz
 velocity: velocity velocities vel qd dq qvel speed rate omega
 torque: effort torque torques tau moment force forces frc load
 current: current currents amps
@@ -35,7 +36,6 @@ for _line in _TABLE.strip().splitlines():
     _WORDS.setdefault(_role, set()).update(_rest.split())
 _TELLING = 3
 """Fewest letters of a word by which a channel names a joint."""
-_AXES = {"0": "x", "1": "y", "2": "z", "x": "x", "y": "y", "z": "z"}
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,14 @@ class Meaning:
     """Words of the whole name, in lower case."""
 
     @property
-    def axis(self) -> str:
-        """Axis x, y or z that the name has, alone or as in ``ax``; else ""."""
-        for last in reversed(self.words):
-            axis = _AXES.get(last, last[1:] if last in ("ax", "ay", "az", "gx", "gy", "gz") else "")
-            if axis:
-                return axis
-        return ""
+    def axis(self) -> tuple[tuple[str, ...], str]:
+        """Words without the axis, or number, that the name has last; and that axis, or ""."""
+        for i, word in reversed([*enumerate(self.words)]):
+            stem, axis = ("", word) if word.isdigit() else (word[:-1], word[-1])
+            known = len(stem) < 2 or any(stem in each for each in _WORDS.values())
+            if axis.isdigit() or (axis in "xyz" and known):
+                return (*self.words[:i], stem, *self.words[i + 1 :]), axis
+        return self.words, ""
 
 
 def meaning_of(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -129,9 +130,10 @@ def propose(
     runs = _runs(logs)
     signals = _signals(logs, runs, {t.name: t.aliases for t in joint_targets(model)})
     roles = Roles(model, signals).found()
-    columns, left = (*roles.lines.values(), *roles.open), roles.left()
-    refused = "" if any(not c.startswith("ctrl.") for c in roles.lines) else _nothing(
-        logs, roles, left, [*ModelColumns.of(model).known])  # fmt: skip
+    known, left = [*ModelColumns.of(model).known], roles.left()
+    order = sorted(roles.lines, key=lambda c: (c.startswith("ctrl."), known.index(c)))
+    columns = (*(roles.lines[column] for column in order), *roles.open)
+    refused = _nothing(logs, roles, left, known) if all(c[:5] == "ctrl." for c in order) else ""
     taken = {line.candidate.source for line in roles.lines.values()}
     for name in [name for name in logs if taken and name not in taken]:
         notes.append(f"{name}: none of its channels is used")
@@ -369,14 +371,21 @@ def source_name(given: str, taken: Container[str]) -> str:
 
 
 def _run_names(proposal: Proposal) -> list[str]:
-    """Names of the runs: of their files or folders; numbers where a run has several."""
-    if len(proposal.runs) == 1:
-        return [*proposal.logs][:1]
+    """Names of the runs: of their file or folder, or the words that the names of all files share.
+
+    A number alone is that of a run: ``robot-03.csv`` and ``acc-03.csv`` make ``run-03``.
+    """
     taken: dict[str, None] = {}
     for i, run in enumerate(proposal.runs):
-        folders = {file.split("/")[0] for file in run.values()}
-        call = folders.pop() if len(folders) == 1 else f"run-{i + 1:02d}"
-        taken[source_name(next(iter(run.values())) if len(run) == 1 else call, taken)] = None
+        paths = [Path(file) for file in run.values()]
+        words = [re.split(r"[-_. ]+", path.stem) for path in paths]
+        shared = [word for word in words[0] if all(word in other for other in words)]
+        call = "-".join(shared) or str(i + 1)
+        if len({*run.values()}) == 1:
+            call = next(iter(run.values()))
+        elif len({path.parent for path in paths}) == 1 and paths[0].parent.name:
+            call = paths[0].parent.name
+        taken[source_name(f"run-{int(call):02d}" if call.isdigit() else call, taken)] = None
     return [*taken]
 
 
@@ -388,7 +397,7 @@ def _line(each: Line, several: bool) -> str:
     parts += [f"channel = {quoted(s.key.channel)}"]
     parts += [f"unit = {quoted(scaling.unit)}"] if scaling.unit else []
     parts += [f"scale = {scaling.scale:.9g}"] if scaling.scale != 1.0 else []
-    parts += [f"sign = {each.sign}"] if each.sign != 1 else []
+    parts += [f"sign = {scaling.sign}"] if scaling.sign != 1 else []
     parts += [f"offset = {scaling.offset:.9g}"] if scaling.offset else []
     parts += [f"period = {s.period:.9g}"] if s.period is not None and each.column else []
     parts += [f"sign_bit = {s.sign_bit}"] if s.sign_bit is not None and each.column else []

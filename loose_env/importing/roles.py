@@ -20,9 +20,9 @@ import numpy as np
 
 from loose_env.importing.evidence import (
     SIZES,
+    Agreement,
     Likeness,
     Signal,
-    Torque,
     derivative,
     likeness,
     slope,
@@ -31,16 +31,18 @@ from loose_env.importing.evidence import (
 )
 from loose_env.importing.names import Role
 from loose_env.importing.targets import (
-    NEAR,
+    RATES,
+    SPEEDS,
     JointTarget,
     Scaling,
+    Tool,
     admits,
+    by_motion,
     counted,
     is_rate,
     joint_targets,
     needed_torques,
     position_scalings,
-    rate_unit,
     tool_sensors,
     vector_orders,
 )
@@ -68,6 +70,8 @@ _MINUTES = 0.02
 """Logarithm by which a velocity may be off 60 times a derivative [1]: half way to deg/s of rad."""
 _SLOW_S = 2.0
 """Time over which positions and commands are averaged to be compared in size [s]."""
+_NEVER = 2.0
+"""Correlation that none has."""
 _RATE = 0.95
 """Least correlation with a derivative at which a channel without a name tells a position [1]: dry
 friction's torque has 0.8 and more."""
@@ -95,7 +99,6 @@ class Line:
     """Column of the model; "" where it has none for the channel."""
     candidate: Signal
     scaling: Scaling
-    sign: int = 1
     reason: str = ""
     open: bool = False
     """True if something is missing, so that the line is left as a comment."""
@@ -145,21 +148,27 @@ class Roles:
         self.positions: dict[str, tuple[Signal, Scaling, str]] = {}
         self.rates: dict[str, list[Array]] = {}
         self.needed: dict[str, list[Array]] = {}
+        self.felt: list[Array] = []
+        self.directed: set[str] = set()
+        """Joints whose direction a tool sensor has told."""
         self.notes: list[str] = []
         self.pairs: dict[tuple[int, int], Likeness] = {}
 
-    def found(self) -> Roles:
-        """All roles, in the order in which one rests on the other."""
+    def found(self, exchanged: str = "") -> Roles:
+        """All roles, in the order in which one rests on the other; exchanged states have a note."""
         self.places: dict[int, str] = {}
         self.vectors = self._vectors()
         self.places = {s.sort: j for v in self.vectors if v.given for j, s in v.members.items()}
         self._take_positions()
         self._take_units()
+        self._take_tools(_NEVER)
         self._take_rest()
         self._take_still()
-        for column, s, unit, words in tool_sensors(self.model, self._free(), self.rates):
-            self._add(column, s, Scaling(unit), 1, words)
-        return self
+        self._take_tools(_RATE)
+        if exchanged:
+            self.notes.append(exchanged)
+            return self
+        return self._with_exchange()
 
     def _free(self) -> list[Signal]:
         return [s for s in self.signals if s.sort not in self.used and s.moves]
@@ -170,6 +179,10 @@ class Roles:
         """Joint that a channel has by its name or place in a vector; else the only one, or ""."""
         only = next(iter(self.joints)) if len(self.joints) == 1 else ""
         return s.meaning.joint or self.places.get(s.sort, only)
+
+    def _place(self, s: Signal) -> tuple[str, int | None]:
+        """Joint and number of a channel by its name."""
+        return self._label(s), s.meaning.index
 
     def _vectors(self) -> list[Vector]:
         """Channels that belong together by their names, by brackets, or by their order."""
@@ -233,7 +246,7 @@ class Roles:
         """Correlation of a channel with the derivative of another; 0 where it is no velocity."""
         if s is other or not is_rate(other.unit, s.unit):
             return 0.0
-        value = abs(speed_in(s, other).evidence)
+        value = abs(speed_in(s, other))
         return value if value >= (ALIKE if other.meaning.role == "velocity" else _RATE) else 0.0
 
     def _relation(self, s: Signal, others: Sequence[Signal]) -> tuple[float, str]:
@@ -245,7 +258,7 @@ class Roles:
         score, words = (-3.0 if is_of else 0.0), ""
         if rate > is_of:
             score, words = 1.0 + rate, f"{other.key} is its derivative ({rate:.2f})"
-        follows, apart, leads = -math.inf, 0.0, False
+        follows, apart, leads, lead = -math.inf, 0.0, False, ""
         for d in others:
             same = {quantity_of(d.unit), quantity_of(s.unit)} - {""}
             if d is s or len(same) > 1 or d.meaning.role not in ("", "position", "command"):
@@ -256,10 +269,11 @@ class Roles:
             leads |= like.lag < -_TOGETHER * self.step
             # Of two sensors of a joint, one before its gear, a command is in the unit of the other.
             size = min(abs(math.log(abs(slope(d.runs, s.runs)) * each)) for each in SIZES)
-            if like.lag > _TOGETHER * self.step and like.correlation - size > follows:
-                follows, apart = like.correlation, min(size, 0.5)
-                words = words or f"follows {d.key} by {like.lag:.3g} s ({like.correlation:.2f})"
-        return score + (2.0 - apart if follows > -math.inf else -2.0 if leads else 0.0), words
+            near = like.correlation - size - _NAME * (self._place(d) != self._place(s))
+            if like.lag > _TOGETHER * self.step and near > follows:
+                follows, apart = near, min(size, 0.5)
+                lead = f"follows {d.key} by {1e3 * like.lag:.3g} ms ({like.correlation:.2f})"
+        return score + (2.0 - apart if lead else -2.0 if leads else 0.0), words or lead
 
     def _take_positions(self) -> None:
         moving = [s for s in self._free() if s.meaning.role != "other"][:_MOST]
@@ -310,26 +324,40 @@ class Roles:
         return best[1]
 
     def _weighed(self, positions: Mapping[str, Signal], unit: str) -> float:
-        """How much torques, or an accelerometer, are what positions in a unit make of them."""
+        """How much torques, or a tool sensor, are what positions in a unit make of them."""
         self._move({j: Scaling(s.unit or unit).si(s.runs) for j, s in positions.items()}, _ROWS)
-        return max(self._loads(positions), self._felt())
+        return max(self._loads(positions), math.sqrt(self._sensed()[0]))
 
-    def _felt(self) -> float:
-        """Correlation of the accelerometer's axes with what the model feels, however mounted."""
-        kind, own = mujoco.mjtSensor.mjSENS_ACCELEROMETER, list[tuple[int, Signal]]()
-        for column, s, *_ in tool_sensors(self.model, self._free(), {}):
-            sensor = self.model.sensor(column[7:-2])
-            own += [(int(sensor.adr[0]), s)] * (int(sensor.type[0]) == kind)
-        if not own or not self.felt:
-            return 0.0
-        at, whole = own[0][0], np.concatenate(self.felt)
-        every = max(1, round(own[0][1].values.size / len(whole)))
-        read = np.stack([np.concatenate([v[::every] for v in s.smooth]) for _, s in own], axis=1)
-        if len(read) != len(whole):
-            return 0.0
-        implied = np.column_stack([whole[:, at : at + 3], np.ones(len(whole))])
-        left = read - implied @ np.linalg.lstsq(implied, read, rcond=None)[0]
-        return float(np.sqrt(max(0.0, 1 - left.var(axis=0).sum() / read.var(axis=0).sum())))
+    def _tools(self, untold: float = _NEVER) -> list[Tool]:
+        free = [s for s in self.signals if s.sort not in self.used and s.values.size]
+        return [*tool_sensors(self.model, free, self.felt, _TRUSTED, untold)]
+
+    def _take_tools(self, untold: float) -> None:
+        """Sensors of the tool by their names; by their readings alone from a correlation."""
+        for tool in self._tools(untold):
+            like, where = tool.agreement, f"the model's only sensor of {tool.quantity}"
+            seen = f"correlation {like.whole:.2f} with what it reads in this motion"
+            if like.whole > 0 and like.alone < like.whole - _NAME:
+                seen += f", {like.alone:.2f} as it is mounted: check its axes by loose doctor"
+            for i, s in tool.axes.items():
+                column, scaling = f"sensor.{tool.name}.{'xyz'[i]}", tool.scaling
+                if not tool.fits:
+                    self.why[s.sort] = f"not {where}: {seen}"
+                elif not scaling.unit:
+                    self._open(column, s, scaling, f"{where}; nothing tells its unit")
+                elif s.sort not in self.used:
+                    self._add(column, s, scaling, where, seen * bool(like.whole), scaling.reason)
+
+    def _sensed(self) -> Array:
+        """How much the tool's sensors are like a motion, however mounted and as in the model (2,).
+
+        Squared, and less what their sizes are off.
+        """
+        found = [(0.0, 0.0)]
+        for tool in self._tools():
+            like, off = tool.agreement, _off_size(tool.agreement.per / tool.scaling.factor)
+            found.append((like.whole - off, max(like.alone, 0.0)))
+        return np.asarray(np.mean(found[1:] or found, axis=0) ** 2)
 
     def _loads(self, positions: Mapping[str, Signal]) -> float:
         """How much some vector is like the torques of positions; 0 where none is."""
@@ -342,10 +370,12 @@ class Roles:
                 continue
             pairs = [(p, members[joint], self._explained(joint, members[joint]))
                      for joint, p in positions.items()]  # fmt: skip
-            moves = [max(abs(self._alike(s, p).correlation), abs(speed_in(p, s).evidence))
+            moves = [max(abs(self._alike(s, p).correlation), abs(speed_in(p, s)))
                      for p, s, _ in pairs]  # fmt: skip
             named = all(s.meaning.role == "torque" for s in members.values())
-            whole = float(np.mean([abs(t.whole) - _off_size(t) * (not named) for *_, t in pairs]))
+            whole = float(
+                np.mean([abs(t.whole) - _off_size(t.per) * (not named) for *_, t in pairs])
+            )
             clear = np.mean([abs(t.alone) for *_, t in pairs]) > _NAME and np.mean(moves) < whole
             if whole > max(best, _LOADS) and (named or clear):
                 best = whole
@@ -356,7 +386,7 @@ class Roles:
         length = sum(len(v) for v in next(iter(motion.values()), []))
         self.rates = {j: [derivative(v, self.step) for v in own] for j, own in motion.items()}
         every = max(1, length // rows) if rows else 1
-        self.felt = list[Array]()
+        self.felt = []
         self.needed = needed_torques(self.model, motion, self.step, every, self.felt)
 
     def _take_units(self) -> None:
@@ -365,9 +395,11 @@ class Roles:
         told: dict[str, tuple[float, str]] = {}
         for joint, (target, p) in pairs.items():
             rated = [
-                (abs(speed_in(p, s).evidence), s)
+                (abs(speed_in(p, s)), s)
                 for s in self._free()
-                if admits(s.unit, "velocity", slide=target.slide) and is_rate(p.unit, s.unit)
+                if admits(s.unit, "velocity", slide=target.slide)
+                and is_rate(p.unit, s.unit)
+                and s.meaning.role in ("", "velocity")
             ]
             value, s = max(rated, key=lambda each: each[0], default=(0.0, p))
             ratio = abs(slope(p.rates, s.smooth)) if value >= ALIKE else 0.0
@@ -385,29 +417,75 @@ class Roles:
             loads = {unit: self._weighed(own, unit) for unit in ("rad", "deg")}
             (least, other), (most, unit) = sorted((v, unit) for unit, v in loads.items())
             if most > _LOADS:
-                words = f"by gravity: {most:.2f} in {unit}, {least:.2f} in {other}"
+                words = f"by torques or the tool: {most:.2f} in {unit}, {least:.2f} in {other}"
                 told |= dict.fromkeys(free, (1 / Scaling(unit).factor, words))
         scalings = position_scalings(pairs, told, defined)
         scalings |= self._by_commands([j for j, scaling in scalings.items() if scaling is None])
         for joint, scaling in scalings.items():
             s, _, reason = self.positions[joint]
-            target = self.joints[joint]
             if scaling is None:
-                words = f"{reason}; its values {s.low:.6g} to {s.high:.6g} {s.unit} fit no unit of "
-                words += f"{joint!r}: give unit and scale"
-                self._open(target.position, s, Scaling(""), words)
+                words = f"{reason}; its values {s.ends[0]:.6g} to {s.ends[1]:.6g} {s.unit} "
+                words += f"fit no unit of {joint!r}: give unit and scale"
+                self._open(self.joints[joint].position, s, Scaling(""), words)
                 del self.positions[joint]
-                continue
-            self.positions[joint] = (s, scaling, reason)
-            if target.position:
-                self._add(target.position, s, scaling, 1, reason, scaling.reason)
+            else:
+                self.positions[joint] = (s, scaling, reason)
+        self._take_signs()
+        bare: list[str] = []
+        for joint, (s, scaling, reason) in self.positions.items():
+            if column := self.joints[joint].position:
+                self._add(column, s, scaling, reason, scaling.reason)
             else:
                 self.why[s.sort] = f"position of {joint!r}, for which the model has no sensor"
-                self.notes.append(
-                    f"the model has no sensor for the position of {joint!r}: add "
-                    f'<jointpos name="{joint}_position" joint="{joint}"/> to its <sensor>'
-                )
-        self._move({j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()})
+                bare.append(joint)
+        if bare:
+            self.notes.append(
+                f"the model has no sensor for the position of {', '.join(map(repr, bare))}: add "
+                f'<jointpos name="{bare[0]}_position" joint="{bare[0]}"/> to its <sensor>'
+                f"{', and so for each' * (len(bare) > 1)}"
+            )
+        self._move(self._motion())
+
+    def _motion(self) -> dict[str, list[Array]]:
+        return {j: scaling.si(s.runs) for j, (s, scaling, _) in self.positions.items()}
+
+    def _take_signs(self) -> None:
+        """Reverse positions whose motion the tool's sensors then read as the model mounts them.
+
+        Another mount would do as much for some; so it has to be more than any mount explains, or
+        the joints have to move against their commands, too.
+        """
+        against = {j for j in self.positions if self._commanded(j)[1] <= -ALIKE}
+
+        def sensed(turned: set[str]) -> Array:
+            signs = {j: 1.0 - 2.0 * (j in turned) for j in motion}
+            self._move({j: [signs[j] * v for v in own] for j, own in motion.items()}, _ROWS)
+            return self._sensed()
+
+        motion, found = self._motion(), set[str]()
+        as_named = best = sensed(found)
+        while as_named[0]:  # there is a sensor
+            tried = {j: sensed({*found, j}) for j in self.positions if j not in found}
+            j = max(tried, key=lambda j: tried[j][1], default="")
+            if not j or tried[j][1] <= best[1]:
+                break
+            found, best = {*found, j}, tried[j]
+        clear = 1 - best < _CLEARER * (1 - as_named)
+        if not clear[1] or not (clear[0] or found <= against):
+            found, best = set(), as_named
+        self.directed = found | (against if best[1] > ALIKE**2 else set())
+        for joint in found:
+            s, scaling, reason = self.positions[joint]
+            words = f"{reason}; reversed, as the tool's sensors tell"
+            self.positions[joint] = (s, replace(scaling, sign=-1), words)
+
+    def _commanded(self, joint: str) -> tuple[Signal, float]:
+        """The channel that is most like a command of a position, or like it reversed."""
+        s, target = self.positions[joint][0], self.joints[joint]
+        own = [c for c in self._free() if self._label(c) in ("", joint)
+               and c.meaning.role in ("", "command")]  # fmt: skip
+        c = max(own, key=lambda c: abs(self._alike(c, s).correlation), default=s)
+        return c, self._alike(c, s).correlation * (target.drive == "position" and c is not s)
 
     def _followed(self, joint: str) -> tuple[Signal, Array, Array] | None:
         """Command that a position follows; the position, and the command in SI, both slow.
@@ -415,10 +493,8 @@ class Roles:
         A servo follows slow commands as they are.
         """
         s, target = self.positions[joint][0], self.joints[joint]
-        own = [c for c in self._free() if self._label(c) in ("", joint)
-               and c.meaning.role in ("", "command")]  # fmt: skip
-        c = max(own, key=lambda c: self._alike(c, s).correlation, default=s)
-        if target.drive != "position" or c is s or self._alike(c, s).correlation < ALIKE:
+        c, correlation = self._commanded(joint)
+        if correlation < ALIKE:
             return None
         scaling = position_scalings({joint: (target, c)}, {}, defined=False)[joint]
         if scaling is None:
@@ -441,8 +517,7 @@ class Roles:
 
     def _take_rest(self) -> None:
         """Velocity, torque and command of every joint, by the largest scores in sum."""
-        from scipy.sparse import csr_array  # half a second, and only a guess needs them
-        from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+        from scipy.optimize import linear_sum_assignment  # half a second, and only a guess needs it
 
         candidates = self._free()
         places: list[tuple[str, Role]] = [
@@ -456,11 +531,8 @@ class Roles:
                            for row in table]).reshape(len(places), len(candidates))  # fmt: skip
         open_to = np.array([[not m.why for m in row] for row in table]).reshape(scores.shape)
         order = _ORDER * np.outer(np.arange(len(places)), np.arange(len(candidates)))
-        chosen: dict[int, Match] = {}
-        costs = csr_array(10.0 - scores * open_to - order)  # all above 0: none is left out
-        for i, k in np.transpose(min_weight_full_bipartite_matching(costs)) if scores.size else ():
-            if scores[i, k] >= ALIKE and open_to[i, k]:
-                chosen[k] = table[i][k]
+        pairs = zip(*linear_sum_assignment(scores * open_to + order, maximize=True), strict=True)
+        chosen = {k: table[i][k] for i, k in pairs if scores[i, k] >= ALIKE and open_to[i, k]}
         per: dict[object, list[float]] = {}
         for k, match in chosen.items():
             if match.per > 0:
@@ -473,7 +545,6 @@ class Roles:
                 self._add_torque(match, s, float(np.median(per.get(self._vector_of(s), [0.0]))))
             else:
                 self._add_command(match, s)
-        self._exchanged({m.joint: candidates[k] for k, m in chosen.items() if m.role == "command"})
         for k, s in enumerate(candidates):
             if k not in chosen:
                 self._leave(s, [(scores[i, k], row[k]) for i, row in enumerate(table)])
@@ -483,10 +554,15 @@ class Roles:
         best = sorted(scored, key=lambda each: -each[0])[:2]
         role = s.meaning.role
         own = next((m for score, m in best if m.why and score >= ALIKE), None)
-        first = f"{own.words}: {own.why}" if own else (
-            f"by its name of another quantity ({role})" if role else "no role")  # fmt: skip
+        first = f"by its name of another quantity ({role})" if role else "no role"
+        if role == "command":
+            of = f" of {s.meaning.of}" if s.meaning.of != "command" else ""
+            first = f"a command{of}, which no joint of the model is driven by"
+        first = f"{own.words}: {own.why}" if own else first
         like = ", then ".join(
-            f"the {m.role} of {m.joint!r} ({m.evidence:.2f})" for _, m in best if m.evidence > 0
+            f"the {m.role} of {m.joint!r} ({m.evidence:.2f})"
+            for _, m in best
+            if m.evidence > 0 and m is not own
         )
         self.why.setdefault(s.sort, f"{first}; most like {like}" if like else first)
 
@@ -524,18 +600,18 @@ class Roles:
         if joint not in self.positions:
             return Match(joint, "velocity")
         told = speed_in(self.positions[joint][0], s)
-        words = f"{told.correlation:.2f} with the derivative of the position of {joint!r}"
-        sign = 1 if told.evidence >= 0 else -1
-        return Match(joint, "velocity", abs(told.evidence), words, "", sign)
+        words = f"the derivative of the position of {joint!r} (correlation {told:.2f})"
+        sign = self.positions[joint][1].sign * (1 if told >= 0 else -1)
+        return Match(joint, "velocity", abs(told), words, "", sign)
 
     def _speed(self, s: Signal) -> float:
         """Most that a channel is like the derivative of a position."""
-        return max(abs(speed_in(p, s).correlation) for p, _, _ in self.positions.values())
+        return max(abs(speed_in(p, s)) for p, _, _ in self.positions.values())
 
-    def _explained(self, joint: str, s: Signal) -> Torque:
+    def _explained(self, joint: str, s: Signal) -> Agreement:
         """What there is of a joint's torque in a channel."""
         if joint not in self.needed or joint not in self.rates:
-            return Torque()
+            return Agreement()
         return torque_in(s.smooth, self.needed[joint], self.rates[joint])
 
     def _as_torque(self, joint: str, s: Signal, named: bool) -> Match:
@@ -548,14 +624,14 @@ class Roles:
             return Match(joint, "torque", _TRUSTED, words, per=1.0)
         told = self._explained(joint, s)
         value = told.whole if named else told.alone
-        words = f"correlation {value:.2f} with the torque that the model needs at {joint!r}, and "
+        words = f"the torque needed at {joint!r}{' and friction' * named} (correlation {value:.2f})"
         evidence = abs(value)
         if not named:  # a size in no unit speaks against it
-            evidence -= _off_size(told)
+            evidence -= _off_size(told.per)
         per = told.per if abs(told.alone) >= _TRUSTED or not named else 0.0
         # A sign is exchanged by what is seen clearly alone.
         sign = -1 if value < -_TRUSTED or (value < 0 and not named) else 1
-        return Match(joint, "torque", evidence, f"{words}friction", "", sign, per)
+        return Match(joint, "torque", evidence, words, "", sign, per)
 
     def _as_command(self, joint: str, s: Signal) -> Match:
         target = self.joints[joint]
@@ -568,17 +644,18 @@ class Roles:
             return Match(joint, "command")
         like = likeness(s.runs, motion, self.step)
         value, why = like.correlation, ""
-        words = f"correlation {value:.2f} with the motion of {joint!r}"
-        if value <= -ALIKE:
-            why = "the joint moves against it, so it is none, unless its sign is reversed"
+        words = f"the {'torque needed' if drive == 'torque' else 'motion'} at {joint!r}"
+        if value <= -ALIKE and joint not in self.directed:
+            why = "the joint moves against it: its sign, or the position's, may be reversed"
         elif like.lag < -_LAGS * self.step and drive != "torque":
-            why = f"it lags by {-like.lag:.3g} s: no command"
+            why = f"it comes {-1e3 * like.lag:.3g} ms later than the motion"
         elif s.meaning.role == "position" and like.lag < self.step:
             why = "a second sensor of it"
         elif s.meaning.role == "velocity" and drive != "velocity" and value < self._speed(s):
             why = "it is more like a velocity"
-        words += "" if why else f", the joint follows it by {like.lag:.3g} s"
-        evidence = value if value > 0 else 0.5 * abs(value)
+        late = f" by {1e3 * like.lag:.3g} ms" if like.lag > _TOGETHER * self.step else ""
+        words = f"{words} follows it{late} (correlation {value:.2f})"
+        evidence = abs(value) * (1.0 if value > 0 or joint in self.directed else 0.5)
         if drive == "torque" and s.meaning.role == "":
             evidence = min(evidence, 0.99 * self._as_torque(joint, s, False).evidence)
         sign = 1 if value >= 0 else -1
@@ -589,16 +666,13 @@ class Roles:
     def _add_velocity(self, match: Match, s: Signal) -> None:
         target = self.joints[match.joint]
         ratio = slope(self.rates[match.joint], s.smooth)
-        scaling = Scaling(s.unit or rate_unit(ratio, target.slide))
-        if not scaling.unit:  # steps, ticks or percent of the position in a second
-            p, own, _ = self.positions[match.joint]
-            per, unit = abs(slope(p.rates, s.smooth)), "m/s" if target.slide else "rad/s"
-            scaling = Scaling(unit if abs(math.log(per)) < math.log(NEAR) else "", own.factor)
-        words = f"velocity of {match.joint!r}; {abs(ratio):.3g} times {match.words}"
+        units, scale = SPEEDS if target.slide else RATES, abs(self.positions[match.joint][1].factor)
+        scaling = Scaling(s.unit) if s.unit else by_motion(1 / abs(ratio), units, scale)
+        words = f"{abs(ratio):.3g} times {match.words}"
         if not target.velocity:
             self.why[s.sort] = f"velocity of {match.joint!r}, for which the model has no sensor"
-        elif scaling.unit:
-            self._add(target.velocity, s, scaling, match.sign, words)
+        elif scaling is not None:
+            self._add(target.velocity, s, replace(scaling, sign=match.sign), words)
         else:
             self._open(target.velocity, s, Scaling("rad/s"), f"{words}: no unit is")
 
@@ -609,16 +683,16 @@ class Roles:
         current = "current" in (quantity, s.meaning.role)
         told = (s.defined and s.meaning.role == "torque") or 1 / _SAME_UNIT < per < _SAME_UNIT
         if not current and (quantity in ("torque", "force") or (told and not quantity)):
-            self._add(target.torque, s, Scaling(s.unit or unit), match.sign, match.words)
+            self._add(target.torque, s, Scaling(s.unit or unit, sign=match.sign), match.words)
             return
-        scaling = Scaling(unit, per or 1.0)
+        scaling = Scaling(unit, per or 1.0, sign=match.sign)
         why = f"{per:.4g} times it would be that torque [{unit}]: a current?" if per else (
             "mostly friction, which does not tell its unit: give it")  # fmt: skip
         if current:
-            scaling = Scaling(s.unit, per * match.evidence)
-            why = "a current [A]: give the torque constant and gear as scale [N·m/A]; "
-            why += f"{scaling.scale:.4g} fits the torque that the model needs"
-        self._open(target.torque, s, scaling, f"{match.words}; {why}", match.sign)
+            scaling = Scaling(s.unit, per * match.evidence or 1.0, sign=match.sign)
+            why = "a current: give torque constant times gear as scale [N·m/A]"
+            why += f"; {scaling.scale:.4g} fits that torque" if per else ""
+        self._open(target.torque, s, scaling, f"{match.words}; {why}")
 
     def _add_command(self, match: Match, s: Signal) -> None:
         joint, target = match.joint, self.joints[match.joint]
@@ -628,11 +702,11 @@ class Roles:
         if target.drive == "position":
             scaling = self._scaled_as(s, *self.positions[joint][:2], target)
         elif target.drive == "velocity" and not s.unit:
-            scaling = Scaling(rate_unit(slope(self.rates[joint], s.runs), target.slide))
-        words = f"{joint!r} follows it, not {there!r} as by its name or place"
-        words *= there not in ("", joint)
-        reasons = (f"command of {joint!r}", words, match.words, scaling.reason)
-        self._add(target.command, s, scaling, 1, *reasons)
+            ratio, units = slope(self.rates[joint], s.runs), SPEEDS if target.slide else RATES
+            scaling = by_motion(1 / abs(ratio), units) or scaling
+        words = f"not of {there!r} as by its name or place" * (there not in ("", joint))
+        scaling = replace(scaling, sign=match.sign)
+        self._add(target.command, s, scaling, words, match.words, scaling.reason)
 
     def _scaled_as(self, s: Signal, p: Signal, own: Scaling, target: JointTarget) -> Scaling:
         """Scaling of a command by its size beside the position's, which turns to where it is."""
@@ -642,11 +716,11 @@ class Roles:
         best, off = nearest_unit(ratio, units)
         plain = own.scale == 1.0 and own.offset == 0.0
         if s.unit and s.unit != "%":
-            scaling = Scaling(s.unit, reason="as stated")
+            scaling = Scaling(s.unit, reason=f"{s.unit} as stated")
         elif like <= (off if plain else off + 0.5):
             scaling = replace(own, reason="scaled as the position")
         else:
-            scaling = Scaling(best, reason=f"{ratio:.3g} times the position [{units[0]}]")
+            scaling = Scaling(best, reason=f"{best}: {ratio:.3g} times the position [{units[0]}]")
         if p.period is not None and target.position in self.lines:
             turn = p.period * own.factor
             apart = np.concatenate(scaling.si(s.runs)) - np.concatenate(own.si(p.runs))
@@ -659,96 +733,109 @@ class Roles:
             )
         return scaling
 
-    def _exchanged(self, commands: Mapping[str, Signal]) -> None:
-        """Exchange the states of two joints if their torques say so.
+    def _with_exchange(self) -> Roles:
+        """Roles with the states of joints exchanged that carry each other's names.
 
-        Tried are joints that follow each other's commands, or all where there are no commands.
+        Tried is the exchange by which each joint follows its own command; without commands, the
+        one by which the states explain the torques, joint by joint. Witnesses decide.
         """
-        label = {j: self._label(s) for j, s in commands.items()}
-        motion = {j: sc.si(s.runs) for j, (s, sc, _) in self.positions.items()}
-        for a, b in itertools.combinations(self.positions, 2):
-            asked = (label.get(a), label.get(b)) == (b, a)
-            torques = {
-                j: self.lines[column].candidate
-                for j in (a, b) if (column := self.joints[j].torque) in self.lines
-            }  # fmt: skip
-            if not asked and (commands or len(torques) < 2 or not self.needed):
-                continue
-            other, why, turn = {a: b, b: a}, "the torques do not tell", False
-            if torques and self.needed:
-                as_named = self._told_by(torques)
-                self._move({other.get(j, j): own for j, own in motion.items()}, _ROWS)
-                # Where commands tell, the torques have the names of the states.
-                own = {other[j]: s for j, s in torques.items()} if asked else torques
-                exchanged = self._told_by(own)
-                self._move(motion)
-                why = f"torques are explained by {as_named:.2f}, exchanged by {exchanged:.2f}"
-                turn = 1 - exchanged < _CLEARER * (1 - as_named)
-            if turn:
-                self._exchange(a, b, whole=asked)
-                motion[a], motion[b] = motion[b], motion[a]
-                self._move(motion)
-            told = "each follows the other's command, and " if asked else ""
-            if turn:
-                self.notes.append(f"the states of {a!r} and {b!r} are exchanged: {told}{why}")
-            elif asked:
-                self.notes.append(
-                    f"{a!r} and {b!r} follow each other's commands: the names of the commands are "
-                    f"exchanged, as assumed here, or those of the states; {why}"
-                )
+        torques = {j: s for s in self.signals if s.meaning.role == "torque" and s.moves
+                   and (j := self._label(s)) in self.needed}  # fmt: skip
+        commands = {}
+        for target in self.joints.values():
+            if target.torque in self.lines:
+                torques[target.name] = self.lines[target.torque].candidate
+            if target.command in self.lines:
+                commands[target.name] = self._label(self.lines[target.command].candidate)
+        other = {j: to for j, to in commands.items() if to not in ("", j) and to in commands}
+        asked, motion = set(other) == set(other.values()) != set(), self._motion()
+        if not asked and (commands or len(torques) < 2):
+            return self
+        other = other if asked else self._by_torques(torques, motion)
+        as_named = self._told_by(torques)
+        self._move({other.get(j, j): own for j, own in motion.items()}, _ROWS)
+        # Where commands tell, the torques have the names of the states.
+        own = {other.get(j, j) if asked else j: s for j, s in torques.items()}
+        exchanged = self._told_by(own)
+        names = ", ".join(map(repr, sorted(other)))
+        told = f"torques are explained by {as_named:.2f}, exchanged by {exchanged:.2f}"
+        if 1 - exchanged < _CLEARER * (1 - as_named):
+            columns = {c: to for j, to in other.items() for c in self.joints[j].columns[:2]}
+            moved = {
+                line.candidate.sort: columns[c] for c, line in self.lines.items() if c in columns
+            }
+            moved |= {s.sort: j for j, s in own.items()}
+            signals = [replace(s, meaning=replace(s.meaning, joint=moved[s.sort]))
+                       if s.sort in moved else s for s in self.signals]  # fmt: skip
+            words = "each follows another's command, and " * asked
+            note = f"the states of {names} are exchanged: {words}{told}"
+            return Roles(self.model, signals).found(note)
+        if asked:
+            self.notes.append(
+                f"{names} follow each other's commands: the names of the commands are exchanged, "
+                f"as assumed here, or those of the states; {told if torques else 'no torque tells'}"
+            )
+        return self
+
+    def _by_torques(
+        self, torques: Mapping[str, Signal], motion: Mapping[str, list[Array]]
+    ) -> dict[str, str]:
+        """Joint to which the state of each belongs: those that best explain the torques in sum."""
+        from scipy.optimize import linear_sum_assignment
+
+        names = [*torques]
+        table = np.zeros((len(names), len(names)))
+        for a, b in itertools.combinations_with_replacement(range(len(names)), 2):
+            swap = {names[a]: names[b], names[b]: names[a]}
+            self._move({swap.get(j, j): own for j, own in motion.items()}, _ROWS)
+            for i, k in ((a, b), (b, a)):  # the torque of i by the state of k
+                table[k, i] = self._told_by({names[i]: torques[names[i]]})
+        return {
+            names[k]: names[i]
+            for k, i in zip(*linear_sum_assignment(-table), strict=True)
+            if k != i
+        }
 
     def _told_by(self, torques: Mapping[str, Signal]) -> float:
-        """Share of torques' variance that the model explains, less what their size is off."""
+        """Share of the witnesses' variance that the model explains, less what sizes are off."""
         told = [self._explained(j, s) for j, s in torques.items()]
-        return float(np.mean([t.alone**2 - _off_size(t) for t in told]))
-
-    def _exchange(self, a: str, b: str, *, whole: bool) -> None:
-        """Exchange the states of two joints, or all of their columns."""
-        pairs = [*zip(self.joints[a].columns, self.joints[b].columns, strict=True)]
-        for one, other in pairs[: None if whole else 2]:
-            first, second = self.lines.pop(one, None), self.lines.pop(other, None)
-            for column, line in ((other, first), (one, second)):
-                if line is not None and column:
-                    self.lines[column] = replace(line, column=column)
-        self.positions[a], self.positions[b] = self.positions[b], self.positions[a]
+        scores = [t.alone**2 - _off_size(t.per) for t in told]
+        return float(np.mean(scores)) if scores else 0.0
 
     def _take_still(self) -> None:
         """Joints at rest: constant positions and commands beside others of their vector."""
         for s in self.signals:
             if not s.moves and s.values.size:
                 self.why[s.sort] = f"constant, {s.values[0]:.6g}"
-        of = {line.candidate.sort: line for line in self.lines.values()}
-        columns = {t.position: "position" for t in self.joints.values()}
-        columns |= {t.command: "command" for t in self.joints.values()}
+        roles = {getattr(t, role): role for t in self.joints.values()
+                 for role in ("position", "command")}  # fmt: skip
+        of = {line.candidate.sort: line for column, line in self.lines.items() if column in roles}
         for members in (v.members for v in self.vectors if v.given):
             own = next((of[s.sort] for s in members.values() if s.sort in of), None)
-            role = columns.get(own.column) if own else None
-            for joint, s in members.items() if own and role else ():
-                t = self.joints[joint]
-                column, rival = (t.position, t.command)[:: 1 if role == "position" else -1]
-                other = self.lines.get(rival)
-                free = column and column not in self.lines and not s.moves and s.values.size
-                if own is None or not free or (other is not None and other.candidate.moves):
-                    continue
-                plain = Scaling(own.scaling.unit) if own.scaling.scale == 1.0 else None
-                scaling = plain or position_scalings({joint: (t, s)}, {}, defined=False)[joint]
-                if scaling is not None:
-                    self._add(column, s, scaling, 1, f"{joint!r} is at rest")
+            for joint, s in members.items() if own else ():
+                t, scaling = self.joints[joint], own.scaling if own else None
+                column = getattr(t, roles[own.column]) if own else ""
+                if column and column not in self.lines and not s.moves and s.values.size:
+                    if scaling is None or scaling.scale != 1.0:
+                        scaling = position_scalings({joint: (t, s)}, {}, defined=False)[joint]
+                    if scaling is not None:
+                        self._add(column, s, Scaling(scaling.unit, scaling.scale, scaling.offset),
+                                  f"{joint!r} is at rest")  # fmt: skip
 
-    def _add(self, column: str, s: Signal, scaling: Scaling, sign: int, *reasons: str) -> None:
+    def _add(self, column: str, s: Signal, scaling: Scaling, *reasons: str) -> None:
+        reason = "; ".join(filter(None, reasons))
         if not column or column in self.lines:
-            self._open(column, s, scaling, "; ".join(filter(None, reasons)), sign)
+            self._open(column, s, scaling, reason)
             return
         self.used.add(s.sort)
-        reason = "; ".join(filter(None, reasons))
-        self.lines[column] = Line(column=column, candidate=s, scaling=scaling, sign=sign,
-                                  reason=reason)  # fmt: skip
+        self.lines[column] = Line(column=column, candidate=s, scaling=scaling, reason=reason)
 
-    def _open(self, column: str, s: Signal, scaling: Scaling, reason: str, sign: int = 1) -> None:
+    def _open(self, column: str, s: Signal, scaling: Scaling, reason: str) -> None:
         """Add a line that lacks something, as a comment."""
         self.used.add(s.sort)
-        self.open.append(Line(column=column, candidate=s, scaling=scaling, sign=sign,
-                              reason=reason, open=True))  # fmt: skip
+        self.open.append(
+            Line(column=column, candidate=s, scaling=scaling, reason=reason, open=True)
+        )
 
     def left(self) -> tuple[Line, ...]:
         """Channels that are not used, each with the reason and what it is most like."""
@@ -760,6 +847,6 @@ class Roles:
         )  # fmt: skip
 
 
-def _off_size(told: Torque) -> float:
-    """What the size of a torque speaks against it where no name and no unit does [1]."""
-    return min(_UNIT, 0.5 * _UNIT * abs(math.log(max(told.per, 1e-9))))
+def _off_size(per: float) -> float:
+    """What the size of a witness speaks against it, whose units should be SI [1]."""
+    return min(_UNIT, 0.5 * _UNIT * abs(math.log(max(per, 1e-9))))

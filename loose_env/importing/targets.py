@@ -15,12 +15,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import mujoco
 import numpy as np
 
-from loose_env.importing.evidence import Signal
+from loose_env.importing.evidence import Agreement, Signal, sensed_in
 from loose_env.importing.names import Role
 from loose_env.importing.resampling import smoothed
 from loose_env.importing.units import nearest_unit, quantity_of, unit_named
@@ -212,52 +212,91 @@ def vector_orders(model: mujoco.MjModel) -> list[list[str]]:
     return orders
 
 
-_TURNING = {"gyro", "gyr", "gyroscope", "angular"}
 _GRAVITY = 0.2
-"""Share by which the mean over a second of an accelerometer that no name tells may be
-off 1 g [1]."""
+"""Share by which the mean over a second of an accelerometer may be off 1 g, where no name tells
+it [1]."""
+_TOOLS = (
+    (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration", ("m/s^2", "g", "mg"),
+     {"a", "acc", "accel", "acceleration", "accelerometer"}),
+    (mujoco.mjtSensor.mjSENS_GYRO, "angular speed", ("rad/s", "deg/s"),
+     {"g", "gyro", "gyr", "gyroscope", "angular", "omega"}),
+)  # fmt: skip
+
+
+class Tool(NamedTuple):
+    """The model's only sensor of a kind, and the channels of its axes."""
+
+    name: str
+    quantity: str
+    axes: dict[int, Signal]
+    """By their places, 0 for x; one may be missing."""
+    agreement: Agreement
+    """With what the model reads there; zeros where that is not known."""
+    scaling: Scaling
+    """Without a unit where neither the file nor the motion tells it."""
+    fits: bool
 
 
 def tool_sensors(
-    model: mujoco.MjModel, free: Sequence[Signal], rates: Mapping[str, Sequence[Array]]
-) -> Iterator[tuple[str, Signal, str, str]]:
-    """Channels of the model's only accelerometer and gyro: column, channel, unit, and reason.
+    model: mujoco.MjModel, free: Sequence[Signal], felt: Sequence[Array], told: float, untold: float
+) -> Iterator[Tool]:
+    """Channels that the model's only accelerometer and gyro would read, by the readings ``felt``.
 
-    An accelerometer's unit is the one in which its mean over a second is 1 g; a gyro's the one in
-    which it is not much faster than the fastest joint.
+    Three channels whose names differ in their axis are taken where name or unit tells the
+    quantity, and they agree by ``told`` or gravity is in them; others where as many in a row agree
+    by ``untold``, as the model mounts the sensor. An accelerometer's unit is the one in which its
+    mean over a second is 1 g; that of a gyro follows from the motion.
     """
-    kinds = (
-        (mujoco.mjtSensor.mjSENS_ACCELEROMETER, "acceleration",
-         {"acc", "accel", "acceleration", "accelerometer"}),
-        (mujoco.mjtSensor.mjSENS_GYRO, "angular speed", _TURNING),
-    )  # fmt: skip
-    for kind, quantity, words in kinds:
+    groups: dict[object, dict[str, Signal]] = {}
+    for s in free:
+        stem, axis = s.meaning.axis
+        groups.setdefault((s.source, s.key.topic, stem), {}).setdefault(axis, s)
+    named = []
+    for group in groups.values():
+        keys = sorted(group, key=lambda k: (len(k), k))
+        if (lettered := set(keys) <= {*"xyz"}) or len(keys) == 3:
+            places = map("xyz".index, keys) if lettered else range(3)
+            named.append(dict(zip(places, map(group.__getitem__, keys), strict=True)))
+    rest = [s for s in free if not s.unit and s.meaning.role in ("", "acceleration")]
+    rows = [dict(enumerate(own)) for own in zip(rest, rest[1:], rest[2:], strict=False)]
+    for kind, quantity, units, words in _TOOLS:
+        others = set().union(*(each for *_, each in _TOOLS)) - words
         ids = np.flatnonzero(model.sensor_type == kind)
-        name = model.sensor(int(ids[0])).name if len(ids) == 1 else ""
-        own, told = dict[str, Signal](), True
-        for s in free:
-            stated, named = quantity_of(s.unit), bool(set(s.meaning.words) & words)
-            alone = stated == quantity
-            # A file's name may be all that says acceleration: then gravity has to be in it.
-            beside = quantity == s.meaning.role and not set(s.meaning.words) & _TURNING
-            if s.meaning.axis and (alone or ((named or beside) and stated in ("", quantity))):
-                own.setdefault(s.meaning.axis, s)
-                told &= alone or named
-        if not name or len(own) != 3:
-            continue
-        if quantity == "acceleration":
-            still = [own[axis].averaged(1.0) for axis in "xyz"]
-            norm = float(np.median(np.linalg.norm(still, axis=0)))
-            unit, off = nearest_unit(norm / STANDARD_GRAVITY, ("g", "m/s^2", "mg"))
-            if not told and off > _GRAVITY:
+        found: list[tuple[float, Tool]] = []
+        for own in (*named, *rows) if len(ids) == 1 else ():
+            signals = [*own.values()]
+            if len({(s.source, len(s.values)) for s in signals}) != 1 or len(own) < 2:
                 continue
-        else:
-            joint = max((float(np.std(np.concatenate(v))) for v in rates.values()), default=0.0)
-            fast = max(float(np.std(s.values)) for s in own.values())
-            unit = "deg/s" if joint > 0 and fast / joint > 10 else "rad/s"
-        for axis in "xyz":
-            reason = f"the model's only sensor of {quantity}; check its axes by loose doctor"
-            yield f"sensor.{name}.{axis}", own[axis], own[axis].unit or unit, reason
+            at = int(model.sensor_adr[ids[0]])
+            read = [[v[:, at + i] for v in felt] for i in range(3)]
+            like = sensed_in(own, [s.smooth for s in signals], read) if felt else Agreement()
+            still = np.linalg.norm([s.averaged(1.0) for s in signals], axis=0)
+            heavy = nearest_unit(float(np.median(still)) / STANDARD_GRAVITY, units)
+            weighs = quantity == "acceleration" and len(own) == 3 and heavy[1] < _GRAVITY
+            stems = [set(s.meaning.axis[0]) for s in signals]
+            stated = {quantity_of(s.unit) for s in signals}
+            called = all(stem & words for stem in stems) or stated == {quantity}
+            # A file's name may be all that says acceleration: then gravity has to be in it.
+            plain = all(s.meaning.role == "acceleration" for s in signals)
+            beside = weighs and plain and not any(stem & others for stem in stems)
+            agrees = not felt or quantity == "acceleration" or like.whole >= told
+            sure = len(own) == 3 and all(s in rest for s in signals) and (
+                like.alone >= untold or (own in named and like.whole >= untold))  # fmt: skip
+            if stated <= {"", quantity} and (called or beside or sure):
+                unit = signals[0].unit or heavy[0] * weighs or units[0] * signals[0].defined
+                scaling = (
+                    Scaling(unit)
+                    if unit or not like.per
+                    else (
+                        by_motion(like.per, units)
+                        or Scaling(units[0], like.per, reason="in no unit: scaled by the motion")
+                    )
+                )
+                name = model.sensor(int(ids[0])).name
+                tool = Tool(name, quantity, own, like, scaling, sure or agrees)
+                found.append((tool.fits + called + like.whole, tool))
+        if found:
+            yield max(found, key=lambda each: each[0])[1]
 
 
 def inverse_dynamics(
@@ -336,15 +375,15 @@ def needed_torques(
                 x = position[:, leader] if leader >= 0 else np.zeros(length)
                 position[:, names.index(name)] = np.polynomial.polynomial.polyval(x, poly)
         torque = np.zeros((len(position[::every]), model.nv))
+        felt = np.zeros((len(torque), model.nsensordata))
         if length > 2:
             position = smoothed(position, SMOOTHED)
             velocity = np.gradient(position, step, axis=0)
             change = np.gradient(velocity, step, axis=0)
             position, velocity, change = (v[::every] for v in (position, velocity, change))
-            felt = np.zeros((len(torque), model.nsensordata))
             torque = inverse_dynamics(model, position, velocity, change, felt)
-            if readings is not None:
-                readings.append(felt)
+        if readings is not None:
+            readings.append(felt)
         for j, name in enumerate(names):
             found[name].append(torque[:, j])
     return found
@@ -361,7 +400,7 @@ _NORMALISED = 102.0
 """Largest value taken as normalised to 100 [1]: a calibrated end, and a margin."""
 _TICKS = 4096
 """Ticks a turn of the servos whose words are logged as they are."""
-NEAR = 1.5
+_NEAR = 1.5
 """Factor within which a ratio of rates counts as that of a unit [1]."""
 _AGAINST = {"rad": 0.0, "m": 0.0, "deg": 0.5, "mm": 0.5, "ticks": 0.5, "rev": 2.0,
             "normalised": 2.0}  # fmt: skip
@@ -374,7 +413,7 @@ _UNFIT = 4.0
 """What a joint whose values no unit of a kind can be speaks against it."""
 _DEFINED = 2.0
 """What the definition of a format speaks for radians: less than values far outside the limits."""
-_RATES, _SPEEDS = ("rad/s", "deg/s", "rpm", "rev/s"), ("m/s", "mm/s", "cm/s", "mm/min")
+RATES, SPEEDS = ("rad/s", "deg/s", "rpm", "rev/s"), ("m/s", "mm/s", "cm/s", "mm/min")
 _ALLOWED: dict[str, tuple[str, ...]] = {
     "position": ("angle", "length", "number"),
     "velocity": ("angular speed", "speed"),
@@ -397,11 +436,12 @@ class Scaling:
     offset: float = 0.0
     """[rad or m]"""
     reason: str = ""
+    sign: int = 1
 
     @property
     def factor(self) -> float:
         """Factor from the channel's values to SI units."""
-        return self.scale * (unit_named(self.unit, "").factor if self.unit else 1.0)
+        return self.sign * self.scale * (unit_named(self.unit, "").factor if self.unit else 1.0)
 
     def si(self, runs: Sequence[Array]) -> list[Array]:
         """Values of runs in SI units."""
@@ -437,10 +477,10 @@ def position_scalings(
 ) -> dict[str, Scaling | None]:
     """Scaling of the position of each joint, as a witness tells, too; None where none fits."""
     ways = {joint: _ways(*pair, turns=bool(told)) for joint, pair in pairs.items()}
-    unstated = {j: t for j, (t, s) in pairs.items() if not s.unit}
     against: dict[str, float] = {}
     for way, prior in _AGAINST.items():
-        alike = [j for j, t in unstated.items() if way in _ANY or t.slide == (way in _LENGTHS)]
+        alike = [j for j, (t, s) in pairs.items()
+                 if not s.unit and (way in _ANY or t.slide == (way in _LENGTHS))]  # fmt: skip
         against[way] = prior - _DEFINED * (defined and way in ("rad", "m")) + sum(
             _against(way, *pairs[j], ways[j][way], told.get(j)) if way in ways[j] else _UNFIT
             for j in alike
@@ -453,17 +493,20 @@ def position_scalings(
 
 def _ways(joint: JointTarget, s: Signal, *, turns: bool) -> dict[str, Scaling]:
     """Ways to read the values of a position; turns are rare, and only a speed tells them."""
+    if s.unit != "%" and quantity_of(s.unit) not in ("", "number"):
+        fits = quantity_of(s.unit) == ("length" if joint.slide else "angle")
+        return {"stated": Scaling(s.unit, reason=f"{s.unit} as stated")} if fits else {}
     units = ("m", "mm") if joint.slide else ("rad", "deg", *["rev"] * turns)
-    found = {unit: Scaling(unit) for unit in units}
-    if joint.limits is not None and max(abs(s.low), abs(s.high)) <= _NORMALISED:
-        (bottom, top), unit = joint.limits, next(iter(found))
-        words = "normalised to -100..100 of the limits"
-        found["normalised"] = Scaling(unit, (top - bottom) / 200, (top + bottom) / 2, words)
-        if s.low >= -1:
-            words = "normalised to 0..100 of the limits"
-            found["normalised"] = Scaling(unit, (top - bottom) / 100, bottom, words)
-    if s.whole and not joint.slide and s.high < _TICKS:
-        zero = 0 if s.low < 0 else _TICKS // 2
+    found = {unit: Scaling(unit) for unit in units if s.unit != "%"}
+    if joint.limits is not None and max(abs(s.ends)) <= _NORMALISED:
+        low, high = joint.limits
+        ways = [(-100, (high - low) / 200, (high + low) / 2)]
+        ways += [(0, (high - low) / 100, low)] * bool(s.ends[0] >= -1)
+        bottom, scale, offset = ways[-1]
+        reason = f"normalised to {bottom}..100 of the limits"
+        found["normalised"] = Scaling(units[0], scale, offset, reason)
+    if s.whole and not joint.slide and s.ends[1] < _TICKS and s.unit != "%":
+        zero = 0 if s.ends[0] < 0 else _TICKS // 2
         words = f"ticks of {_TICKS} a turn, {zero} at zero"
         found["ticks"] = Scaling("rad", 2 * math.pi / _TICKS, -math.pi * (zero > 0), words)
     return found
@@ -471,10 +514,10 @@ def _ways(joint: JointTarget, s: Signal, *, turns: bool) -> dict[str, Scaling]:
 
 def _against(way: str, joint: JointTarget, s: Signal, scaling: Scaling, told: Told | None) -> float:
     """Score of one joint against a way to read its values."""
-    ends = scaling.si([np.array([s.low, s.high])])[0]
+    ends = scaling.si([s.ends])[0]
     share = max(float(np.abs(ends).max()), 1e-9) / max(_end(joint), 1e-9)
     if way == "normalised":
-        share = max(abs(s.low), abs(s.high), 1e-9) / 100
+        share = max(*np.abs(s.ends), 1e-9) / 100
     if not _within(joint, ends):
         found = 2.0 + 2.0 * math.log(max(share, 1.0))
     else:
@@ -487,13 +530,11 @@ def _end(joint: JointTarget) -> float:
     return (1.0 if joint.slide else _TURNS) if joint.limits is None else max(map(abs, joint.limits))
 
 
-def _within(joint: JointTarget, ends: Sequence[float] | Array, margin: float = _MARGIN) -> bool:
+def _within(joint: JointTarget, ends: Array, margin: float = _MARGIN) -> bool:
     """Return whether positions lie within a joint's limits, and a share of them beyond."""
-    low, high = ends
-    if joint.limits is None:
-        return bool(max(abs(low), abs(high)) <= _end(joint))
-    margin = margin * (joint.limits[1] - joint.limits[0])
-    return bool(joint.limits[0] - margin <= low and high <= joint.limits[1] + margin)
+    low, high = joint.limits or (-_end(joint), _end(joint))
+    margin *= (high - low) * (joint.limits is not None)
+    return bool(low - margin <= ends[0] and ends[1] <= high + margin)
 
 
 def _chosen(
@@ -502,38 +543,35 @@ def _chosen(
 ) -> Scaling | None:  # fmt: skip
     """Scaling of one position: as stated, as its vector's, or its own where that does not fit."""
     unit = "m" if joint.slide else "rad"
+    within = {way: _within(joint, scaling.si([s.ends])[0]) for way, scaling in ways.items()}
+
+    def fits(way: str) -> bool:
+        return told is not None or (defined and way == unit) or within[way]
+
+    best = min(ways, key=lambda way: against.get(way, 0.0), default="")
+    near = best in ("", "stated") or fits(best) or _within(joint, ways[best].si([s.ends])[0], 0.5)
+    if not near:
+        own = {w: _AGAINST[w] + _against(w, joint, s, ways[w], told) for w in ways if fits(w)}
+        best = min(own, key=lambda way: own[way], default="")
+    if not best:
+        return None
     limits = joint.limits
     about = "no limits in the model" if limits is None else (
         f"limits {limits[0]:.4g} to {limits[1]:.4g} {unit}")  # fmt: skip
-    seen = f"values {s.low:.4g} to {s.high:.4g}, {about}"
-    stated = quantity_of(s.unit)
-    if s.unit == "%":
-        ways = {way: each for way, each in ways.items() if way == "normalised"}
-    elif stated not in ("", "number"):
-        if stated != quantity_of(unit):
-            return None
-        factor = unit_named(s.unit, "").factor
-        within = _within(joint, (s.low * factor, s.high * factor))
-        return Scaling(s.unit, reason=f"{s.unit} as stated; {seen}{_exceeds(within)}")
-
-    def fits(way: str, margin: float = _MARGIN) -> bool:
-        sure = told is not None or (defined and way == unit)
-        return sure or _within(joint, ways[way].si([np.array([s.low, s.high])])[0], margin)
-
-    common = min(ways, key=lambda way: against[way], default="")
-    if common and not fits(common, 0.5):
-        own = {w: _AGAINST[w] + _against(w, joint, s, ways[w], told) for w in ways if fits(w)}
-        common = min(own, key=lambda way: own[way], default="")
-    if not common:
-        return None
-    scaling = ways[common]
-    why = scaling.reason or scaling.unit if told is None else told[1]
-    if defined and common == unit:
-        why = f"{unit} as the format defines"
-    also = "normalised" in ways and common == "deg"
-    more = "; values normalised to -100..100 would look alike" if also else ""
-    within = _within(joint, scaling.si([np.array([s.low, s.high])])[0])
-    return replace(scaling, reason=f"{seen}: {why}{_exceeds(within or limits is None)}{more}")
+    why = ways[best].reason or ways[best].unit
+    if best != "stated":
+        why = (
+            f"{unit} as the format defines"
+            if defined and best == unit
+            else told[1]
+            if told
+            else why
+        )
+    reason = f"{why}; values {s.ends[0]:.4g} to {s.ends[1]:.4g}, {about}"
+    reason += "" if within[best] or (limits is None and best != "stated") else ", which they exceed"
+    if best == "deg" and "normalised" in ways:
+        reason += "; values normalised to -100..100 would look alike"
+    return replace(ways[best], reason=reason)
 
 
 def counted(pers: Sequence[float], slide: bool) -> tuple[str, float]:
@@ -557,17 +595,18 @@ def counted(pers: Sequence[float], slide: bool) -> tuple[str, float]:
     return (best, known[best]) if told else ("", 0.0)
 
 
-def _exceeds(within: bool) -> str:
-    return "" if within else ", which they exceed"
+def by_motion(per: float, units: Sequence[str], scale: float = 1.0) -> Scaling | None:
+    """Scaling of channels by what each of their units is [SI]; None where no unit is near.
 
-
-def rate_unit(ratio: float, slide: bool) -> str:
-    """Unit of a velocity by its ratio to the derivative of the position in SI; "" if none fits.
+    ``scale`` makes a unit more of the first one, such as counts of a position in a second.
 
     Examples
     --------
-    >>> rate_unit(-57.0, slide=False)
-    'deg/s'
+    >>> by_motion(0.0173, RATES).unit, by_motion(0.3, ("m/s",))
+    ('deg/s', None)
     """
-    best, off = nearest_unit(ratio, _SPEEDS if slide else _RATES)
-    return best if off < math.log(NEAR) else ""
+    ways = [*map(Scaling, units), Scaling(units[0], scale)]
+    off = {i: abs(math.log(max(per, 1e-12) / way.factor)) for i, way in enumerate(ways)}
+    best = min(off, key=lambda i: off[i])
+    told = replace(ways[best], reason=f"{ways[best].unit} by the motion")
+    return told if off[best] < math.log(_NEAR) else None

@@ -52,10 +52,7 @@ class _Head:
 
 def open_text_table(path: Path, name: str) -> Log:
     """Open a text table."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InvalidData(f"{name}: it cannot be read: {error.strerror or error}") from None
+    raw = path.read_bytes()
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raw = raw.decode("utf-16", "replace").encode()
     raw = raw.removeprefix(b"\xef\xbb\xbf")
@@ -80,17 +77,14 @@ def _table(raw: bytes, name: str, head: _Head) -> Table:
     keys = [n if n and head.names.count(n) == 1 else f"#{i + 1}" for i, n in enumerate(head.names)]
     columns: dict[str, NDArray[Any]] = {}
     texts: dict[str, Sequence[str]] = {}
-    units = {k: u for k, u in zip(keys, head.units, strict=False) if u}
-    units |= {k: unit for k, n in zip(keys, head.names, strict=True) if (unit := unit_in(n))}
+    units = {key: unit for key, name, below in zip(keys, head.names, head.units, strict=True)
+             if (unit := unit_in(name) or below)}  # fmt: skip
     for key, own in zip(keys, cells, strict=True):
         if isinstance(own, np.ndarray):
             columns[key] = own
-            continue
-        vectors = _vectors(own) if own and _VECTOR.fullmatch(own[0]) else None
-        numbers = _numbers_of(own, head.decimal) if vectors is None else None
-        if vectors is not None:
-            columns |= {f"{key}[{j}]": vectors[:, j] for j in range(vectors.shape[1])}
-        elif numbers is not None:
+        elif own and _VECTOR.fullmatch(own[0]) and (vectors := _vectors(own)) is not None:
+            columns |= {f"{key}[{j}]": each for j, each in enumerate(vectors.T)}
+        elif (numbers := _numbers_of(own, head.decimal)) is not None:
             columns[key] = numbers
         elif (dates := dates_ns(own)) is not None:
             columns[key], units[key] = dates, "ns"
@@ -120,13 +114,19 @@ def _cells(
     lines = np.arange(body.count(b"\n") + 1) + head.first + 1
     if len(lines) * len(head.names) > MOST_VALUES:
         raise InvalidData(f"{name}: more than {MOST_VALUES} values; split the file")
-    cut: list[Any] = []
+    names = [str(i) for i in range(len(head.names))]
+    kinds, cut = {}, list[Any]()
+    for i, each in enumerate(names):
+        first = [r[i] for r in head.rows if i < len(r) and r[i].strip() not in _MISSING]
+        own = _numbers_of(first or ["0"], head.decimal)
+        kinds[each] = pa.string() if own is None else pa.from_numpy_dtype(own.dtype)
 
     def noted(row: Any) -> str:
         cut.append(row)
         return "skip"
 
     def read(kinds: dict[str, Any]) -> Any:
+        cut.clear()
         return pacsv.read_csv(
             pa.BufferReader(body),
             pacsv.ReadOptions(column_names=names, use_threads=False,
@@ -137,17 +137,10 @@ def _cells(
                                  decimal_point=head.decimal, strings_can_be_null=False),
         )  # fmt: skip
 
-    names = [str(i) for i in range(len(head.names))]
-    kinds = {}
-    for i, each in enumerate(names):
-        first = [r[i] for r in head.rows if i < len(r) and r[i].strip() not in _MISSING]
-        own = _numbers_of(first or ["0"], head.decimal)
-        kinds[each] = pa.string() if own is None else pa.from_numpy_dtype(own.dtype)
     try:
         try:
             found = read(kinds)
         except (pa.ArrowInvalid, pa.ArrowKeyError):  # a text in a column of numbers
-            cut.clear()
             found = read(dict.fromkeys(names, pa.string()))
     except pa.ArrowInvalid as error:
         raise InvalidData(f"{name}: not a table: {' '.join(str(error).split())[:200]}") from None
@@ -160,14 +153,11 @@ def _cells(
             "named; the row was cut short, or the separator is another"
         )
     cells: list[NDArray[Any] | list[str]] = []
-    for each in names:
-        column = found.column(each)
-        if pa.types.is_string(column.type):
-            cells.append(column.to_pylist())
-        elif pa.types.is_integer(column.type) and not column.null_count:
-            cells.append(column.to_numpy())
-        else:
-            cells.append(np.asarray(column.to_numpy(), dtype=np.float64))
+    for column in found.columns:
+        whole = pa.types.is_integer(column.type) and not column.null_count
+        plain = np.int64 if whole else np.float64
+        text = pa.types.is_string(column.type)
+        cells.append(column.to_pylist() if text else np.asarray(column.to_numpy(), dtype=plain))
     return cells, lines
 
 
@@ -271,14 +261,14 @@ def _split(lines: list[str], separator: str, decimal: str) -> _Head | None:
             above, i = [i], i + 1  # columns that were given numbers for names
         own = [r for _, r in rows[i:]]
         numbered = [str(k + 1) for k in range(width)]
-        head = _Head(separator, decimal, numbered, rows[i][0], own, [], False, numbers)
+        head = _Head(separator, decimal, numbered, rows[i][0], own, [""] * width, False, numbers)
         if not above:
             return head
         at = above[0] if above[0] >= i - 3 else above[-1]
         names = [" ".join(cell.split()).lstrip("#").strip() for cell in rows[at][1]]
         below = rows[at + 1][1] if i > at + 1 else []
         units = [unit_in(f"[{cell.strip().strip('[]()')}]") for cell in below]
-        names = (names + [""] * width)[:width]
+        names, units = ((own + [""] * width)[:width] for own in (names, units))
         return replace(head, names=names, units=units, named=True)
     return None
 

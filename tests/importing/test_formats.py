@@ -33,6 +33,7 @@ MODEL = mujoco.MjModel.from_xml_string(ARM)
 COMMANDS = ("pan", "lift", "bend")
 ALL = {f"sensor.{n}_pos" for n in JOINTS} | {f"ctrl.{n}" for n in COMMANDS}
 RATES = {f"sensor.{n}_vel" for n in JOINTS}
+POSITIONS, ORDERS = (" ".join(f"{j}_{word}" for j in JOINTS) for word in ("pos", "cmd"))
 
 
 @pytest.fixture
@@ -151,7 +152,7 @@ def table(path: Path, *columns: np.ndarray) -> str:
 def lines(source: str, rate_hz: float | None = None) -> dict[str, tuple[str, str, int]]:
     """Channel, unit and sign of each column that is proposed."""
     return {
-        each.column: (each.candidate.key.channel, each.scaling.unit, each.sign)
+        each.column: (each.candidate.key.channel, each.scaling.unit, each.scaling.sign)
         for each in propose([source], MODEL, rate_hz).columns
         if not each.open
     }
@@ -297,6 +298,24 @@ def test_a_position_with_the_unit_of_another_quantity_is_left(home: Path, motion
     assert [left.candidate.key.channel for left in proposal.unassigned] == ["shoulder_lift_pos [g]"]
 
 
+@pytest.mark.parametrize(
+    ("names", "run"),
+    [("sweep sweep-acc", "sweep"), ("robot-7 cmd-7", "run-07"), ("states commands", "run-01"),
+     ("run-03.robot run-03.cmd", "run-03")],
+)  # fmt: skip
+def test_a_run_of_two_files_has_the_name_that_both_share(
+    home: Path, motion: Motion, names: str, run: str
+) -> None:
+    first, second = (f"{home}/{name}.csv" for name in names.split())
+    position, command = motion.position.T, motion.command.T
+    written(
+        Path(first), {"time": motion.time, **dict(zip(POSITIONS.split(), position, strict=True))}
+    )
+    written(Path(second), {"time": motion.time, **dict(zip(ORDERS.split(), command, strict=True))})
+    text = proposal_text(propose([first, second], MODEL), "arm.xml")
+    assert tomllib.loads(text)["runs"][0]["file"] == run
+
+
 def test_files_of_a_folder_are_one_run(home: Path, motion: Motion) -> None:
     for k, folder in enumerate((home / "a", home / "b")):
         folder.mkdir()
@@ -305,6 +324,7 @@ def test_files_of_a_folder_are_one_run(home: Path, motion: Motion) -> None:
             written(folder / f"{name}.csv", {"time": motion.time, **columns})
     proposal = propose([str(home / "a"), str(home / "b")], MODEL)
     runs = [sorted(run.values()) for run in proposal.runs]
+    assert 'file = "a"' in proposal_text(proposal, "arm.xml")
     assert runs == [[f"{k}/commands.csv", f"{k}/states.csv"] for k in "ab"]
     assert len([each for each in proposal.columns if not each.open]) == 6
 
@@ -512,21 +532,101 @@ def test_a_word_that_one_joint_alone_has_names_it(home: Path, motion: Motion) ->
         assert found[f"ctrl.{command}"] == (f"Cmd {headers[i]} [deg]", "deg", 1)
 
 
+@pytest.mark.parametrize("named", [(0, 2, 1), (1, 2, 0)], ids=["two", "three"])
+@pytest.mark.parametrize("witness", ["commands", "torques"])
 def test_states_that_the_torques_tell_to_be_exchanged_are_turned_round(
-    home: Path, motion: Motion
+    home: Path, motion: Motion, named: tuple[int, ...], witness: str
 ) -> None:
-    named = (0, 2, 1)  # the states of lift and elbow carry each other's names
+    own = (
+        named if witness == "commands" else (0, 1, 2)
+    )  # the torques are the states' or the joints'
     columns = {"time": motion.time}
     columns |= {f"{j}_position": motion.position[:, named[i]] for i, j in enumerate(JOINTS)}
-    columns |= {f"{j}_effort": motion.torque[:, named[i]] for i, j in enumerate(JOINTS)}
-    columns |= {f"{j}_command": motion.command[:, i] for i, j in enumerate(JOINTS)}
-    proposal = propose([written(home / "log.csv", columns)], MODEL)
+    columns |= {f"{j}_effort": motion.torque[:, own[i]] for i, j in enumerate(JOINTS)}
+    if witness == "commands":
+        columns |= {f"{j}_command": motion.command[:, i] for i, j in enumerate(JOINTS)}
+    proposal = propose([written(home / "log.csv", {"time": motion.time, **columns})], MODEL)
     found = {each.column: each.candidate.key.channel for each in proposal.columns if not each.open}
     for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
-        assert found[f"sensor.{joint}_pos"] == f"{JOINTS[named[i]]}_position"
-        assert found[f"torque.{joint}"] == f"{JOINTS[named[i]]}_effort"
-        assert found[f"ctrl.{command}"] == f"{joint}_command"
+        assert found[f"sensor.{joint}_pos"] == f"{JOINTS[named.index(i)]}_position"
+        assert found[f"torque.{joint}"] == f"{JOINTS[own.index(i)]}_effort"
+        assert witness == "torques" or found[f"ctrl.{command}"] == f"{joint}_command"
     assert any("are exchanged" in note for note in proposal.notes)
+
+
+GYRO = ARM.replace(
+    '<inertial pos=".1 0 0"', '<site name="tool" euler=".3 .2 0"/><inertial pos=".1 0 0"'
+).replace("</sensor>", '<gyro name="imu" site="tool"/></sensor>')
+DEG = 180 / np.pi
+
+
+def turned(motion: Motion) -> np.ndarray:
+    """Angular velocity at the tool [rad/s], shape (T, 3)."""
+    model = mujoco.MjModel.from_xml_string(GYRO)
+    data, read = mujoco.MjData(model), []
+    for data.qpos[:], data.qvel[:] in zip(motion.position, motion.velocity, strict=True):
+        mujoco.mj_forward(model, data)
+        read.append(data.sensor("imu").data.copy())
+    return np.array(read)
+
+
+def guess(home: Path, xml: str, motion: Motion, *blocks: tuple[str, np.ndarray]) -> dict:
+    """Lines of a log with three channels for each name, by column."""
+    log = {"time": motion.time}
+    for names, values in blocks:
+        log |= dict(zip(names.split(), values.T, strict=True))
+    proposal = propose([written(home / "log.csv", log)], mujoco.MjModel.from_xml_string(xml))
+    return {each.column: each for each in proposal.columns if not each.open}
+
+
+@pytest.mark.parametrize(
+    ("factor", "names", "unit", "scale"),
+    [
+        (1.0, "gx gy gz", "rad/s", 1.0),
+        (DEG, "imu_gyrx imu_gyry imu_gyrz", "deg/s", 1.0),
+        (131 * DEG, "gyro_0 gyro_1 gyro_2", "rad/s", 1 / 131 / DEG),
+        (DEG, "c7 c8 c9", "deg/s", 1.0),  # no name tells them
+        (DEG, "wz wx wy", "deg/s", 1.0),  # mounted otherwise
+        (DEG, "gx ? gz", "deg/s", 1.0),  # an axis without samples
+        (0.0, "gx gy gz", "", 1.0),  # of another body
+    ],
+)
+def test_a_gyro_is_told_by_the_motion(
+    home: Path, motion: Motion, factor: float, names: str, unit: str, scale: float
+) -> None:
+    read = factor * turned(motion) + np.random.default_rng(0).normal(0, 0.02, (len(motion.time), 3))
+    read[:, ["?" in name for name in names.split()]] = np.nan
+    found = guess(home, GYRO, motion, (POSITIONS, motion.position), (names, read))
+    names = names.replace("? ", "")
+    tool = [found[c] for axis in "xyz" if (c := f"sensor.imu.{axis}") in found]
+    assert [e.candidate.key.channel for e in tool] == sorted(names.split()) * bool(factor)
+    assert {each.scaling.unit for each in tool} == {unit} - {""}
+    assert all(each.scaling.scale == pytest.approx(scale, rel=0.03) for each in tool)
+
+
+@pytest.mark.parametrize(
+    ("joint", "state", "command"),
+    # Both of the pan reversed would be a sensor turned by half a turn as well.
+    [(0, -1, 1), (0, 1, -1), (1, -1, 1), (1, -1, -1), (2, 1, -1), (2, -1, -1)],
+)
+def test_a_gyro_tells_which_of_state_and_command_is_reversed(
+    home: Path, motion: Motion, joint: int, state: int, command: int
+) -> None:
+    signs = np.where(np.arange(3) == joint, [[state], [command]], 1)
+    found = guess(home, GYRO, motion, (POSITIONS, signs[0] * motion.position),
+                  (ORDERS, signs[1] * motion.command), ("gx gy gz", turned(motion)))  # fmt: skip
+    assert [found[f"sensor.{j}_pos"].scaling.sign for j in JOINTS] == signs[0].tolist()
+    assert [found[f"ctrl.{c}"].scaling.sign for c in COMMANDS] == signs[1].tolist()
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("rad", 1.0), ("deg", DEG)])
+def test_a_gyro_of_stated_unit_tells_that_of_positions_without_limits(
+    home: Path, motion: Motion, unit: str, factor: float
+) -> None:
+    found = guess(home, GYRO.replace('limited="true"', 'limited="false"'), motion,
+                  (POSITIONS, factor * motion.position),
+                  ("gx_dps gy_dps gz_dps", DEG * turned(motion)))  # fmt: skip
+    assert [found[f"sensor.{j}_pos"].scaling.unit for j in JOINTS] == [unit] * 3
 
 
 def test_numbers_within_names_make_vectors_beside_channels_of_no_use(
@@ -544,6 +644,19 @@ def test_numbers_within_names_make_vectors_beside_channels_of_no_use(
     for i, (joint, command) in enumerate(zip(JOINTS, COMMANDS, strict=True)):
         assert found[f"sensor.{joint}_pos"][0] == f"m{i + 1}_ang"
         assert found[f"ctrl.{command}"][0] == f"m{i + 1}_ref"
+
+
+def test_a_wrapped_position_is_put_to_the_turn_of_its_command(home: Path, motion: Motion) -> None:
+    turns = np.array([0, 3, -2])
+    found = guess(home, ARM.replace('limited="true"', 'limited="false"'), motion,
+                  (POSITIONS, DEG * motion.position % 360),
+                  (ORDERS.replace("cmd", "cmd_deg"), DEG * motion.command + 360 * turns),
+                 )  # fmt: skip
+    lines = [found[f"sensor.{joint}_pos"] for joint in JOINTS]
+    assert [each.candidate.period for each in lines] == [360] * 3
+    for i, each in enumerate(lines):
+        (own,) = each.scaling.si(each.candidate.runs)
+        np.testing.assert_allclose(own, motion.position[:, i] + 2 * np.pi * turns[i], atol=1e-6)
 
 
 def test_words_of_a_servo_are_ticks(home: Path, motion: Motion) -> None:
