@@ -168,6 +168,8 @@ class LinearArm:
             # Bending and servo modes reach into the band; brakes lie far above it.
             points = 240 if len(self.flexible_dofs) or arm.hold == "servo" else 24
         self.frequency = np.linspace(*arm.band, points)
+        self.weights = np.full(points, 1 / points)
+        """Weight of each frequency in means over the band (K,)."""
         self._remember = remember
         self._cache: dict[bytes, LinearPose] = {}
 
@@ -177,6 +179,24 @@ class LinearArm:
         other.arm, other.model, other._cache = arm, self.model if model is None else model, {}
         other.frequency = np.linspace(*arm.band, len(self.frequency))
         other.__dict__.pop("_joint_stiffness", None)
+        return other
+
+    def thinned(self) -> LinearArm:
+        """Return the same arm with few frequencies, weighted for the same means over the band.
+
+        Gauss's rule for the mean over the frequencies there are, by the eigenvalues of Jacobi's
+        matrix (Golub and Welsch, Mathematics of Computation 23, 1969). Where no mode lies in the
+        band, answers are so smooth over the logarithm of the frequency that eight nodes give means
+        over 24 frequencies to 1e-10. Elsewhere the arm is returned as it is.
+        """
+        if len(self.flexible_dofs) or self.arm.hold != "brake" or len(self.frequency) <= _NODES:
+            return self
+        other, log = self.variant(self.arm), np.log(self.frequency)
+        middle, half = (log[0] + log[-1]) / 2, (log[-1] - log[0]) / 2
+        x = (log - middle) / half
+        basis = np.linalg.qr(np.vander(x, _NODES, increasing=True))[0]
+        nodes, vectors = np.linalg.eigh(basis.T @ (x[:, None] * basis))
+        other.frequency, other.weights = np.exp(middle + half * nodes), vectors[0] ** 2
         return other
 
     @cached_property
@@ -420,6 +440,8 @@ class LinearPoses(_Placed):
         )
 
 
+_NODES = 8
+"""Frequencies of `LinearArm.thinned`."""
 _FIT = 1 << 15
 """Complex numbers of a chunk's largest array, for the processor's cache."""
 

@@ -340,37 +340,37 @@ def predict_seats(
     joints = np.take_along_axis(acceleration, on[:, None, :, None], axis=2)
     healthy = np.concatenate([joints, tool], axis=2) * t
     own = np.ascontiguousarray(healthy.transpose(0, 2, 3, 1))
-    in_step = healthy.real.mean(1)
+    weights = linear.weights
+    in_step = (weights[:, None, None] * healthy.real).sum(1)
     flat = own.reshape(records, p, -1)
-    step = _averaged(column, free.conj())
-    power = (np.abs(free) ** 2).sum(2)
+    back = free.conj() * weights
+    step = _summed(column, back)
     places = len(asked) if covariances else 0
     mixed, rest_open, loose = (np.zeros((records, places, p, p)) for _ in range(3))
     if covariances:
-        steady = in_step[:, None]
-        back = free.conj()
+        steady, power = in_step[:, None], (free * back).real.sum(2)
         follows = sum(own[:, None, :, k] * back[:, :, None, k] for k in range(m))
-        mixed = _averaged(np.asarray(follows), column) - steady @ step.mT
-        rest_open = _averaged(column * power[:, :, None], column) - step @ step.mT
-        loose = _averaged(column, column) * power.mean(-1)[..., None, None]
+        mixed = _summed(np.asarray(follows), column) - steady @ step.mT
+        rest_open = _summed(column * power[:, :, None], column) - step @ step.mT
+        loose = _summed(column * weights, column) * power.sum(-1)[..., None, None]
     seat_load = poses.load[:, linear.slide_dofs] @ directions.T
     at_rest = [seat_load.reshape(records, -1), poses.load[:, linear.hinge_dofs]]
     return SeatPrediction(
         in_step=in_step,
         in_step_open=step,
-        rest=_averaged(flat, flat) * m - in_step @ in_step.mT + _diagonal(floor),
+        rest=_summed(flat * np.tile(weights, m), flat) - in_step @ in_step.mT + _diagonal(floor),
         rest_mixed=mixed + mixed.mT,
         rest_open=rest_open,
         loose=loose,
-        force=np.sqrt((np.abs(force) ** 2).sum(2).mean(-1)),
+        force=np.sqrt((np.abs(force) ** 2).sum(2) @ weights),
         load=np.abs(np.concatenate(at_rest, axis=1))[:, asked],
     )
 
 
-def _averaged(a: NDArray[Any], b: NDArray[Any]) -> Array:
-    """Real part of the products a bᴴ (..., i, j), averaged over the last axis of both."""
+def _summed(a: NDArray[Any], b: NDArray[Any]) -> Array:
+    """Real part of the products a bᴴ (..., i, j), summed over the last axis of both."""
     one, other = (np.ascontiguousarray(x).view(float) for x in (a, b))
-    return np.asarray(one @ other.mT / a.shape[-1])
+    return np.asarray(one @ other.mT)
 
 
 def joints_on(torque: NDArray[Any]) -> IndexArray:

@@ -99,7 +99,7 @@ def fits_of(name: str, records: int, seed: int) -> list[Found]:
                     )
                     for a in arms
                 ]
-                log = np.array([f.log[0, place] for f in each]) + weights[:, None, None]
+                log = np.array([f.log[0, ..., place] for f in each]) + weights[:, None, None]
                 total = np.logaddexp.reduce(log, axis=0)
                 middle = each[len(each) // 2]
                 force, load = float(middle.force[0, place]), float(middle.load[0, place])
