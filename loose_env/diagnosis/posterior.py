@@ -84,7 +84,8 @@ def fit_records(
     arm, on = poses.linear.arm, joints_on(records.torque)
     d, m = records.tool_covariance.shape[-1], on.shape[1]
     noise = channel_noise(floor, arm, on)
-    seats = predict_seats(poses, records.torque, directions, noise, covariances=m == 1)
+    one = m == 1
+    seats = predict_seats(poses, records.torque, directions, noise, free=one, opening=one)
     samples = independent_samples(arm, records.duration)
 
     b, residual = unexplained(records, seats, least=0.0 if m > 1 else -np.inf)

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from loose_env.arms import Arm, LinearArm, LinearPose, LinearPoses, Mismatch, link_site
 from loose_env.errors import InvalidData
@@ -261,7 +262,8 @@ def predict_seats(
     floor: Array,
     *,
     locations: NDArray[np.intp] | None = None,
-    covariances: bool = True,
+    free: bool = False,
+    opening: bool = False,
 ) -> SeatPrediction:
     """Work out all seats of the arm in B records in which equally many joints are on.
 
@@ -275,11 +277,10 @@ def predict_seats(
         Sliding directions of a link, unit vectors in its frame.
     floor : ndarray (B, p)
         Variance that the sensors add to each channel.
-    locations : ndarray of int, optional
-        Places that are asked for, in the order in which they are wanted; all by default.
-    covariances : bool
-        False to leave out what is out of step and the free motion of the seats, which takes most
-        of the time: `rest_mixed`, `rest_open` and `loose` then have no places.
+    locations : ndarray of int (M,) or (B, M), optional
+        Places that are asked for, in all records or in each; all by default.
+    free, opening : bool
+        Whether to work out `loose`; and `rest_mixed` and `rest_open`. Without, they have no places.
 
     Examples
     --------
@@ -292,69 +293,42 @@ def predict_seats(
     (1, 6, 3, 1)
     """
     linear, excited = poses.linear, torque > 0
-    (acceleration, tool), opened = poses.responses(excited), poses.open_responses(excited)
-    on = joints_on(torque)
-    n, axes = linear.slide_dofs.shape
-    records, count, d, m = tool.shape
-    p, slides = m + d, n * len(directions)
-    asked = np.arange(slides + n) if locations is None else np.asarray(locations)
-    of_slide, joint = asked < slides, asked[asked >= slides] - slides
-    link, way = np.divmod(asked[of_slide], len(directions))
-    u = directions[way]
-
-    def placed(along: Array, of_links: ComplexArray, of_hinges: ComplexArray) -> ComplexArray:
-        """Slides, as sums of a link's parts (B, K, parts, ..., n), and hinges, as asked for.
-
-        Frequencies come last (B, P, ..., K), so that averages over them are products of matrices.
-        """
-        by_link = np.ascontiguousarray(np.moveaxis(of_links, (1, -1), (-1, 1)))
-        found = np.empty((records, len(asked), *by_link.shape[3:]), dtype=complex)
-        parts = by_link.reshape(records, n, by_link.shape[2], -1).view(float)
-        rows = np.flatnonzero(of_slide)
-        for k in range(n):
-            own = link == k
-            each = along[own] @ parts[:, k]
-            found[:, rows[own]] = each.view(complex).reshape(records, -1, *by_link.shape[3:])
-        found[:, ~of_slide] = np.moveaxis(of_hinges, (1, -1), (-1, 1))[:, joint]
-        return found
-
+    along, squares, pairs = _seat_axes(linear.arm.n, directions.shape[1], directions.tobytes())
+    (acceleration, tool), opened = poses.responses(excited), poses.open_responses(excited, pairs)
+    on, weights = joints_on(torque), linear.weights
+    if locations is not None:
+        along, squares = along[locations], squares[locations]
+    m = tool.shape[-1]
     t = np.take_along_axis(torque, on, axis=1)[:, None, None]
-    transmitted = poses.transmitted(acceleration) * t
-    by_link = transmitted[:, :, : n * axes].reshape(records, count, n, axes, m)
-    force = placed(
-        u,
-        np.moveaxis(by_link, 2, -1),
-        np.moveaxis(transmitted[:, :, n * axes : n * axes + n], 2, -1),
-    )
-    squares = (u[:, :, None] * u[:, None]).reshape(-1, axes * axes)
-    mass = placed(
-        squares,
-        np.moveaxis(opened.mass_slide, 2, -1).reshape(records, count, axes * axes, n),
-        opened.inertia_hinge,
-    )
-    slide = np.concatenate([opened.joint_open_slide, opened.tool_open_slide], axis=2)
-    hinge = np.concatenate([opened.joint_open_hinge, opened.tool_open_hinge], axis=2)
-    column = placed(u, slide.transpose(0, 1, 4, 2, 3), hinge)
-    free = -force / mass[:, :, None]  # (B, P, m, K), column (B, P, p, K)
+
+    def placed(among: Array, values: ComplexArray) -> ComplexArray:
+        """Sums over seats, or pairs of their axes (B, seats, ..., K), by location (B, P, ..., K).
+
+        Frequencies come last, so that averages over them are products of matrices.
+        """
+        flat: Any = among @ values.reshape(*values.shape[:2], -1).view(float)
+        return np.asarray(flat.view(complex).reshape(*flat.shape[:2], *values.shape[2:]))
+
+    transmitted = (poses.transmitted(acceleration) * t).transpose(0, 2, 3, 1)
+    force = placed(along, np.ascontiguousarray(transmitted))
+    column, mass = placed(along, opened[0]), placed(squares, opened[1])
+    moved = -force / mass[:, :, None]  # (B, P, m, K), column (B, P, p, K)
 
     joints = np.take_along_axis(acceleration, on[:, None, :, None], axis=2)
     healthy = np.concatenate([joints, tool], axis=2) * t
     own = np.ascontiguousarray(healthy.transpose(0, 2, 3, 1))
-    weights = linear.weights
-    in_step = (weights[:, None, None] * healthy.real).sum(1)
-    flat = own.reshape(records, p, -1)
-    back = free.conj() * weights
+    p, in_step = healthy.shape[2], (weights[:, None, None] * healthy.real).sum(1)
+    flat = own.reshape(len(own), p, -1)
+    back = moved.conj() * weights
     step = _summed(column, back)
-    places = len(asked) if covariances else 0
-    mixed, rest_open, loose = (np.zeros((records, places, p, p)) for _ in range(3))
-    if covariances:
-        steady, power = in_step[:, None], (free * back).real.sum(2)
-        follows = sum(own[:, None, :, k] * back[:, :, None, k] for k in range(m))
-        mixed = _summed(np.asarray(follows), column) - steady @ step.mT
-        rest_open = _summed(column * power[:, :, None], column) - step @ step.mT
+    mixed, rest_open, loose = (np.zeros((len(own), 0, p, p)) for _ in range(3))
+    power = (moved * back).real.sum(2)
+    if free:
         loose = _summed(column * weights, column) * power.sum(-1)[..., None, None]
-    seat_load = poses.load[:, linear.slide_dofs] @ directions.T
-    at_rest = [seat_load.reshape(records, -1), poses.load[:, linear.hinge_dofs]]
+    if opening:
+        follows = sum(own[:, None, :, k] * back[:, :, None, k] for k in range(m))
+        mixed = _summed(np.asarray(follows), column) - in_step[:, None] @ step.mT
+        rest_open = _summed(column * power[:, :, None], column) - step @ step.mT
     return SeatPrediction(
         in_step=in_step,
         in_step_open=step,
@@ -363,8 +337,25 @@ def predict_seats(
         rest_open=rest_open,
         loose=loose,
         force=np.sqrt((np.abs(force) ** 2).sum(2) @ weights),
-        load=np.abs(np.concatenate(at_rest, axis=1))[:, asked],
+        load=np.abs(along @ poses.load[:, linear.seats, None])[..., 0],
     )
+
+
+@lru_cache(maxsize=64)
+def _seat_axes(
+    n: int, count: int, directions: bytes
+) -> tuple[Array, Array, tuple[IndexArray, IndexArray]]:
+    """Motion of every location along the axes of all seats (P, n count + n).
+
+    The apparent mass along it is a sum over pairs of axes of one seat: their shares (P, pairs), and
+    the numbers of the two.
+    """
+    u, (i, j) = np.frombuffer(directions).reshape(-1, count), np.triu_indices(count)
+    hinges, links = n * count + np.arange(n), count * np.arange(n)[:, None]
+    squares = u[:, i] * u[:, j] * np.where(i == j, 1.0, 2.0)
+    along, shares = (block_diag(np.kron(np.eye(n), own), np.eye(n)) for own in (u, squares))
+    one, other = (np.concatenate([(links + own).ravel(), hinges]) for own in (i, j))
+    return along, shares, (one, other)
 
 
 def _summed(a: NDArray[Any], b: NDArray[Any]) -> Array:

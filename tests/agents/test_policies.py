@@ -77,7 +77,7 @@ def test_every_policy_measures_and_stays_in_range(problem, estimator, name):
 def test_a_record_says_little_that_drives_no_seat_or_that_is_known_already(problem, estimator):
     information = information_of(problem, estimator)
     now = situation(problem, estimator)
-    faults = information.imagine(now.memory.belief, now.rng)
+    faults = information.imagine([now.memory.belief], [now.rng])
     assert faults.weight.sum() == pytest.approx(1.0)
     torque = np.array(problem.arm.torque_limits) / 5
     at, long = np.tile(now.pose, (2, 1)), np.full(2, 1.2)
@@ -85,7 +85,7 @@ def test_a_record_says_little_that_drives_no_seat_or_that_is_known_already(probl
     assert strong > 0.5
     assert weak < 0.2 * strong
     belief = now.memory.belief
-    sure = information.imagine(replace(belief, healthy=belief.healthy + 6.0), now.rng)
+    sure = information.imagine([replace(belief, healthy=belief.healthy + 6.0)], [now.rng])
     known = information.of(sure, at[:1], torque[None], long[:1]).information
     assert known[0] < 0.3 * strong
 
@@ -182,7 +182,7 @@ def test_several_arms_are_played_as_each_is_alone(name: str) -> None:
 
 def test_expected_information_does_not_depend_on_the_candidates_beside(problem, estimator) -> None:
     information, now = information_of(problem, estimator), situation(problem, estimator)
-    faults = information.imagine(now.memory.belief, now.rng)
+    faults = information.imagine([now.memory.belief], [now.rng])
     rng = np.random.default_rng(2)
     poses = np.array([problem.arm.random_pose(rng) for _ in range(7)])
     torque = rng.random((7, 3)) * (rng.random((7, 3)) < 0.6) + np.eye(3)[rng.integers(3, size=7)]
