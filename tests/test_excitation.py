@@ -16,7 +16,7 @@ from loose_env.excitation import (
     at_levels,
     torque_signals,
 )
-from loose_env.rig import Job, SimulatedRig
+from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 
@@ -159,12 +159,8 @@ def test_a_level_is_the_rms_acceleration_of_the_nominal_tool(joint: int) -> None
     excitation, share = at_levels(at, levels, duration=1.2)
     assert share.tolist() == [1.0, 1.0]
     rig = SimulatedRig(arm, slots=8, sensors=SensorSuite.ideal())
-    records = rig.measure_many(
-        [
-            Job(slot=s, pose=at.pose, excitation=excitation, rng=np.random.default_rng(s))
-            for s in range(8)
-        ]
-    )
+    rngs = [np.random.default_rng(s) for s in range(8)]
+    records = rig.measure_all(range(8), at.pose, excitation, rngs)
     power = np.mean([np.sum(np.var(record.tool, axis=1)) for record in records])
     assert np.sqrt(power) == pytest.approx(4.0, rel=0.05)
 

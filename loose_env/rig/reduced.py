@@ -145,7 +145,7 @@ def small_motions(
 ) -> SmallMotion:
     """Linearise true arms about their initial poses; ``places`` are those of the seats."""
     found = _Placed(fixed, models, data, poses, places)
-    jobs, n = excited.shape
+    n = excited.shape[1]
     diagonal = np.arange(found.inertia.shape[1])
     # Gravity, from the arms' geometry; angular velocity and motion of centres of mass.
     turning = np.where(fixed.hinges[..., None], found.axis, 0.0)
