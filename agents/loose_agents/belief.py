@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from loose_agents.base import Agent, EpisodeAgent, Problem
 from loose_env.diagnosis import Belief, LinkReadings, link_axes, misfit, read_network
-from loose_env.envs import DiagnosisSettings, EpisodeBatch, ObservationLayout, difficulty_named
+from loose_env.envs import DiagnosisSettings, EnvBatch, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import UNSURE
 from loose_env.wrappers import Posterior, analytic_posterior, checked_order, taken_in
@@ -252,7 +252,7 @@ def verdict_of(
 
 
 def best_verdict(
-    problem: Problem | EpisodeBatch, probabilities: NDArray[np.float64], *, unsure: bool = True
+    problem: Problem | EnvBatch, probabilities: NDArray[np.float64], *, unsure: bool = True
 ) -> str:
     """Verdict of the highest expected reward under the environment's rewards.
 

@@ -1,6 +1,6 @@
-"""Rules of diagnosis episodes (`EpisodeBatch`): reset and step of any number of arms at once.
+"""Rules of diagnosis episodes (`EnvBatch`): reset and step of any number of arms at once.
 
-The single and the vector environment are thin shells around `EpisodeBatch`, so that both
+The single and the vector environment are thin shells around `EnvBatch`, so that both
 give the same episode bit for bit. Every random draw comes from a stream of its own, keyed by
 (seed, episode, stream, record): what an agent does, how many arms run beside it and what ran
 before change nothing.
@@ -252,7 +252,7 @@ class BatchRig(Protocol):
         ...
 
 
-class EpisodeBatch:
+class EnvBatch:
     """Runs the episodes of ``num`` arms.
 
     Parameters

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs.batch import BatchRig, EpisodeBatch
+from loose_env.envs.batch import BatchRig, EnvBatch
 from loose_env.envs.rendering import Picture
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, UnknownName
@@ -29,7 +29,7 @@ class EnvState:
     numbers: tuple[int, ...]
     """Number of each arm's episode under it."""
     batch: Mapping[str, Any]
-    """Hidden faults, true arms, poses and records, as `EpisodeBatch.state` gives them."""
+    """Hidden faults, true arms, poses and records, as `EnvBatch.state` gives them."""
     ended: tuple[bool, ...]
     """True for each environment of a batch that is to be reset before it goes on."""
     fingerprint: str
@@ -42,12 +42,12 @@ class BatchShell:
     A copy is built anew from the arguments and takes up the state: no engine is copied.
     """
 
-    batch: EpisodeBatch
+    batch: EnvBatch
     render_mode: str | None
     _kept: tuple[str, ...]
     """Attributes that a copy takes over."""
 
-    def _show(self, batch: EpisodeBatch, **arguments: Any) -> None:
+    def _show(self, batch: EnvBatch, **arguments: Any) -> None:
         """Show a batch; ``arguments`` are those beside arms, settings, threads and render mode."""
         self.batch, self._arguments = batch, arguments
         self.arm, self.settings = batch.arm, batch.settings
@@ -271,7 +271,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     ) -> None:
         self._draws(render_mode)
         settings = DiagnosisSettings() if settings is None else settings
-        batch = EpisodeBatch(arm, settings, threads=threads, rig=rig, true_arm=true_arm)
+        batch = EnvBatch(arm, settings, threads=threads, rig=rig, true_arm=true_arm)
         self._show(batch, rig=rig)
         self.action_space = self.actions.space
         self.observation_space = self.batch.space

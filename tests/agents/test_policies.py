@@ -27,7 +27,7 @@ from loose_agents.policies.choice import (
 from loose_agents.registry import make_agent
 
 from loose_env.arms import planar
-from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.envs import DiagnosisSettings, EnvBatch
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 
@@ -113,7 +113,7 @@ def situation_in(problem: Problem, observation: Any, estimator: Any, records: in
 
 def test_a_fixed_sequence_turns_back_at_the_limit_of_a_joint() -> None:
     problem = Problem.of(planar(2), RULES)
-    batch = EpisodeBatch(problem.arm, RULES)
+    batch = EnvBatch(problem.arm, RULES)
     batch.start(0, seed=1, number=0, options={"pose": [0.0, np.radians(149.0)]})
     action = problem.actions.encode(moves=np.array([3, 4]), levels=np.array([0, 2]))
     policy = FixedPolicy(problem, [action.tolist()])
@@ -133,7 +133,7 @@ def test_the_open_loop_is_blind_to_results() -> None:
     policy = make_policy("open_loop", problem, estimator)
     seen = []
     for fault in ("healthy", "backlash@joint1", "structural_looseness@link2"):
-        batch = EpisodeBatch(problem.arm, RULES)
+        batch = EnvBatch(problem.arm, RULES)
         batch.start(0, seed=1, number=0, options={"pose": [0.3, 0.8], "fault": fault})
         batch.step([0], [problem.actions.encode(levels=np.array([3, 0]), duration=0)])
         seen.append(policy.choose(situation_in(problem, batch.observe(0), estimator, 1)).tolist())
@@ -165,7 +165,7 @@ def test_fixed_agents_need_their_sequences_and_take_so_many_records(
 def test_several_arms_are_played_as_each_is_alone(name: str) -> None:
     rules = DiagnosisSettings(engine="reduced", durations=(0.2,))
     problem, num = Problem.of(planar(2), rules), 3
-    agent, batch = make_agent(name, problem), EpisodeBatch(problem.arm, rules, num=num, threads=1)
+    agent, batch = make_agent(name, problem), EnvBatch(problem.arm, rules, num=num, threads=1)
     for slot in range(num):
         batch.start(slot, seed=slot, number=0)
     together, alone = None, [None] * num
