@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs.batch import BatchRig, EnvBatch
+from loose_env.envs.batch import BatchRig, Beginning, EnvBatch
 from loose_env.envs.rendering import Picture
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, UnknownName
@@ -70,8 +70,8 @@ class BatchShell:
         numbers = [0 if seeds[i] is not None else self._numbers[i] + 1 for i in chosen]
         given = [self._seeds[i] if seeds[i] is None else seeds[i] for i in chosen]
         roots = [new_seed() if root is None else root for root in given]
-        own = [options[i] for i in chosen]
-        self.batch.start_all([*chosen], seeds=roots, numbers=numbers, options=own)
+        own = [Beginning.of(options[i], self.batch.true_arm) for i in chosen]
+        self.batch.start_all(chosen, seeds=roots, numbers=numbers, beginnings=own)
         # only now: a refused reset leaves the sequence of episodes as it was
         for i, root, number in zip(chosen, roots, numbers, strict=True):
             self._seeds[i], self._numbers[i], self._ended[i] = root, number, False
@@ -284,7 +284,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         if seed is not None:
             self._warn_of_neighbour(seed)
         self._begin([0], [seed], [options])
-        return self._shown(), {"action_mask": self.batch.mask(0)}
+        return self._shown(), {"action_mask": self.batch.masks([0])[0]}
 
     def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, excite and measure; or give a verdict."""
@@ -312,7 +312,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next action, in the form MaskablePPO takes."""
-        return self.batch.mask(0)
+        return np.asarray(self.batch.masks([0])[0])
 
     def render(self) -> Any:
         """Draw the arm in its pose with the latest record."""

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import gymnasium
 import numpy as np
 
-from loose_env.envs.batch import EnvBatch
+from loose_env.envs.batch import Beginning, EnvBatch
 from loose_env.envs.faults import log_uniform, uniform
 from loose_env.envs.spaces import checked_indices
 from loose_env.errors import InvalidSetting
@@ -201,7 +201,7 @@ def _records(
         slots.tolist(),
         seeds=[int(rng.integers(1 << 63)) for _ in range(count)],
         numbers=[0] * count,
-        options=[{"fault": fault} for fault in faults],
+        beginnings=[Beginning(fault=fault) for fault in faults],
     )
     failed = np.zeros(count, dtype=bool)
     for t in range(records):
