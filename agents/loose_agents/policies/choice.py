@@ -407,15 +407,16 @@ class LookAheadPolicy(BatchPolicy):
         drawn = np.searchsorted(np.cumsum(faults.weight), ticks * faults.weight.sum())
         weight = faults.weight * first[np.minimum(drawn, len(faults.weight) - 1)]
         weight /= weight.sum(1, keepdims=True)
-        present, label = np.unique(faults.hypothesis, return_inverse=True)
-        labels = np.eye(len(present))[label]
-        best = (weight @ labels).max(1)  # of a verdict now
-        # Share of each hypothesis after the second record, too (M, outcomes, hypotheses).
-        split = (weight[:, :, None] * labels).transpose(1, 0, 2)
-        for likely, second in zip(seconds, prices, strict=True):
-            after = (likely @ split.reshape(len(likely), -1)).reshape(split.shape)
-            sure = after.max(2) / after.sum(2)
-            best = np.maximum(best, (weight.T * sure).sum(0) - second / stake)
+        total, most = np.zeros((2, len(seconds), *weight.T.shape))  # (N, M, outcomes)
+        now = []
+        for hypothesis in np.unique(faults.hypothesis):
+            own = faults.hypothesis == hypothesis
+            share = seconds[:, :, own] @ weight[:, own].T  # after the second record, too
+            total += share
+            np.maximum(most, share, out=most)
+            now.append(weight[:, own].sum(1))
+        then = np.einsum("om,nmo->no", weight, most / total) - prices[:, None] / stake
+        best = np.maximum(np.max(now, axis=0), then.max(axis=0, initial=-np.inf))
         return float(worth.wrong + stake * best.mean() - price)
 
 
