@@ -326,6 +326,13 @@ class _Placed:
         return {"linear": self.linear} | {name: getattr(self, name)[rows] for name in arrays}
 
 
+def distinct(poses: Array) -> tuple[Array, IndexArray]:
+    """Rows that differ of poses (B, n), and the number of each pose among them (B,)."""
+    rows = np.ascontiguousarray(poses).view(np.dtype((np.void, poses.itemsize * poses.shape[1])))
+    _, first, back = np.unique(rows[:, 0], return_index=True, return_inverse=True)
+    return poses[first], back
+
+
 class LinearPoses(_Placed):
     """The linear arm at B poses: arrays as of `LinearPose`, an axis more in front."""
 

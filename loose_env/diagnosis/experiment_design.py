@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from loose_env.arms import LinearArm
+from loose_env.arms import LinearArm, distinct
 from loose_env.diagnosis.features import SeatFeatures
 from loose_env.diagnosis.posterior import (
     LOOSE,
@@ -244,8 +244,8 @@ class RecordInformation:
         arm, on = linear.arm, joints_on(torque)
         m, d = on.shape[1], len(arm.axes)
         noise = channel_noise(floor, arm, on)
-        different, back = np.unique(poses, axis=0, return_inverse=True)
-        there = linear.at_all(different).some(back.ravel())
+        different, back = distinct(poses)
+        there = linear.at_all(different).some(back)
         seats = predict_seats(
             there, torque, features.directions, noise, locations=faults.location, free=True
         )
@@ -265,7 +265,7 @@ class RecordInformation:
         opened = np.diagonal(seats.in_step_open[:, :, :m], axis1=2, axis2=3) / nominal
         error = np.sqrt(INERTIA_ERROR**2 + 1 / samples)[:, None, None]
         inertia = np.clip(opening[..., None] * opened / error, -10.0, 10.0)
-        free = np.diagonal(away[:, None] @ seats.loose @ away[:, None].mT, axis1=2, axis2=3)
+        free = (away[:, None] @ seats.loose * away[:, None]).sum(-1)
         rest = np.diagonal(residual, axis1=1, axis2=2)[:, None]
         error = np.sqrt(POWER_ERROR**2 + 2 / samples)[:, None, None]
         motion = np.log1p(loose[..., None] * np.maximum(free, 0.0) / rest) / error
@@ -295,7 +295,7 @@ def _first(poses: Array) -> IndexArray:
     return np.zeros(len(poses), dtype=np.intp)
 
 
-_TOGETHER = 24
+_TOGETHER = 64
 """Records worked out at once: what the processor's cache holds."""
 
 _STEPS = 7

@@ -20,7 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from loose_env.arms import Arm, LinearArm, LinearPose, LinearPoses, Mismatch, link_site
+from loose_env.arms import (
+    Arm,
+    LinearArm,
+    LinearPose,
+    LinearPoses,
+    Mismatch,
+    distinct,
+    link_site,
+)
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, SeatDrive, SeatReference
 from loose_env.rig import Measurement, Records
@@ -298,26 +306,27 @@ def predict_seats(
     on, weights = joints_on(torque), linear.weights
     if locations is not None:
         along, squares = along[locations], squares[locations]
-    m = tool.shape[-1]
-    t = np.take_along_axis(torque, on, axis=1)[:, None, None]
+    m, t = tool.shape[-1], np.take_along_axis(torque, on, axis=1)[:, None, :, None]
 
-    def placed(among: Array, values: ComplexArray) -> ComplexArray:
-        """Sums over seats, or pairs of their axes (B, seats, ..., K), by location (B, P, ..., K).
+    def summed(among: Array, values: ComplexArray) -> ComplexArray:
+        """Sums (B, P, ..., K) of values (B, seats or degrees of freedom, ..., K).
 
         Frequencies come last, so that averages over them are products of matrices.
         """
         flat: Any = among @ values.reshape(*values.shape[:2], -1).view(float)
         return np.asarray(flat.view(complex).reshape(*flat.shape[:2], *values.shape[2:]))
 
-    transmitted = (poses.transmitted(acceleration) * t).transpose(0, 2, 3, 1)
-    force = placed(along, np.ascontiguousarray(transmitted))
-    column, mass = placed(along, opened[0]), placed(squares, opened[1])
+    answer, seen = (
+        np.ascontiguousarray(part.transpose(0, 2, 3, 1)) * t for part in (acceleration, tool)
+    )
+    coupling = np.ascontiguousarray(poses.inertia[:, linear.seats[:, None], linear.moving])
+    force = summed(along, summed(coupling, answer))
+    column, mass = summed(along, opened[0]), summed(squares, opened[1])
     moved = -force / mass[:, :, None]  # (B, P, m, K), column (B, P, p, K)
 
-    joints = np.take_along_axis(acceleration, on[:, None, :, None], axis=2)
-    healthy = np.concatenate([joints, tool], axis=2) * t
-    own = np.ascontiguousarray(healthy.transpose(0, 2, 3, 1))
-    p, in_step = healthy.shape[2], (weights[:, None, None] * healthy.real).sum(1)
+    joints = np.take_along_axis(answer, on[..., None, None], axis=1)
+    own = np.concatenate([joints, seen], axis=1)
+    p, in_step = own.shape[1], own.real @ weights
     flat = own.reshape(len(own), p, -1)
     back = moved.conj() * weights
     step = _summed(column, back)
@@ -427,11 +436,11 @@ def joint_zero_errors(linear: LinearArm, poses: Array, mismatch: Mismatch) -> Ar
     The zero of a sliding joint is off by as many metres as that of a turning one by radians.
     """
     tiny, n = 1e-4, linear.arm.n
-    different, back = np.unique(poses, axis=0, return_inverse=True)
+    different, back = distinct(poses)
     moved = different[:, None] + tiny * np.concatenate([np.zeros((1, n)), np.eye(n)])
     kinematic = linear.kinematics(moved.reshape(-1, n)).reshape(len(different), 1 + n, -1, n)
     slopes = (kinematic[:, 1:] - kinematic[:, :1]) / tiny
-    return np.asarray(np.radians(mismatch.joint_zero) * slopes[back.ravel()])
+    return np.asarray(np.radians(mismatch.joint_zero) * slopes[back])
 
 
 def stiffness_errors(poses: LinearPoses, excited: NDArray[np.bool_], mismatch: Mismatch) -> Array:
