@@ -241,8 +241,8 @@ def checked_pose(arm: Arm, given: Any) -> Array:
 
 
 _STATE = (
-    *("_seeds", "_numbers", "_faults", "_mismatches", "_verdicts", "_begun", "_ended"),
-    *("_records", "_spent_levels", "_seconds", "_poses", "_visited", "_visits", "_flat"),
+    *("_seeds", "_numbers", "_faults", "_mismatches", "_verdicts", "begun", "_ended"),
+    *("records", "_spent_levels", "_seconds", "_poses", "_visited", "_visits", "_flat"),
 )
 """State of the episodes, but for their latest records."""
 _FAULT, _MISMATCH, _POSE, _RECORD, _DRIFT = range(5)
@@ -340,8 +340,10 @@ class EnvBatch:
         objects = np.full((5, num), None)  # seeds may have more bits than a whole number of numpy
         self._seeds, self._faults, self._mismatches, self._last, self._verdicts = objects
         self._numbers = np.zeros(num, dtype=np.intp)
-        self._begun, self._ended = np.zeros((2, num), dtype=bool)
-        self._records, self._spent_levels = np.zeros((2, num), dtype=np.intp)
+        self.begun, self._ended = np.zeros((2, num), dtype=bool)
+        """Whether an episode was started in each slot (num,)."""
+        self.records, self._spent_levels = np.zeros((2, num), dtype=np.intp)
+        """Records taken so far in each slot's episode (num,)."""
         self._seconds, self._poses = np.zeros(num), np.zeros((num, n))
         self._visited, self._visits = np.zeros((num, most, n)), np.zeros(num, dtype=np.intp)
         self._flat = np.zeros((num, layout.size), dtype=np.float32)
@@ -358,15 +360,6 @@ class EnvBatch:
             for name, shape in self._raw.items()
         }
         return spaces.Dict({"statistics": flat, **boxes})
-
-    def has_episode(self, slot: int) -> bool:
-        """Return whether an episode was started in a slot."""
-        return bool(self._begun[slot])
-
-    @property
-    def records(self) -> IndexArray:
-        """Records taken so far in each slot's episode (num,)."""
-        return self._records.copy()
 
     def episode(self, slot: int) -> Episode:
         """Return a copy of the latest episode of a slot, running or ended.
@@ -385,7 +378,7 @@ class EnvBatch:
             mismatch=self._mismatches[slot],
             pose=self._poses[slot].copy(),
             slots=self._slots[slot].copy(),
-            records=int(self._records[slot]),
+            records=int(self.records[slot]),
             seconds=float(self._seconds[slot]),
             levels=int(self._spent_levels[slot]),
             visited=self._visited[slot, : self._visits[slot]].copy(),
@@ -395,7 +388,7 @@ class EnvBatch:
         )
 
     def _require_begun(self, slots: Sequence[int] | IndexArray) -> None:
-        if not self._begun[slots].all():
+        if not self.begun[slots].all():
             raise ResetNeeded("no episode is running: call reset() first")
 
     def start(
@@ -433,9 +426,9 @@ class EnvBatch:
             self._seeds[slot] = seeds[k]
         self._last[at] = self._verdicts[at] = None
         self._numbers[at], self._poses[at] = numbers, poses
-        self._records[at] = self._spent_levels[at] = self._visits[at] = 0
+        self.records[at] = self._spent_levels[at] = self._visits[at] = 0
         self._seconds[at], self._slots[at] = 0.0, 0.0
-        self._begun[at], self._ended[at] = True, False
+        self.begun[at], self._ended[at] = True, False
         self._show_globals(at)
 
     def _hidden(
@@ -464,7 +457,7 @@ class EnvBatch:
         """Enter pose and what has been spent into the observations."""
         self._flat[slots, : len(self.observations.global_elements)] = self.observations.globals_of(
             self._poses[slots],
-            self._records[slots],
+            self.records[slots],
             self._seconds[slots],
             self._spent_levels[slots],
         )
@@ -487,7 +480,7 @@ class EnvBatch:
         for name, value in state.items():
             setattr(self, name, copy(value))
         self._slots = self.observations.slots_of(self._flat)
-        begun = np.flatnonzero(self._begun)
+        begun = np.flatnonzero(self.begun)
         if len(begun):
             self._mount(begun, self._faults[begun], self._mismatches[begun])
 
@@ -502,7 +495,7 @@ class EnvBatch:
         """Return the allowed choices of the next actions of A slots (A, sum of choices)."""
         self._require_begun(slots)
         at = np.asarray(slots)
-        return self.actions.masks(self._poses[at], self._records[at], self._measured(at))
+        return self.actions.masks(self._poses[at], self.records[at], self._measured(at))
 
     def _measured(self, slots: IndexArray) -> IndexArray:
         """Records of each slot that show something (A,)."""
@@ -527,7 +520,7 @@ class EnvBatch:
         """Take one step in each of the given slots; arms that measure do so together."""
         at = self._running(slots)
         action = self.actions.decode_all(actions)
-        said, over = self._said(at, action.verdict), self._records[at] >= self.settings.max_records
+        said, over = self._said(at, action.verdict), self.records[at] >= self.settings.max_records
         rows = np.flatnonzero(~(said | over))
         own, act = at[rows], action.some(rows)
         stayed = self._move(own, act.moves)
@@ -559,7 +552,7 @@ class EnvBatch:
 
     def _said(self, at: IndexArray, verdicts: Any) -> NDArray[np.bool_]:
         """Which verdicts count (A,): none before the first record, "unsure" later still."""
-        records, measured = self._records[at], self._measured(at)
+        records, measured = self.records[at], self._measured(at)
         unsure = self.actions.allows_unsure(records, measured)
         named = (records >= self.settings.max_records) | (measured > 0)
         said = np.where(verdicts == self.actions.unsure, unsure, named)
@@ -606,7 +599,7 @@ class EnvBatch:
         own = slots[taken]
         self._visited[own, self._visits[own]] = self._poses[own]
         self._visits[own] += 1
-        self._records[slots] += 1
+        self.records[slots] += 1
         self._show_globals(slots)
         price = prices.record + prices.move * moved.sum(axis=1)
         return np.asarray(price + (prices.second * seconds + prices.level * levels))
@@ -644,7 +637,7 @@ class EnvBatch:
                     enter(np.array([row]), records.some(np.array([k])))
                 return
             own = slots[rows]
-            self._slots[own, self._records[own]] = found
+            self._slots[own, self.records[own]] = found
 
         for rows, records in self._simulated(slots, torque, act.duration):
             for k, row in enumerate(rows.tolist()):
@@ -703,7 +696,7 @@ class EnvBatch:
 
     def _drift(self, slots: IndexArray) -> None:
         """Let true arms drift since the record before, if there was one and they do."""
-        going = slots[self._records[slots] > 0]
+        going = slots[self.records[slots] > 0]
         if self.settings.drift == Drift() or not len(going):
             return
         draws = zip(self._mismatches[going], self._streams(going, _DRIFT), strict=True)
@@ -712,7 +705,7 @@ class EnvBatch:
 
     def _streams(self, slots: IndexArray, kind: int) -> list[np.random.Generator]:
         """Generators of one kind of draw for the next record of each slot."""
-        key = [self._numbers[slots], np.full(len(slots), kind), self._records[slots]]
+        key = [self._numbers[slots], np.full(len(slots), kind), self.records[slots]]
         return streams(self._seeds[slots].tolist(), np.column_stack(key))
 
     def _simulated(
@@ -752,7 +745,7 @@ class EnvBatch:
             "is_success": named == truth,
             "link_success": right_place,
             "poses": len(np.unique(self._visited[slot, : self._visits[slot]], axis=0)),
-            "records": int(self._records[slot]),
+            "records": int(self.records[slot]),
             "seconds": float(self._seconds[slot]),
             "action_mask": self.masks([slot])[0],
         }

@@ -202,7 +202,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         given = mapping_of(options)
         chosen = checked_mask(given.pop("reset_mask", None), self.num_envs)
         own = own_options(given.pop("env_options", None), self.num_envs)
-        if not all(self.batch.has_episode(int(i)) for i in np.flatnonzero(~chosen)):
+        if not self.batch.begun[~chosen].all():
             raise ResetNeeded("the first reset() begins all episodes: give it no reset_mask")
         self._begin(
             np.flatnonzero(chosen),
