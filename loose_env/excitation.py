@@ -26,59 +26,8 @@ __all__ = [
     "Shaping",
     "at_levels",
     "torque_periods",
-    "torque_signals",
     "torques_at_levels",
 ]
-
-
-def torque_signals(
-    excitation: Excitation,
-    *,
-    timestep: float,
-    before: int,
-    after: int,
-    rng: np.random.Generator,
-) -> Array:
-    """Draw the torque of every joint, and the force of the shaker where it is on.
-
-    Parameters
-    ----------
-    excitation : Excitation
-        Excitation.
-    timestep : float
-        Sampling step [s].
-    before, after : int
-        Samples of run-in and run-out around the record; they continue its period.
-    rng : numpy.random.Generator
-        Source of the draw. Joints draw in order, whether excited or not, so that the signal
-        of a joint does not depend on which others are on; the shaker draws last.
-
-    Returns
-    -------
-    ndarray (n, before + duration / timestep + after)
-        Torques [N·m]; with the shaker on, one more row, its force [N].
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> e = Excitation(torque_rms=(2.0, 0.0), duration=1.2, band=(30.0, 150.0))
-    >>> u = torque_signals(e, timestep=1e-3, before=0, after=0, rng=np.random.default_rng(0))
-    >>> u.shape, bool(abs(u[0].std() - 2.0) < 0.3), float(u[1].std())
-    ((2, 1200), True, 0.0)
-    """
-    period, _, joints = torque_periods(
-        np.array([excitation.torque_rms]),
-        np.array([excitation.shaker_rms]),
-        duration=excitation.duration,
-        band=excitation.band,
-        timestep=timestep,
-        rngs=[rng],
-        shaping=[excitation.shaping],
-    )
-    count = period.shape[1]
-    torque = np.zeros((len(excitation.levels), before + count + after))
-    torque[joints] = period[:, np.arange(-before, count + after) % count]
-    return torque
 
 
 def torque_periods(
@@ -106,7 +55,8 @@ def torque_periods(
     timestep : float
         Sampling step [s].
     rngs : sequence of J numpy.random.Generator
-        Source of each record's draw, as for `torque_signals`.
+        Source of each record's draw. Joints draw in order, whether excited or not, so that the
+        signal of a joint does not depend on which others are on; the shaker draws last.
     shaping : sequence, optional
         `Excitation.shaping` of each record; flat spectra by default.
 
@@ -208,11 +158,6 @@ class Excitation(Checked):
     def excited(self) -> tuple[bool, ...]:
         """True for each joint that is excited."""
         return tuple(t > 0 for t in self.torque_rms)
-
-    @property
-    def levels(self) -> tuple[float, ...]:
-        """Rms of every signal: torques of the joints, then the shaker's force where it is on."""
-        return (*self.torque_rms, self.shaker_rms) if self.shaker_rms > 0 else self.torque_rms
 
 
 UNFELT_LEVER = 0.1

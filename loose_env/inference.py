@@ -119,7 +119,8 @@ def squared_distances(products: Array) -> Array:
     """Squared distances of points (..., n, n) from their inner products (..., n, n)."""
     squares = np.diagonal(products, axis1=-2, axis2=-1)
     both = squares[..., :, None] + squares[..., None, :]
-    return np.asarray(np.maximum(both - 2 * products, 0.0))
+    both -= 2 * products
+    return np.asarray(np.maximum(both, 0.0, out=both))
 
 
 def overlap(squared: Array, variance: ArrayLike = 1.0) -> Array:
@@ -142,7 +143,7 @@ def overlap(squared: Array, variance: ArrayLike = 1.0) -> Array:
     >>> overlap(np.array([0.0, 16.0]), 2.0).round(4).tolist()
     [1.0, 0.3679]
     """
-    return np.asarray(np.exp(-squared / (8 * np.asarray(variance))))
+    return np.asarray(np.exp(squared / (-8 * np.asarray(variance))))
 
 
 def information_bound(weights: Array, squared: Array) -> float:
@@ -171,18 +172,20 @@ def information_bound(weights: Array, squared: Array) -> float:
 
 
 def expected_log_score(
-    weights: Array, hypothesis: NDArray[np.intp], near: Array
+    weights: Array, hypothesis: NDArray[np.intp], near: Array, *, count: int | None = None
 ) -> tuple[Any, Any]:
     """Expected log score and largest probability of a posterior over sampled cases.
 
     Parameters
     ----------
-    weights : ndarray (M,)
+    weights : ndarray (..., M)
         Probability of each case beforehand.
-    hypothesis : ndarray of int (M,)
+    hypothesis : ndarray of int (..., M)
         Hypothesis of each case.
     near : ndarray (..., M, M) or (..., 1, M)
         Weights of the cases after the outcome of each case; one row if alike after all.
+    count : int, optional
+        Number of hypotheses; by default one more than the highest.
 
     Returns
     -------
@@ -195,14 +198,13 @@ def expected_log_score(
     >>> round(float(score), 6), float(sure)
     (0.0, 1.0)
     """
-    labels = np.zeros((len(weights), int(hypothesis.max()) + 1))
-    labels[np.arange(len(labels)), hypothesis] = 1.0
-    after = near @ labels
+    number = int(hypothesis.max()) + 1 if count is None else count
+    after = near @ (hypothesis[..., None] == np.arange(number)).astype(float)
     after /= after.sum(-1, keepdims=True)
-    row = np.arange(near.shape[-2]) if near.shape[-2] > 1 else 0
-    kept = np.log(np.maximum(after[..., row, hypothesis], 1e-12))
-    most = np.broadcast_to(after.max(-1), kept.shape)
-    return kept @ weights, most @ weights
+    own = np.broadcast_to(hypothesis, (*near.shape[:-2], hypothesis.shape[-1]))[..., None]
+    every = np.broadcast_to(after, (*own.shape[:-1], number))
+    kept = np.log(np.maximum(np.take_along_axis(every, own, -1)[..., 0], 1e-12))
+    return (kept * weights).sum(-1), (every.max(-1) * weights).sum(-1)
 
 
 @dataclass(frozen=True, kw_only=True)

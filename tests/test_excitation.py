@@ -14,11 +14,12 @@ from loose_env.excitation import (
     Excitation,
     SeatDrive,
     at_levels,
-    torque_signals,
+    torque_periods,
 )
-from loose_env.rig import Job, SimulatedRig
+from loose_env.rig import SimulatedRig
+from loose_env.rig.simulated import Controls
 from loose_env.sensors import SensorSuite
-from loose_env.typing import Array
+from loose_env.typing import Array, IndexArray
 
 BAND = (30.0, 150.0)
 STEP = 5e-4
@@ -28,11 +29,25 @@ def shake(*rms: float, duration: float = 1.2, **settings: Any) -> Excitation:
     return Excitation(torque_rms=rms, duration=duration, band=BAND, **settings)
 
 
-def drawn(
-    excitation: Excitation, seed: int = 0, *, step: float = STEP, before: int = 0, after: int = 0
-) -> Array:
-    rng = np.random.default_rng(seed)
-    return torque_signals(excitation, timestep=step, before=before, after=after, rng=rng)
+def periods(
+    excitation: Excitation, seed: int = 0, *, step: float = STEP
+) -> tuple[Array, IndexArray, IndexArray]:
+    return torque_periods(
+        np.array([excitation.torque_rms]),
+        np.zeros(1),
+        duration=excitation.duration,
+        band=excitation.band,
+        timestep=step,
+        rngs=[np.random.default_rng(seed)],
+        shaping=[excitation.shaping],
+    )
+
+
+def drawn(excitation: Excitation, seed: int = 0, *, step: float = STEP) -> Array:
+    rows, _, joints = periods(excitation, seed, step=step)
+    torque = np.zeros((len(excitation.torque_rms), rows.shape[1]))
+    torque[joints] = rows
+    return torque
 
 
 def lines(torque: Array, step: float = STEP) -> tuple[Array, Array]:
@@ -100,7 +115,10 @@ def test_a_finer_step_samples_the_same_torque(factor: int) -> None:
 
 
 def test_run_in_and_run_out_continue_the_record_s_period() -> None:
-    around = drawn(shake(1.0), before=300, after=50)
+    rows, records, drives = periods(shake(1.0))
+    still = np.zeros((1, 1))
+    played = Controls(periods=rows, records=records, drives=drives, constant=still, gravity=still)
+    around = played.signals(drives=1, before=300, after=50)[0].T
     record = drawn(shake(1.0))
     np.testing.assert_array_equal(around[:, 300:-50], record)
     np.testing.assert_array_equal(around[:, :300], record[:, -300:])
@@ -159,12 +177,8 @@ def test_a_level_is_the_rms_acceleration_of_the_nominal_tool(joint: int) -> None
     excitation, share = at_levels(at, levels, duration=1.2)
     assert share.tolist() == [1.0, 1.0]
     rig = SimulatedRig(arm, slots=8, sensors=SensorSuite.ideal())
-    records = rig.measure_many(
-        [
-            Job(slot=s, pose=at.pose, excitation=excitation, rng=np.random.default_rng(s))
-            for s in range(8)
-        ]
-    )
+    rngs = [np.random.default_rng(s) for s in range(8)]
+    records = rig.measure_all(range(8), at.pose, excitation, rngs)
     power = np.mean([np.sum(np.var(record.tool, axis=1)) for record in records])
     assert np.sqrt(power) == pytest.approx(4.0, rel=0.05)
 

@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from loose_agents.base import Agent, EpisodeAgent, Problem
 from loose_env.diagnosis import Belief, LinkReadings, link_axes, misfit, read_network
-from loose_env.envs import DiagnosisSettings, EpisodeBatch, ObservationLayout, difficulty_named
+from loose_env.envs import DiagnosisSettings, EnvBatch, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import UNSURE
 from loose_env.wrappers import Posterior, analytic_posterior, checked_order, taken_in
@@ -70,7 +70,10 @@ class Policy(Protocol):
     """Chooses the next record."""
 
     def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Return a measurement action, never a verdict."""
+        """Return a measurement action, never a verdict.
+
+        Where there is a method ``choose_all``, it is asked for those of several situations.
+        """
         ...
 
 
@@ -174,20 +177,26 @@ class BeliefAgent(EpisodeAgent):
         self, observations: NDArray[np.float32], memories: Sequence[_Memory]
     ) -> list[NDArray[np.int64]]:
         """Choose an action for each episode; their new records are taken in together."""
-        return [self.decide(now) for now in self.situations(observations, memories)]
+        situations = self.situations(observations, memories)
+        named = [self._named(now) for now in situations]
+        going = [now for now, name in zip(situations, named, strict=True) if name is None]
+        together = getattr(self.policy, "choose_all", None)
+        chosen = iter(
+            (together(going) if together else [self.policy.choose(now) for now in going])
+            if going
+            else ()
+        )
+        return [next(chosen) if name is None else self.problem.verdict(name) for name in named]
 
-    def decide(self, situation: Situation) -> NDArray[np.int64]:
-        """Take a measurement, or give the verdict of highest expected reward."""
+    def _named(self, situation: Situation) -> str | None:
+        """Verdict of highest expected reward where it is time for one, else None."""
         if situation.records > 0 and (
             situation.records >= self.problem.settings.max_records
             or self.stopping.stop(situation)
             or surprise_of(situation.memory) < DECISIVE * self.surprising
         ):
-            named = verdict_of(self.problem, situation, self.surprising)
-            if named is not None:
-                return self.problem.verdict(named)
-        action: NDArray[np.int64] = self.policy.choose(situation)
-        return action
+            return verdict_of(self.problem, situation, self.surprising)
+        return None
 
     def situations(
         self, observations: NDArray[np.float32], memories: Sequence[_Memory]
@@ -243,7 +252,7 @@ def verdict_of(
 
 
 def best_verdict(
-    problem: Problem | EpisodeBatch, probabilities: NDArray[np.float64], *, unsure: bool = True
+    problem: Problem | EnvBatch, probabilities: NDArray[np.float64], *, unsure: bool = True
 ) -> str:
     """Verdict of the highest expected reward under the environment's rewards.
 

@@ -22,7 +22,7 @@ from loose_env.envs import (
     DiagnosisEnv,
     DiagnosisSettings,
     DiagnosisVectorEnv,
-    EpisodeBatch,
+    EnvBatch,
 )
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.evaluation import FaultParameters, fault_parameters
@@ -239,7 +239,7 @@ def evaluate(
         Where measurements come from.
     true_arm : Arm, optional
         The arm that is measured, where it is not the nominal one
-        (`loose_env.envs.EpisodeBatch`). What is hidden in episode k then depends on it alone,
+        (`loose_env.envs.EnvBatch`). What is hidden in episode k then depends on it alone,
         whatever the nominal arm.
     options : mapping, optional
         Options of every episode, as `loose_env.envs.batch` has them.
@@ -261,7 +261,7 @@ def evaluate(
             )
         agent = goes_on(agent, records)
     width = min(width, episodes)
-    batch = EpisodeBatch(arm, settings, num=width, threads=threads, rig=rig, true_arm=true_arm)
+    batch = EnvBatch(arm, settings, num=width, threads=threads, rig=rig, true_arm=true_arm)
     rows: dict[int, EpisodeRow] = {}
     running: dict[int, _Run] = {}  # by slot
     waiting = iter(range(first, first + episodes))
@@ -303,7 +303,7 @@ def evaluate(
     return [rows[number] for number in range(first, first + episodes)]
 
 
-def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
+def _note(batch: EnvBatch, slot: int, run: _Run) -> None:
     """Log the agent's posterior after the latest record, and the cost of the record."""
     episode = batch.episode(slot)
     found = getattr(run.state, "probabilities", None)
@@ -324,7 +324,7 @@ def _note(batch: EpisodeBatch, slot: int, run: _Run) -> None:
 
 
 def _row(
-    batch: EpisodeBatch, slot: int, run: _Run, info: Mapping[str, Any], name: str, seed: int
+    batch: EnvBatch, slot: int, run: _Run, info: Mapping[str, Any], name: str, seed: int
 ) -> EpisodeRow:
     """Summarise an episode as a row."""
     names = batch.hypotheses

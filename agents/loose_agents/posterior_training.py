@@ -480,7 +480,7 @@ def transitions_of(
             before = belief.probabilities
             if record is None or before.max() > _LAST_INFORMATIVE:
                 break
-            faults = information.imagine(belief.belief, rng)
+            faults = information.imagine([belief.belief], [rng])
             own = record.several
             expected = information.of(faults, own.pose, own.torque, own.duration)
             belief = posterior.update(belief, record)

@@ -21,7 +21,7 @@ from loose_agents.base import BANK_ACTIONS, BANK_SEED, Problem, check_training_s
 from loose_agents.evaluation import arguments_of, problem_of
 from loose_agents.jobs import BackendSettings, Store, run_stored, spans
 from loose_env.diagnosis import LOCATION_FEATURES, RECORD_FEATURES, RecordStatistics, SeatFeatures
-from loose_env.envs import EpisodeBatch, ObservationLayout, difficulty_named
+from loose_env.envs import EnvBatch, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation import drive_over_friction
 from loose_env.faults import Fault, StructuralLooseness
@@ -79,7 +79,7 @@ def play_episodes(
     problem: Problem, settings: BankSettings, *, seed: int, start: int, stop: int, width: int = 32
 ) -> RecordBank:
     """Simulate the episodes ``start`` to ``stop - 1`` of a seed."""
-    batch = EpisodeBatch(problem.arm, problem.settings, num=min(width, stop - start), threads=1)
+    batch = EnvBatch(problem.arm, problem.settings, num=min(width, stop - start), threads=1)
     most = problem.settings.max_records
     longest = most if settings.long_every else settings.records
     count = stop - start
@@ -112,7 +112,7 @@ def play_episodes(
     )
 
 
-def _ratio(batch: EpisodeBatch, fault: Fault) -> float:
+def _ratio(batch: EnvBatch, fault: Fault) -> float:
     ratio = drive_over_friction(batch.sampler, fault)
     return np.inf if ratio is None else ratio
 
@@ -135,7 +135,7 @@ def _direction(fault: Fault) -> tuple[float, ...]:
 
 def _action(
     problem: Problem,
-    batch: EpisodeBatch,
+    batch: EnvBatch,
     slot: int,
     settings: BankSettings,
     rng: np.random.Generator,

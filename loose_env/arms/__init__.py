@@ -50,7 +50,14 @@ from loose_env.arms.library import (
     vera,
     vera_spec,
 )
-from loose_env.arms.linear import LinearArm, LinearPose, LinearPoses, Response, inertance_rate
+from loose_env.arms.linear import (
+    LinearArm,
+    LinearPose,
+    LinearPoses,
+    Response,
+    distinct,
+    inertance_rate,
+)
 from loose_env.arms.mismatch import (
     Drift,
     Mismatch,
@@ -106,6 +113,7 @@ __all__ = [
     "compile_spec",
     "copy_files",
     "describe_file",
+    "distinct",
     "files_of",
     "find_chain",
     "held",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from loose_env.arms import LinearArm
+from loose_env.arms import LinearArm, distinct
 from loose_env.diagnosis.features import SeatFeatures
 from loose_env.diagnosis.posterior import (
     LOOSE,
@@ -68,18 +68,22 @@ class InformationFactors:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImaginedFaults:
-    """Sample of M faults from a belief."""
+    """Samples of M faults from each of A beliefs; some may have no weight."""
 
     weight: Array
-    """Probability of each (M,)."""
+    """Probability of each (A, M)."""
     hypothesis: NDArray[np.intp]
-    """0 for healthy, else 1 + the hypothesis with a fault (M,)."""
+    """0 for healthy, else 1 + the hypothesis with a fault (A, M)."""
     location: NDArray[np.intp]
-    """Place of the seat; any for healthy (M,)."""
+    """Place of the seat; any for healthy (A, M)."""
     friction: Array
-    """Friction over the seat drive of the top level (M,)."""
+    """Friction over the seat drive of the top level (A, M)."""
     chance: Array
-    """A uniform number each, which decides how its seat opens (M,)."""
+    """A uniform number each, which decides how its seat opens (A, M)."""
+
+    def __getitem__(self, rows: Any) -> ImaginedFaults:
+        """Those of some beliefs."""
+        return ImaginedFaults(**{name: values[rows] for name, values in vars(self).items()})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,9 +126,17 @@ class RecordInformation:
         self.table = shipped_table()
         both = np.stack([self.table.slide, self.table.hinge])
         self._cumulative = np.cumsum(both.reshape(-1, len(OPENINGS) * len(LOOSE)), axis=1)
+        self._hypotheses = 2 + int(features.hypothesis.max())
 
-    def imagine(self, belief: Belief, rng: np.random.Generator) -> ImaginedFaults:
-        """Thin a belief by systematic resampling."""
+    def imagine(
+        self, beliefs: Sequence[Belief], rngs: Sequence[np.random.Generator]
+    ) -> ImaginedFaults:
+        """Thin beliefs by systematic resampling, each by its own generator."""
+        every = [self._thinned(*each) for each in zip(beliefs, rngs, strict=True)]
+        return ImaginedFaults(**{name: np.stack([own[name] for own in every]) for name in every[0]})
+
+    def _thinned(self, belief: Belief, rng: np.random.Generator) -> dict[str, Any]:
+        """Faults as of `ImaginedFaults`, filled up with the first one without weight."""
         nodes = belief.loose.shape[2]
         top = max(float(belief.healthy.max()), float(belief.loose.max()))
         healthy = np.exp(belief.healthy - top).sum()
@@ -139,15 +151,17 @@ class RecordInformation:
         # A fault that is drawn often may still open in many ways.
         copies = np.repeat(drawn, np.minimum(times, 6))
         share = np.repeat(times / np.minimum(times, 6), np.minimum(times, 6)) / count
+        chance, rest = rng.random(len(copies)), count - len(copies)
+        copies = np.pad(copies, (0, rest), constant_values=copies[0])
         loose = np.maximum(copies - 1, 0)
         location = np.where(copies > 0, loose // nodes, 0)
-        return ImaginedFaults(
-            weight=share,
-            hypothesis=np.where(copies > 0, 1 + self.features.hypothesis[location], 0),
-            location=location,
-            friction=self.frictions[loose % nodes],
-            chance=rng.random(len(copies)),
-        )
+        return {
+            "weight": np.pad(share, (0, rest)),
+            "hypothesis": np.where(copies > 0, 1 + self.features.hypothesis[location], 0),
+            "location": location,
+            "friction": self.frictions[loose % nodes],
+            "chance": np.pad(chance, (0, rest), constant_values=chance[0]),
+        }
 
     def of(
         self,
@@ -156,67 +170,85 @@ class RecordInformation:
         torque: Array,
         durations: Any,
         planned: Array | None = None,
+        *,
+        beliefs: IndexArray | None = None,
     ) -> Expectation:
         """Expected information gain of C records at poses (C, n) by rms torques (C, n) [N·m].
 
         Parameters
         ----------
         faults : ImaginedFaults
-            The belief, thinned.
+            The beliefs, thinned.
         poses, torque : ndarray (C, n)
             Poses [rad or m] and rms torques [N·m]; at least one joint is on in every record.
         durations : ndarray (C,)
             Lengths [s].
-        planned : ndarray (M, M), optional
+        planned : ndarray (A, M, M), optional
             Likelihood of records before it whose outcome is not known: products of `likelihoods`.
+        beliefs : ndarray of int (C,), optional
+            The belief that each record is taken under; the first by default.
         """
-        before = faults.weight if planned is None else faults.weight * planned
-        score_now, _ = expected_log_score(faults.weight, faults.hypothesis, np.atleast_2d(before))
+        of, count = _first(poses) if beliefs is None else beliefs, self._hypotheses
+        before = faults.weight[:, None]
+        if planned is not None:
+            before = before * planned
+        score_now, _ = expected_log_score(faults.weight, faults.hypothesis, before, count=count)
         information, sure = np.zeros((2, len(poses)))
-        for rows, likely in self._likely(faults, poses, torque, durations):
-            likely *= before
-            score, sure[rows] = expected_log_score(faults.weight, faults.hypothesis, likely)
-            information[rows] = score - score_now
+        for rows, likely in self._likely(faults, poses, torque, durations, of):
+            own = of[rows]
+            likely *= before[own]
+            score, sure[rows] = expected_log_score(
+                faults.weight[own], faults.hypothesis[own], likely, count=count
+            )
+            information[rows] = score - score_now[own]
         factors = self.factors.of(torque > 0, durations)
         return Expectation(information=factors * information, sure=sure)
 
     def likelihoods(
-        self, faults: ImaginedFaults, poses: Array, torque: Array, durations: Any
+        self,
+        faults: ImaginedFaults,
+        poses: Array,
+        torque: Array,
+        durations: Any,
+        *,
+        beliefs: IndexArray | None = None,
     ) -> Array:
         """Likelihood of the record of fault k, by row, under each other fault (C, M, M).
 
         Of C records, as `of` takes them.
         """
-        found = np.empty((len(poses), len(faults.weight), len(faults.weight)))
-        for rows, likely in self._likely(faults, poses, torque, durations):
+        found = np.empty((len(poses), faults.weight.shape[1], faults.weight.shape[1]))
+        of = _first(poses) if beliefs is None else beliefs
+        for rows, likely in self._likely(faults, poses, torque, durations, of):
             found[rows] = likely
         return found
 
     def _likely(
-        self, faults: ImaginedFaults, poses: Array, torque: Array, durations: Any
+        self, faults: ImaginedFaults, poses: Array, torque: Array, durations: Any, of: IndexArray
     ) -> Iterator[tuple[IndexArray, Array]]:
         """Likelihoods of records with as many joints on, a few at a time, with their rows."""
         excited = np.count_nonzero(torque, axis=1)
         for count in np.unique(excited):
             rows = np.flatnonzero(excited == count)
             for own in np.array_split(rows, -(-len(rows) // _TOGETHER)):
-                shown = self.outcomes(faults, poses[own], torque[own], durations[own])
+                shown = self.outcomes(faults[of[own]], poses[own], torque[own], durations[own])
                 # Two records of one fault differ too: each has its own errors.
                 yield own, overlap(squared_distances(shown @ shown.mT), _BLUR / 2)
 
     def outcomes(
         self, faults: ImaginedFaults, poses: Array, torque: Array, durations: Any
     ) -> Array:
-        """Features of each simulated fault, in standard deviations (C, M, features)."""
+        """Features of simulated faults, one row for each record, in deviations (C, M, features)."""
         features = self.features
         linear, floor = features.linear, features.floor
         arm, on = linear.arm, joints_on(torque)
         m, d = on.shape[1], len(arm.axes)
         noise = channel_noise(floor, arm, on)
-        asked, at = np.unique(faults.location, return_inverse=True)
-        different, back = np.unique(poses, axis=0, return_inverse=True)
-        there = linear.at_all(different).some(back.ravel())
-        seats = predict_seats(there, torque, features.directions, noise, locations=asked)
+        different, back = distinct(poses)
+        there = linear.at_all(different).some(back)
+        seats = predict_seats(
+            there, torque, features.directions, noise, locations=faults.location, free=True
+        )
         x = seats.in_step[:, :m]
         b = seats.in_step[:, m:] @ np.linalg.inv(x)
         away = away_from(b)
@@ -227,16 +259,16 @@ class RecordInformation:
         white = whitener(features.covariance(errors, residual, x, durations))
         samples = independent_samples(arm, durations)
 
-        opening, loose = self._openings(faults, seats.force[:, at], seats.load[:, at])
-        change = opening[..., None] * (features.open_change(seats) @ white.mT)[:, at]
+        opening, loose = self._openings(faults, seats.force, seats.load)
+        change = opening[..., None] * (features.open_change(seats) @ white.mT)
         nominal = np.diagonal(x, axis1=1, axis2=2)[:, None]
         opened = np.diagonal(seats.in_step_open[:, :, :m], axis1=2, axis2=3) / nominal
         error = np.sqrt(INERTIA_ERROR**2 + 1 / samples)[:, None, None]
-        inertia = np.clip(opening[..., None] * opened[:, at] / error, -10.0, 10.0)
-        free = np.diagonal(away[:, None] @ seats.loose @ away[:, None].mT, axis1=2, axis2=3)
+        inertia = np.clip(opening[..., None] * opened / error, -10.0, 10.0)
+        free = (away[:, None] @ seats.loose * away[:, None]).sum(-1)
         rest = np.diagonal(residual, axis1=1, axis2=2)[:, None]
         error = np.sqrt(POWER_ERROR**2 + 2 / samples)[:, None, None]
-        motion = np.log1p(loose[..., None] * np.maximum(free, 0.0)[:, at] / rest) / error
+        motion = np.log1p(loose[..., None] * np.maximum(free, 0.0) / rest) / error
         return np.concatenate([np.clip(change, -60.0, 60.0), inertia, motion], axis=-1)
 
     def _openings(self, faults: ImaginedFaults, force: Array, load: Array) -> tuple[Array, Array]:
@@ -259,7 +291,11 @@ class RecordInformation:
         return opening, loose
 
 
-_TOGETHER = 48
+def _first(poses: Array) -> IndexArray:
+    return np.zeros(len(poses), dtype=np.intp)
+
+
+_TOGETHER = 64
 """Records worked out at once: what the processor's cache holds."""
 
 _STEPS = 7

@@ -182,7 +182,7 @@ class SeatFeatures:
         """Change at a sensor of which the transmission (d, m) in a record is known."""
         records = record.several
         poses, noise = self._placed(records)
-        seats = predict_seats(poses, records.torque, self.directions, noise, covariances=False)
+        seats = predict_seats(poses, records.torque, self.directions, noise)
         errors = self.errors(poses, records.excited, transmission[None])
         return self._changed(transmission[None], seats, errors)[0]
 
@@ -206,7 +206,7 @@ class SeatFeatures:
         arm, d = self.linear.arm, records.tool_covariance.shape[-1]
         poses, noise = self._placed(records)
         m = noise.shape[1] - d
-        seats = predict_seats(poses, records.torque, self.directions, noise)
+        seats = predict_seats(poses, records.torque, self.directions, noise, free=True)
         b, residual = unexplained(records, seats, least=1e-3 * self.floor.tool**2)
         errors = self.errors(poses, records.excited, b)
         covariance = self.covariance(errors, residual, seats.in_step[:, :m], records.duration)

@@ -59,7 +59,7 @@ class Fit:
     """Log-likelihood of B records."""
 
     log: Array
-    """Over locations, openings and loose motion (B, P, S, Q), or whatever that is (B, P, S, 1)."""
+    """Over openings, loose motion and locations (B, S, Q, P), or whatever it is (B, S, 1, P)."""
     force: Array
     """Rms force that each shut seat transmits in the record (B, P)."""
     load: Array
@@ -84,7 +84,8 @@ def fit_records(
     arm, on = poses.linear.arm, joints_on(records.torque)
     d, m = records.tool_covariance.shape[-1], on.shape[1]
     noise = channel_noise(floor, arm, on)
-    seats = predict_seats(poses, records.torque, directions, noise, covariances=m == 1)
+    one = m == 1
+    seats = predict_seats(poses, records.torque, directions, noise, free=one, opening=one)
     samples = independent_samples(arm, records.duration)
 
     b, residual = unexplained(records, seats, least=0.0 if m > 1 else -np.inf)
@@ -95,20 +96,20 @@ def fit_records(
     away = away_from(b)
     log, x = _in_step(poses, on, b, away, residual, samples, seats, mismatch)
     if m > 1:
-        return Fit(log=log[..., None], force=seats.force, load=seats.load)
+        return Fit(log=log[:, :, None], force=seats.force, load=seats.load)
 
     def each(values: Array) -> Array:
-        """One number a record, before locations and openings."""
+        """One number a record, before openings and locations."""
         return np.asarray(values)[:, None, None]
 
     inertia = np.take_along_axis(records.inertia, on, axis=1)[:, 0]
     torque = np.take_along_axis(records.torque, on, axis=1)[:, 0]
     expected = each(torque / inertia) / np.where(np.abs(x) < 1e-9, 1e-9, x)
     error = np.sqrt(INERTIA_ERROR**2 + 1 / samples)
-    log = log - 0.5 * np.log1p(((expected - 1) / each(error)) ** 2 / 4) * 5
+    log -= 2.5 * np.log(1 + ((expected - 1) / each(error)) ** 2 / 4)
 
-    s = OPENINGS
-    mixed, opened = (part[..., :1, 0] for part in (seats.rest_mixed, seats.rest_open))
+    s = OPENINGS[:, None]
+    mixed, opened = (part[:, None, :, 0, 0] for part in (seats.rest_mixed, seats.rest_open))
     power = x**2 + each(seats.rest[:, 0, 0] - noise[:, 0]) + s * mixed + s**2 * opened
     # Scaled to the joint motion that was measured: the command's own power drops out.
     own = np.take_along_axis(records.joint_rms, on, axis=1)[:, 0] ** 2
@@ -121,18 +122,18 @@ def fit_records(
     healthy = _elements(away @ seats.rest @ away.mT - sensed)[..., None, None]
     away = away[:, None]
     changed = (away @ part @ away.mT for part in (seats.rest_mixed, seats.rest_open))
-    linear, square = (_elements(part)[..., None] for part in changed)
+    linear, square = (_elements(part)[:, :, None] for part in changed)
     loose = away @ seats.loose @ away.mT
     loose += _SPREAD * np.trace(loose, axis1=2, axis2=3)[..., None, None] * np.eye(d)
     fixed = (healthy + s * linear + s**2 * square) * scale + fixed_part
     degrees = 2 / (2 / samples + POWER_ERROR**2)
-    found = _elements(residual)[..., None, None]
-    added = _elements(loose)[..., None]
     measured = np.log(np.maximum(np.linalg.det(residual), _TINY))
-    log = log[..., None] + wishart_fit(
-        found, fixed, added, LOOSE, each(degrees)[..., None], each(measured)[..., None]
-    )
-    return Fit(log=log, force=seats.force, load=seats.load)
+    found = wishart_fit(
+        _elements(residual)[..., None, None], fixed, _elements(loose)[:, :, None], LOOSE,
+        each(degrees)[..., None], each(measured)[..., None],
+    )  # fmt: skip
+    found += log[:, :, None]
+    return Fit(log=found, force=seats.force, load=seats.load)
 
 
 def away_from(b: Array) -> Array:
@@ -183,7 +184,7 @@ def _in_step(
     seats: SeatPrediction,
     mismatch: Mismatch,
 ) -> tuple[Array, Array]:
-    """Log-density of "a - B x does not follow the command" (B, P, S).
+    """Log-density of "a - B x does not follow the command" (B, S, P).
 
     And the motion of the joint by its command there, for one joint.
     """
@@ -200,22 +201,22 @@ def _in_step(
     covariance += _OPEN_ERROR**2 * off[:, None, None] * np.eye(d * m)
     # The residual is linear in the opening, and so is its white form.
     white = whitener(covariance)
-    shut = ((away @ healthy).reshape(len(b), 1, -1) @ white.mT)[..., None, :]
-    change = (away[:, None] @ opened).reshape(len(b), -1, d * m) @ white.mT
-    far = ((shut + OPENINGS[:, None] * change[:, :, None]) ** 2).sum(-1)
+    shut = ((away @ healthy).reshape(len(b), 1, -1) @ white.mT).mT
+    change = ((away[:, None] @ opened).reshape(len(b), -1, d * m) @ white.mT).mT
+    s = OPENINGS[:, None]
+    square, mixed = (change**2).sum(1)[:, None], (shut * change).sum(1)[:, None]
+    far = np.maximum((shut**2).sum(1)[:, None] + s * (2 * mixed + s * square), 0.0)
     # Heavier tails than normal: mismatch is cut off, not Gaussian, and shared by all records.
-    fit = -0.5 * (5 + d * m) * np.log1p(far / 5)
+    fit = -0.5 * (5 + d * m) * np.log(1 + far / 5)
     if m == 1:
-        motion = healthy[:, :1, 0, None] + OPENINGS * opened[..., 0, 0][..., None]
-        size = np.abs(motion)
+        motion = healthy[:, :1, :1] + s * opened[:, None, :, 0, 0]
     else:
         # A polynomial of the opening, of degree m: worked out at as many nodes as it takes.
         nodes = np.linspace(OPENINGS[0], OPENINGS[-1], m + 1)
         of_joints = opened[:, :, None, :m] * nodes[:, None, None]
         between = np.linalg.solve(np.vander(nodes).T, np.vander(OPENINGS, m + 1).T)
-        motion = np.linalg.det(healthy[:, None, None, :m] + of_joints) @ between
-        size = np.abs(motion)
-    size = size / np.prod(x, axis=1)[:, None, None]
+        motion = (np.linalg.det(healthy[:, None, None, :m] + of_joints) @ between).mT
+    size = np.abs(motion) / np.prod(x, axis=1)[:, None, None]
     return fit + d * np.log(np.maximum(size, 1e-9)), motion
 
 
@@ -240,9 +241,9 @@ def wishart_fit(
 
     ``-degrees / 2 (tr(E⁻¹ F) - d - ln det(E⁻¹ F))``, the log-density of Wishart's distribution of
     ``degrees * F`` with scale E up to a constant, for E = ``fixed + amount * added`` at all amounts
-    (..., Q). Determinant and trace are ratios of polynomials in the amount, so the cofactors are
-    worked out once for all amounts. Matrices are their `_elements` (., ...), ``measured`` is
-    ln det F.
+    (B, S, Q, P). Determinant and trace are ratios of polynomials in the amount, of which the
+    coefficients are worked out once for all amounts. Matrices are their `_elements` (., B, S, P),
+    ``measured`` is ln det F.
     """
     d = 2 if len(found) == 3 else 3
     of_fixed, of_added = _cofactors(fixed), _cofactors(added)
@@ -250,19 +251,26 @@ def wishart_fit(
         determinant = [_dot(fixed, of_fixed) / 2, _dot(of_fixed, added), _dot(added, of_added) / 2]
         numerator = [_dot(of_fixed, found), _dot(of_added, found)]
     else:
+        both = _cofactors(added + found) - of_added - _cofactors(found)
         determinant = [_dot(fixed, of_fixed) / 3, _dot(of_fixed, added)]
         determinant += [_dot(fixed, of_added), _dot(added, of_added) / 3]
-        between = _cofactors(fixed + added) - of_fixed - of_added
-        numerator = [_dot(of_fixed, found), _dot(between, found), _dot(of_added, found)]
-    expected = np.maximum(_polynomial(determinant, amounts), _TINY)
-    trace = _polynomial(numerator, amounts) / expected
-    return np.asarray(-0.5 * degrees * (trace - d - measured + np.log(expected)))
+        numerator = [_dot(of_fixed, found), _dot(fixed, both), _dot(of_added, found)]
+    expected = _polynomial(determinant, amounts)
+    np.maximum(expected, _TINY, out=expected)
+    log = _polynomial(numerator, amounts)
+    log /= expected
+    log += np.log(expected, out=expected)
+    log -= d + measured
+    log *= -0.5 * degrees
+    return log
 
 
 def _polynomial(coefficients: list[Array], at: Array) -> Array:
-    """Values of polynomials, lowest coefficient first, at all points (..., Q)."""
-    stacked = np.stack(np.broadcast_arrays(*coefficients), axis=-1)
-    return np.asarray(stacked @ at ** np.arange(len(coefficients))[:, None])
+    """Values of polynomials (B, S, P), lowest coefficient first, at all points (B, S, Q, P)."""
+    stacked = np.empty((*coefficients[0].shape[:2], len(coefficients), coefficients[0].shape[2]))
+    for k, own in enumerate(coefficients):
+        stacked[:, :, k] = own
+    return np.asarray(np.vander(at, len(coefficients), increasing=True) @ stacked)
 
 
 def _elements(m: Array) -> Array:
@@ -459,7 +467,7 @@ class FaultPosterior:
         self.floor = SensorFloor.of(sensors, arm.band)
         count = self.settings.directions if axes == 2 else self.settings.space_directions
         self.directions = axes_grid(count, axes)
-        self.variants, self._weights = variants(linear, self.settings.mismatch.stiffness)
+        self.variants, self._weights = variants(linear.thinned(), self.settings.mismatch.stiffness)
         self.frictions = friction_nodes(self.settings.friction, self.settings.frictions)
         """Nodes of friction over the seat drive of the top level [1] (F,)."""
         driven = seat_drives(linear, self.directions, self.settings.friction_over)
@@ -495,7 +503,7 @@ class FaultPosterior:
                 )
                 for arm in self.variants
             ]
-            healthy = np.stack([fit.log[:, 0, SHUT, 0] for fit in fits], axis=1)
+            healthy = np.stack([fit.log[:, SHUT, 0, 0] for fit in fits], axis=1)
             loose = np.stack([self._summed(fit) for fit in fits], axis=1)
             for k, row in enumerate(rows):
                 found[row] = replace(
@@ -508,24 +516,24 @@ class FaultPosterior:
     def _summed(self, fit: Fit) -> Array:
         """Sum the records' likelihoods over openings and loose motion (B, P, F)."""
         slides = self.linear.arm.n * len(self.directions)
-        top = fit.log.max(axis=(1, 2, 3), keepdims=True)
-        likelihood = np.exp(fit.log - top).reshape(*fit.log.shape[:2], -1)
-        nodes = self.table.nodes(fit.force[..., None], self._friction, fit.load[..., None])
-        mixed = np.zeros((len(likelihood), *self._friction.shape))
-        for table, locations in (
+        cells = fit.log.reshape(len(fit.log), -1, fit.log.shape[-1])
+        top = cells.max(axis=(1, 2), keepdims=True)
+        likelihood = np.exp(cells - top)
+        by_node = np.empty((len(cells), len(RATIOS) * len(PRESSES), cells.shape[-1]))
+        for table, places in (
             (self.table.slide, slice(0, slides)),
             (self.table.hinge, slice(slides, None)),
         ):
-            cells = table if fit.log.shape[3] > 1 else table.sum(axis=3)
-            by_node = likelihood[:, locations] @ cells.reshape(-1, likelihood.shape[-1]).T
-            for node, weight in nodes:
-                mixed[:, locations] += weight[:, locations] * np.take_along_axis(
-                    by_node, node[:, locations], 2
-                )
-        return np.asarray(np.log(np.maximum(mixed, 1e-300)) + top[..., 0])
+            shares = table if fit.log.shape[2] > 1 else table.sum(axis=3)
+            shares = shares.reshape(by_node.shape[1], -1)
+            by_node[..., places] = shares @ likelihood[..., places]
+        nodes = self.table.nodes(fit.force[:, None], self._friction.T, fit.load[:, None])
+        rows, columns = np.arange(len(cells))[:, None, None], np.arange(cells.shape[-1])
+        mixed = sum(weight * by_node[rows, node, columns] for node, weight in nodes)
+        return np.asarray(np.log(np.maximum(mixed, 1e-300)) + top).mT
 
 
-_CELLS = 200_000
+_CELLS = 800_000
 """Likelihoods worked out at once: what the processor's cache holds."""
 
 

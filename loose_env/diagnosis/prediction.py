@@ -18,8 +18,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
-from loose_env.arms import Arm, LinearArm, LinearPose, LinearPoses, Mismatch, link_site
+from loose_env.arms import (
+    Arm,
+    LinearArm,
+    LinearPose,
+    LinearPoses,
+    Mismatch,
+    distinct,
+    link_site,
+)
 from loose_env.errors import InvalidData
 from loose_env.excitation import Excitation, SeatDrive, SeatReference
 from loose_env.rig import Measurement, Records
@@ -261,7 +270,8 @@ def predict_seats(
     floor: Array,
     *,
     locations: NDArray[np.intp] | None = None,
-    covariances: bool = True,
+    free: bool = False,
+    opening: bool = False,
 ) -> SeatPrediction:
     """Work out all seats of the arm in B records in which equally many joints are on.
 
@@ -275,11 +285,10 @@ def predict_seats(
         Sliding directions of a link, unit vectors in its frame.
     floor : ndarray (B, p)
         Variance that the sensors add to each channel.
-    locations : ndarray of int, optional
-        Places that are asked for, in the order in which they are wanted; all by default.
-    covariances : bool
-        False to leave out what is out of step and the free motion of the seats, which takes most
-        of the time: `rest_mixed`, `rest_open` and `loose` then have no places.
+    locations : ndarray of int (M,) or (B, M), optional
+        Places that are asked for, in all records or in each; all by default.
+    free, opening : bool
+        Whether to work out `loose`; and `rest_mixed` and `rest_open`. Without, they have no places.
 
     Examples
     --------
@@ -292,85 +301,76 @@ def predict_seats(
     (1, 6, 3, 1)
     """
     linear, excited = poses.linear, torque > 0
-    (acceleration, tool), opened = poses.responses(excited), poses.open_responses(excited)
-    on = joints_on(torque)
-    n, axes = linear.slide_dofs.shape
-    records, count, d, m = tool.shape
-    p, slides = m + d, n * len(directions)
-    asked = np.arange(slides + n) if locations is None else np.asarray(locations)
-    of_slide, joint = asked < slides, asked[asked >= slides] - slides
-    link, way = np.divmod(asked[of_slide], len(directions))
-    u = directions[way]
+    along, squares, pairs = _seat_axes(linear.arm.n, directions.shape[1], directions.tobytes())
+    (acceleration, tool), opened = poses.responses(excited), poses.open_responses(excited, pairs)
+    on, weights = joints_on(torque), linear.weights
+    if locations is not None:
+        along, squares = along[locations], squares[locations]
+    m, t = tool.shape[-1], np.take_along_axis(torque, on, axis=1)[:, None, :, None]
 
-    def placed(along: Array, of_links: ComplexArray, of_hinges: ComplexArray) -> ComplexArray:
-        """Slides, as sums of a link's parts (B, K, parts, ..., n), and hinges, as asked for.
+    def summed(among: Array, values: ComplexArray) -> ComplexArray:
+        """Sums (B, P, ..., K) of values (B, seats or degrees of freedom, ..., K).
 
-        Frequencies come last (B, P, ..., K), so that averages over them are products of matrices.
+        Frequencies come last, so that averages over them are products of matrices.
         """
-        by_link = np.ascontiguousarray(np.moveaxis(of_links, (1, -1), (-1, 1)))
-        found = np.empty((records, len(asked), *by_link.shape[3:]), dtype=complex)
-        parts = by_link.reshape(records, n, by_link.shape[2], -1).view(float)
-        rows = np.flatnonzero(of_slide)
-        for k in range(n):
-            own = link == k
-            each = along[own] @ parts[:, k]
-            found[:, rows[own]] = each.view(complex).reshape(records, -1, *by_link.shape[3:])
-        found[:, ~of_slide] = np.moveaxis(of_hinges, (1, -1), (-1, 1))[:, joint]
-        return found
+        flat: Any = among @ values.reshape(*values.shape[:2], -1).view(float)
+        return np.asarray(flat.view(complex).reshape(*flat.shape[:2], *values.shape[2:]))
 
-    t = np.take_along_axis(torque, on, axis=1)[:, None, None]
-    transmitted = poses.transmitted(acceleration) * t
-    by_link = transmitted[:, :, : n * axes].reshape(records, count, n, axes, m)
-    force = placed(
-        u,
-        np.moveaxis(by_link, 2, -1),
-        np.moveaxis(transmitted[:, :, n * axes : n * axes + n], 2, -1),
+    answer, seen = (
+        np.ascontiguousarray(part.transpose(0, 2, 3, 1)) * t for part in (acceleration, tool)
     )
-    squares = (u[:, :, None] * u[:, None]).reshape(-1, axes * axes)
-    mass = placed(
-        squares,
-        np.moveaxis(opened.mass_slide, 2, -1).reshape(records, count, axes * axes, n),
-        opened.inertia_hinge,
-    )
-    slide = np.concatenate([opened.joint_open_slide, opened.tool_open_slide], axis=2)
-    hinge = np.concatenate([opened.joint_open_hinge, opened.tool_open_hinge], axis=2)
-    column = placed(u, slide.transpose(0, 1, 4, 2, 3), hinge)
-    free = -force / mass[:, :, None]  # (B, P, m, K), column (B, P, p, K)
+    coupling = np.ascontiguousarray(poses.inertia[:, linear.seats[:, None], linear.moving])
+    force = summed(along, summed(coupling, answer))
+    column, mass = summed(along, opened[0]), summed(squares, opened[1])
+    moved = -force / mass[:, :, None]  # (B, P, m, K), column (B, P, p, K)
 
-    joints = np.take_along_axis(acceleration, on[:, None, :, None], axis=2)
-    healthy = np.concatenate([joints, tool], axis=2) * t
-    own = np.ascontiguousarray(healthy.transpose(0, 2, 3, 1))
-    in_step = healthy.real.mean(1)
-    flat = own.reshape(records, p, -1)
-    step = _averaged(column, free.conj())
-    power = (np.abs(free) ** 2).sum(2)
-    places = len(asked) if covariances else 0
-    mixed, rest_open, loose = (np.zeros((records, places, p, p)) for _ in range(3))
-    if covariances:
-        steady = in_step[:, None]
-        back = free.conj()
+    joints = np.take_along_axis(answer, on[..., None, None], axis=1)
+    own = np.concatenate([joints, seen], axis=1)
+    p, in_step = own.shape[1], own.real @ weights
+    flat = own.reshape(len(own), p, -1)
+    back = moved.conj() * weights
+    step = _summed(column, back)
+    mixed, rest_open, loose = (np.zeros((len(own), 0, p, p)) for _ in range(3))
+    power = (moved * back).real.sum(2)
+    if free:
+        loose = _summed(column * weights, column) * power.sum(-1)[..., None, None]
+    if opening:
         follows = sum(own[:, None, :, k] * back[:, :, None, k] for k in range(m))
-        mixed = _averaged(np.asarray(follows), column) - steady @ step.mT
-        rest_open = _averaged(column * power[:, :, None], column) - step @ step.mT
-        loose = _averaged(column, column) * power.mean(-1)[..., None, None]
-    seat_load = poses.load[:, linear.slide_dofs] @ directions.T
-    at_rest = [seat_load.reshape(records, -1), poses.load[:, linear.hinge_dofs]]
+        mixed = _summed(np.asarray(follows), column) - in_step[:, None] @ step.mT
+        rest_open = _summed(column * power[:, :, None], column) - step @ step.mT
     return SeatPrediction(
         in_step=in_step,
         in_step_open=step,
-        rest=_averaged(flat, flat) * m - in_step @ in_step.mT + _diagonal(floor),
+        rest=_summed(flat * np.tile(weights, m), flat) - in_step @ in_step.mT + _diagonal(floor),
         rest_mixed=mixed + mixed.mT,
         rest_open=rest_open,
         loose=loose,
-        force=np.sqrt((np.abs(force) ** 2).sum(2).mean(-1)),
-        load=np.abs(np.concatenate(at_rest, axis=1))[:, asked],
+        force=np.sqrt((np.abs(force) ** 2).sum(2) @ weights),
+        load=np.abs(along @ poses.load[:, linear.seats, None])[..., 0],
     )
 
 
-def _averaged(a: NDArray[Any], b: NDArray[Any]) -> Array:
-    """Real part of the products a bᴴ (..., i, j), averaged over the last axis of both."""
+@lru_cache(maxsize=64)
+def _seat_axes(
+    n: int, count: int, directions: bytes
+) -> tuple[Array, Array, tuple[IndexArray, IndexArray]]:
+    """Motion of every location along the axes of all seats (P, n count + n).
+
+    The apparent mass along it is a sum over pairs of axes of one seat: their shares (P, pairs), and
+    the numbers of the two.
+    """
+    u, (i, j) = np.frombuffer(directions).reshape(-1, count), np.triu_indices(count)
+    hinges, links = n * count + np.arange(n), count * np.arange(n)[:, None]
+    squares = u[:, i] * u[:, j] * np.where(i == j, 1.0, 2.0)
+    along, shares = (block_diag(np.kron(np.eye(n), own), np.eye(n)) for own in (u, squares))
+    one, other = (np.concatenate([(links + own).ravel(), hinges]) for own in (i, j))
+    return along, shares, (one, other)
+
+
+def _summed(a: NDArray[Any], b: NDArray[Any]) -> Array:
+    """Real part of the products a bᴴ (..., i, j), summed over the last axis of both."""
     one, other = (np.ascontiguousarray(x).view(float) for x in (a, b))
-    return np.asarray(one @ other.mT / a.shape[-1])
+    return np.asarray(one @ other.mT)
 
 
 def joints_on(torque: NDArray[Any]) -> IndexArray:
@@ -436,11 +436,11 @@ def joint_zero_errors(linear: LinearArm, poses: Array, mismatch: Mismatch) -> Ar
     The zero of a sliding joint is off by as many metres as that of a turning one by radians.
     """
     tiny, n = 1e-4, linear.arm.n
-    different, back = np.unique(poses, axis=0, return_inverse=True)
+    different, back = distinct(poses)
     moved = different[:, None] + tiny * np.concatenate([np.zeros((1, n)), np.eye(n)])
     kinematic = linear.kinematics(moved.reshape(-1, n)).reshape(len(different), 1 + n, -1, n)
     slopes = (kinematic[:, 1:] - kinematic[:, :1]) / tiny
-    return np.asarray(np.radians(mismatch.joint_zero) * slopes[back.ravel()])
+    return np.asarray(np.radians(mismatch.joint_zero) * slopes[back])
 
 
 def stiffness_errors(poses: LinearPoses, excited: NDArray[np.bool_], mismatch: Mismatch) -> Array:

@@ -5,7 +5,7 @@ sb3; gap_env.
 """
 
 from loose_env.envs import palette
-from loose_env.envs.batch import BatchRig, EpisodeBatch, Steps
+from loose_env.envs.batch import BatchRig, EnvBatch, Steps
 from loose_env.envs.env import DiagnosisEnv, EnvState
 from loose_env.envs.faults import FaultSampler, fault_words, hypothesis_words
 from loose_env.envs.gap_env import (
@@ -65,8 +65,8 @@ __all__ = [
     "DiagnosisVectorEnv",
     "Difficulty",
     "Element",
+    "EnvBatch",
     "EnvState",
-    "EpisodeBatch",
     "FaultPrior",
     "FaultSampler",
     "GapObservation",

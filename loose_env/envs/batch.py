@@ -1,6 +1,6 @@
-"""Rules of diagnosis episodes (`EpisodeBatch`): reset and step of any number of arms at once.
+"""Rules of diagnosis episodes (`EnvBatch`): reset and step of any number of arms at once.
 
-The single and the vector environment are thin shells around `EpisodeBatch`, so that both
+The single and the vector environment are thin shells around `EnvBatch`, so that both
 give the same episode bit for bit. Every random draw comes from a stream of its own, keyed by
 (seed, episode, stream, record): what an agent does, how many arms run beside it and what ran
 before change nothing.
@@ -33,14 +33,13 @@ from loose_env.diagnosis import (
 )
 from loose_env.envs.faults import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings, difficulty_named, refuse_unknown
-from loose_env.envs.spaces import ActionLayout, ObservationLayout
+from loose_env.envs.spaces import Action, ActionLayout, ObservationLayout
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.excitation import Excitation, torques_at_levels
 from loose_env.faults import (
     SEVERAL_FAULTS,
     UNSURE,
     Fault,
-    Healthy,
     SeveralFaults,
     hypotheses,
     is_fault,
@@ -194,9 +193,6 @@ def _alike(own: object, other: object) -> bool:
     return own == other
 
 
-_OPTIONS = ("fault", "pose", "mismatch_scale", "preload_g")
-
-
 def mapping_of(options: Any, what: str = "options of reset() are") -> dict[str, Any]:
     """Options of `reset` as a dictionary, empty where there are none."""
     if options is not None and not isinstance(options, Mapping):
@@ -204,29 +200,49 @@ def mapping_of(options: Any, what: str = "options of reset() are") -> dict[str, 
     return dict(options or {})
 
 
-def _number(name: str, given: Any, default: float) -> float:
-    if given is None:
-        return default
-    if not is_finite(given):
-        raise InvalidSetting(f"{name} must be a finite number, got {given!r}")
-    return float(given)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Beginning:
+    """How an episode begins: options of `reset`, checked."""
+
+    fault: Fault | str | None = None
+    """Fault, or the hypothesis under which one is drawn; None draws one."""
+    pose: Array | None = None
+    """First pose [rad or m] (n,); None draws one."""
+    mismatch_scale: float = 1.0
+    """Factor on the deviations of the true arm from the nominal one."""
+    preload_g: float = 0.0
+    """Weight carried that presses a loose seat towards its upper stop [1]."""
+
+    @classmethod
+    def of(cls, options: Any, arm: Arm) -> Beginning:
+        """Check options; a fault may lie outside the hypotheses of the environment."""
+        given = mapping_of(options)
+        refuse_unknown("reset options", given, [each.name for each in fields(cls)])
+        given = {name: value for name, value in given.items() if value is not None}
+        names, fault = (*hypotheses(arm, everywhere=True), SEVERAL_FAULTS), given.get("fault")
+        if not (fault is None or is_fault(fault) or (isinstance(fault, str) and fault in names)):
+            raise UnknownName(
+                f"unknown fault {fault!r}; give a fault of loose_env.faults or one of {list(names)}"
+            )
+        for name in ("mismatch_scale", "preload_g"):
+            if name in given and not is_finite(given[name]):
+                raise InvalidSetting(f"{name} must be a finite number, got {given[name]!r}")
+        if given.get("mismatch_scale", 1.0) < 0:
+            scale = given["mismatch_scale"]
+            raise InvalidSetting(f"mismatch_scale is a factor, zero or more; got {scale:g}")
+        if "pose" in given:
+            given["pose"] = checked_pose(arm, given["pose"])
+        return cls(**given)
 
 
-def _fault(given: Any, arm: Arm) -> Fault | str | None:
-    """Check a fault; it may lie outside the hypotheses of the environment."""
-    if given is None or is_fault(given):
-        return given  # type: ignore[no-any-return]
-    names = (*hypotheses(arm, everywhere=True), SEVERAL_FAULTS)
-    if isinstance(given, str) and given in names:
-        return given
-    raise UnknownName(
-        f"unknown fault {given!r}; give a fault of loose_env.faults or one of {list(names)}"
-    )
+def checked_pose(arm: Arm, given: Any) -> Array:
+    """Check a pose, and turn its hinges into their ranges."""
+    return arm.wrap(arm.checked_pose(given, reachable=True))
 
 
 _STATE = (
-    *("_seeds", "_numbers", "_faults", "_mismatches", "_verdicts", "_begun", "_ended"),
-    *("_records", "_spent_levels", "_seconds", "_poses", "_visited", "_visits", "_flat"),
+    *("_seeds", "_numbers", "_faults", "_mismatches", "_verdicts", "begun", "_ended"),
+    *("records", "_spent_levels", "_seconds", "_poses", "_visited", "_visits", "_flat"),
 )
 """State of the episodes, but for their latest records."""
 _FAULT, _MISMATCH, _POSE, _RECORD, _DRIFT = range(5)
@@ -252,7 +268,7 @@ class BatchRig(Protocol):
         ...
 
 
-class EpisodeBatch:
+class EnvBatch:
     """Runs the episodes of ``num`` arms.
 
     Parameters
@@ -319,16 +335,15 @@ class EpisodeBatch:
         self._raw = raw_shapes(arm, settings) if settings.raw else {}
         self.divergences: Counter[str] = Counter()
         self._levels = np.array([0.0, *arm.levels])
-        self._plain_mismatch = self.difficulty.mismatch
         # State of the episodes.
         most, n, layout = settings.max_records, arm.n, self.observations
-        self._seeds, self._numbers = [0] * num, np.zeros(num, dtype=np.intp)
-        self._faults: list[Fault] = [Healthy()] * num
-        self._mismatches: list[Any] = [None] * num
-        self._last: list[tuple[Records, int] | None] = [None] * num
-        self._verdicts: list[str | None] = [None] * num
-        self._begun, self._ended = np.zeros((2, num), dtype=bool)
-        self._records, self._spent_levels = np.zeros((2, num), dtype=np.intp)
+        objects = np.full((5, num), None)  # seeds may have more bits than a whole number of numpy
+        self._seeds, self._faults, self._mismatches, self._last, self._verdicts = objects
+        self._numbers = np.zeros(num, dtype=np.intp)
+        self.begun, self._ended = np.zeros((2, num), dtype=bool)
+        """Whether an episode was started in each slot (num,)."""
+        self.records, self._spent_levels = np.zeros((2, num), dtype=np.intp)
+        """Records taken so far in each slot's episode (num,)."""
         self._seconds, self._poses = np.zeros(num), np.zeros((num, n))
         self._visited, self._visits = np.zeros((num, most, n)), np.zeros(num, dtype=np.intp)
         self._flat = np.zeros((num, layout.size), dtype=np.float32)
@@ -345,15 +360,6 @@ class EpisodeBatch:
             for name, shape in self._raw.items()
         }
         return spaces.Dict({"statistics": flat, **boxes})
-
-    def has_episode(self, slot: int) -> bool:
-        """Return whether an episode was started in a slot."""
-        return bool(self._begun[slot])
-
-    @property
-    def records(self) -> IndexArray:
-        """Records taken so far in each slot's episode (num,)."""
-        return self._records.copy()
 
     def episode(self, slot: int) -> Episode:
         """Return a copy of the latest episode of a slot, running or ended.
@@ -372,7 +378,7 @@ class EpisodeBatch:
             mismatch=self._mismatches[slot],
             pose=self._poses[slot].copy(),
             slots=self._slots[slot].copy(),
-            records=int(self._records[slot]),
+            records=int(self.records[slot]),
             seconds=float(self._seconds[slot]),
             levels=int(self._spent_levels[slot]),
             visited=self._visited[slot, : self._visits[slot]].copy(),
@@ -382,102 +388,79 @@ class EpisodeBatch:
         )
 
     def _require_begun(self, slots: Sequence[int] | IndexArray) -> None:
-        if not self._begun[slots].all():
+        if not self.begun[slots].all():
             raise ResetNeeded("no episode is running: call reset() first")
 
     def start(
         self, slot: int, *, seed: int, number: int, options: Mapping[str, Any] | None = None
     ) -> None:
         """Begin an episode in a slot: hide a fault, take a random pose, measure nothing."""
-        self.start_all([slot], seeds=[seed], numbers=[number], options=[options])
+        beginning = Beginning.of(options, self.true_arm)
+        self.start_all([slot], seeds=[seed], numbers=[number], beginnings=[beginning])
 
     def start_all(
         self,
-        slots: Sequence[int],
+        slots: Sequence[int] | IndexArray,
         *,
         seeds: Sequence[int],
         numbers: Sequence[int],
-        options: Sequence[Mapping[str, Any] | None],
+        beginnings: Sequence[Beginning],
     ) -> None:
-        """Begin episodes in slots; where one is refused, none begins."""
-        given = [mapping_of(each) for each in options]
-        for each in given:
-            refuse_unknown("reset options", each, _OPTIONS)
-        arm, rows = self.true_arm, list(range(len(slots)))
-        faults = [_fault(own.get("fault"), arm) for own in given]
-        scales = [_number("mismatch_scale", own.get("mismatch_scale"), 1.0) for own in given]
-        shares = [_number("preload_g", own.get("preload_g"), 0.0) for own in given]
-        for scale in scales:
-            if scale < 0:
-                raise InvalidSetting(f"mismatch_scale is a factor, zero or more; got {scale:g}")
-        fixed = {
-            k: self._checked(given[k]["pose"]) for k in rows if given[k].get("pose") is not None
-        }
-        kinds = (_FAULT, _MISMATCH, _POSE)
-        keys = [(number, kind, 0) for kind in kinds for number in numbers]
-        drawn = streams(list(seeds) * len(kinds), np.array(keys))
-        rngs = [drawn[k * len(slots) : (k + 1) * len(slots)] for k in range(len(kinds))]
-        poses = arm.random_poses(rngs[2])
-        for k, pose in fixed.items():
-            poses[k] = pose
-        hidden = self._hidden(faults, shares, rngs[0])
-        mismatches: dict[int, MismatchDraw] = {}
-        for scale in set(scales):
-            own = [k for k in rows if scales[k] == scale]
+        """Begin episodes in slots; where one cannot be, none begins."""
+        at, count, arm = np.asarray(slots, dtype=np.intp), len(slots), self.true_arm
+        keys = [(number, kind, 0) for kind in (_FAULT, _MISMATCH, _POSE) for number in numbers]
+        drawn = streams([*seeds] * 3, np.array(keys))
+        of_fault, of_mismatch, of_pose = (drawn[k * count : (k + 1) * count] for k in range(3))
+        poses = arm.random_poses(of_pose)
+        for k, beginning in enumerate(beginnings):
+            if beginning.pose is not None:
+                poses[k] = beginning.pose
+        mismatches, scales = np.full(count, None), np.array([b.mismatch_scale for b in beginnings])
+        for scale in np.unique(scales):
             # The same stream gives the same draw at every scale, only larger or smaller.
-            scaled = self._plain_mismatch if scale == 1 else self._plain_mismatch.scaled(scale)
-            draws = scaled.draw_all(arm, [rngs[1][k] for k in own])
-            mismatches |= dict(zip(own, draws, strict=True))
-        self._mount(slots, hidden, [mismatches[k] for k in rows])
-        at = np.array(slots, dtype=np.intp)
-        for k, slot in enumerate(slots):
-            self._seeds[slot], self._last[slot], self._verdicts[slot] = seeds[k], None, None
+            plain, own = self.difficulty.mismatch, np.flatnonzero(scales == scale)
+            scaled = plain if scale == 1 else plain.scaled(float(scale))
+            mismatches[own] = scaled.draw_all(arm, [of_mismatch[k] for k in own])
+        self._mount(at, self._hidden(beginnings, of_fault), mismatches)
+        for k, slot in enumerate(at):
+            self._seeds[slot] = seeds[k]
+        self._last[at] = self._verdicts[at] = None
         self._numbers[at], self._poses[at] = numbers, poses
-        self._records[at] = self._spent_levels[at] = self._visits[at] = 0
+        self.records[at] = self._spent_levels[at] = self._visits[at] = 0
         self._seconds[at], self._slots[at] = 0.0, 0.0
-        self._begun[at], self._ended[at] = True, False
+        self.begun[at], self._ended[at] = True, False
         self._show_globals(at)
 
     def _hidden(
-        self,
-        wanted: Sequence[Fault | str | None],
-        shares: Sequence[float],
-        rngs: Sequence[np.random.Generator],
+        self, beginnings: Sequence[Beginning], rngs: Sequence[np.random.Generator]
     ) -> list[Fault]:
         """Draw faults, or take those that are given."""
-        found: list[Any] = list(wanted)
-        named = [own is None or isinstance(own, str) for own in wanted]
-        rows = [k for k, own in enumerate(wanted) if named[k] and own != SEVERAL_FAULTS]
+        found: list[Any] = [beginning.fault for beginning in beginnings]
+        rows = [k for k, own in enumerate(found) if own is None or isinstance(own, str)]
+        rows = [k for k in rows if found[k] != SEVERAL_FAULTS]
         drawn = self.sampler.draw_all([rngs[k] for k in rows], [found[k] for k in rows])
         for k, fault in zip(rows, drawn, strict=True):
             found[k] = fault
-        for k, (fault, share) in enumerate(zip(found, shares, strict=True)):
+        for k, (fault, beginning) in enumerate(zip(found, beginnings, strict=True)):
             if fault == SEVERAL_FAULTS:
                 found[k] = self.sampler.several(rngs[k])
-            if share:
-                found[k] = preloaded(self.true_arm, found[k], share)
+            if beginning.preload_g:
+                found[k] = preloaded(self.true_arm, found[k], beginning.preload_g)
         return found
 
-    def _mount(
-        self, slots: Sequence[int], faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]
-    ) -> None:
+    def _mount(self, slots: IndexArray, faults: Any, mismatches: Any) -> None:
         """Put arms on the rig."""
-        self.rig.mount_all(np.array(slots, dtype=np.intp), faults, mismatches)
-        for slot, fault, mismatch in zip(slots, faults, mismatches, strict=True):
-            self._faults[slot], self._mismatches[slot] = fault, mismatch
+        self.rig.mount_all(slots, faults, mismatches)
+        self._faults[slots], self._mismatches[slots] = faults, mismatches
 
     def _show_globals(self, slots: IndexArray) -> None:
         """Enter pose and what has been spent into the observations."""
         self._flat[slots, : len(self.observations.global_elements)] = self.observations.globals_of(
             self._poses[slots],
-            self._records[slots],
+            self.records[slots],
             self._seconds[slots],
             self._spent_levels[slots],
         )
-
-    def _checked(self, given: Any) -> Array:
-        """Check a pose, and turn its hinges into their ranges."""
-        return self.true_arm.wrap(self.true_arm.checked_pose(given, reachable=True))
 
     @cached_property
     def fingerprint(self) -> str:
@@ -487,7 +470,9 @@ class EpisodeBatch:
 
     def state(self) -> dict[str, Any]:
         """Copy of the episodes of all slots: arrays and lists with an entry for each."""
-        latest = [own and (own[0].some(np.array([own[1]])), 0) for own in self._last]
+        latest = np.full(self.num, None)
+        for slot, own in enumerate(self._last):
+            latest[slot] = own and (own[0].some(np.array([own[1]])), 0)
         return {name: copy(getattr(self, name)) for name in _STATE} | {"_last": latest}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -495,28 +480,22 @@ class EpisodeBatch:
         for name, value in state.items():
             setattr(self, name, copy(value))
         self._slots = self.observations.slots_of(self._flat)
-        begun = np.flatnonzero(self._begun).tolist()
-        if begun:
-            faults = [self._faults[slot] for slot in begun]
-            self._mount(begun, faults, [self._mismatches[slot] for slot in begun])
+        begun = np.flatnonzero(self.begun)
+        if len(begun):
+            self._mount(begun, self._faults[begun], self._mismatches[begun])
 
     def place(self, slots: Sequence[int] | IndexArray, poses: Array) -> None:
         """Put the arms of A running episodes into poses (A, n), as no action can."""
         self._require_begun(slots)
         own = np.asarray(slots, dtype=np.intp)
-        self._poses[own] = [self._checked(pose) for pose in poses]
+        self._poses[own] = [checked_pose(self.true_arm, pose) for pose in poses]
         self._show_globals(own)
-
-    def mask(self, slot: int) -> NDArray[np.bool_]:
-        """Return the allowed choices of a slot's next action."""
-        found: NDArray[np.bool_] = self.masks([slot])[0]
-        return found
 
     def masks(self, slots: Sequence[int] | IndexArray) -> NDArray[np.bool_]:
         """Return the allowed choices of the next actions of A slots (A, sum of choices)."""
         self._require_begun(slots)
         at = np.asarray(slots)
-        return self.actions.masks(self._poses[at], self._records[at], self._measured(at))
+        return self.actions.masks(self._poses[at], self.records[at], self._measured(at))
 
     def _measured(self, slots: IndexArray) -> IndexArray:
         """Records of each slot that show something (A,)."""
@@ -539,65 +518,91 @@ class EpisodeBatch:
 
     def step(self, slots: Sequence[int] | IndexArray, actions: Any) -> Steps:
         """Take one step in each of the given slots; arms that measure do so together."""
+        at = self._running(slots)
+        action = self.actions.decode_all(actions)
+        said, over = self._said(at, action.verdict), self.records[at] >= self.settings.max_records
+        rows = np.flatnonzero(~(said | over))
+        own, act = at[rows], action.some(rows)
+        stayed = self._move(own, act.moves)
+        torque, share, nominal = self._excite(own, act.levels)
+        failures = self._measure(own, act, torque, share, nominal)
+        rewards = np.zeros(len(at))
+        rewards[rows] = -self._spend(own, act, (act.moves != self.actions.stay) & ~stayed, torque)
+        ends = self._ends(at, action.verdict, said, over, rewards)
+        told = self._told(at, rows, stayed, share) if len(rows) else {}
+        told = told and {"verdict_ignored": np.asarray(action.verdict) > 0, **told}
+        truncated = np.zeros(len(at), dtype=bool)
+        for k, failure in failures.items():
+            row = int(rows[k])
+            truncated[row] = self._ended[own[k]] = True
+            self.divergences[self._faults[own[k]].kind] += 1
+            end = {"failure": failure} | self._truth(int(own[k]), None)
+            ends[row] = _of_row(told, row) | end
+        return Steps(
+            rewards=rewards, terminated=said | over, truncated=truncated, told=told, ends=ends
+        )
+
+    def _running(self, slots: Sequence[int] | IndexArray) -> IndexArray:
+        """Slots whose episodes go on."""
         at = np.asarray(slots, dtype=np.intp)
         self._require_begun(at)
         if self._ended[at].any():
             raise ResetNeeded("the episode has ended: call reset() before step()")
-        action = self.actions.decode_all(actions)
-        verdicts: Any = action.verdict
-        over, measured = self._records[at] >= self.settings.max_records, self._measured(at)
-        unsure = self.actions.allows_unsure(self._records[at], measured)
-        said = np.where(verdicts == self.actions.unsure, unsure, over | (measured > 0))
-        said &= verdicts > 0
-        rewards, ends = np.zeros(len(at)), {}
+        return at
+
+    def _said(self, at: IndexArray, verdicts: Any) -> NDArray[np.bool_]:
+        """Which verdicts count (A,): none before the first record, "unsure" later still."""
+        records, measured = self.records[at], self._measured(at)
+        unsure = self.actions.allows_unsure(records, measured)
+        named = (records >= self.settings.max_records) | (measured > 0)
+        said = np.where(verdicts == self.actions.unsure, unsure, named)
+        return np.asarray(said & (verdicts > 0))
+
+    def _ends(
+        self, at: IndexArray, verdicts: Any, said: Any, over: Any, rewards: Array
+    ) -> dict[int, dict[str, Any]]:
+        """End episodes by verdicts or by running out of records; enter rewards, return infos."""
+        ends, prices = {}, self.settings.prices
         for k in np.flatnonzero(said | over).tolist():
-            named = self.verdicts[verdicts[k] - 1] if said[k] else None
-            ends[k] = self._end(int(at[k]), named)
-            prices, truth = self.settings.prices, ends[k]["fault"]
+            slot, named = int(at[k]), self.verdicts[verdicts[k] - 1] if said[k] else None
+            self._ended[slot], self._verdicts[slot] = True, named
+            ends[k] = ({"out_of_records": True} if named is None else {}) | self._truth(slot, named)
+            truth = self._faults[slot].hypothesis
             rewards[k] = prices.wrong if named is None else prices.verdict(named, truth)
-        terminated, truncated = said | over, np.zeros(len(at), dtype=bool)
-        rows = np.flatnonzero(~terminated)
-        told: dict[str, NDArray[Any]] = {}
-        if len(rows):
-            own = at[rows]
-            durations: Any = action.duration
-            ignored = self._move(own, action.moves[rows])
-            share, taken, failures = self._take(own, action.levels[rows], durations[rows])
-            prices = self.settings.prices
-            moved = ((action.moves[rows] != self.actions.stay) & ~ignored).sum(axis=1)
-            levels = np.where(taken, action.levels[rows].sum(axis=1), 0)
-            seconds = np.where(taken, durations[rows], 0.0)
-            price = prices.record + prices.move * moved
-            rewards[rows] = -(price + (prices.second * seconds + prices.level * levels))
-            self._seconds[own] += seconds
-            self._spent_levels[own] += levels
-            self._visited[own[taken], self._visits[own[taken]]] = self._poses[own[taken]]
-            self._visits[own[taken]] += 1
-            self._records[own] += 1
-            self._show_globals(own)
-            told = {
-                "verdict_ignored": verdicts > 0,
-                "move_ignored": spread(ignored, rows, len(at)),
-                "level_share": spread(share, rows, len(at)),
-            }
-            for k, failure in failures.items():
-                row, slot = int(rows[k]), int(own[k])
-                self.divergences[self._faults[slot].kind] += 1
-                self._ended[slot] = truncated[row] = True
-                own_end = {"failure": failure} | self._truth(slot, None)
-                ends[row] = _of_row(told, row) | own_end
-            if self.settings.raw:
-                last = np.full(len(at), None, dtype=object)
-                for k in np.flatnonzero(taken).tolist():
-                    latest = self._last[own[k]]
-                    if latest is not None:
-                        found = latest[0].measurement(latest[1])
-                        last[rows[k]] = RawMeasurement(**vars(found))
-                told["measurement"] = last
-            told["action_mask"] = self.masks(at)
-        return Steps(
-            rewards=rewards, terminated=terminated, truncated=truncated, told=told, ends=ends
-        )
+        return ends
+
+    def _told(
+        self, at: IndexArray, rows: IndexArray, stayed: NDArray[np.bool_], share: Array
+    ) -> dict[str, NDArray[Any]]:
+        """Entries of the infos of arms, some rows of which have taken a record."""
+        told: dict[str, NDArray[Any]] = {
+            "move_ignored": spread(stayed, rows, len(at)),
+            "level_share": spread(share, rows, len(at)),
+        }
+        if self.settings.raw:
+            told["measurement"] = np.full(len(at), None, dtype=object)
+            for row in rows[[latest is not None for latest in self._last[at[rows]]]]:
+                records, k = self._last[at[row]]
+                told["measurement"][row] = RawMeasurement(**vars(records.measurement(k)))
+        told["action_mask"] = self.masks(at)
+        return told
+
+    def _spend(
+        self, slots: IndexArray, act: Action, moved: NDArray[np.bool_], torque: Array
+    ) -> Array:
+        """Count records, seconds and levels; return the price of each record (A,)."""
+        prices, taken = self.settings.prices, _taken(torque)
+        levels = np.where(taken, act.levels.sum(axis=1), 0)
+        seconds = np.where(taken, act.duration, 0.0)
+        self._seconds[slots] += seconds
+        self._spent_levels[slots] += levels
+        own = slots[taken]
+        self._visited[own, self._visits[own]] = self._poses[own]
+        self._visits[own] += 1
+        self.records[slots] += 1
+        self._show_globals(slots)
+        price = prices.record + prices.move * moved.sum(axis=1)
+        return np.asarray(price + (prices.second * seconds + prices.level * levels))
 
     def _move(self, slots: IndexArray, moves: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Move joints; one whose move leaves its range stays. Return which stayed (A, n)."""
@@ -608,26 +613,22 @@ class EpisodeBatch:
         self._poses[slots] = np.round(self.arm.wrap(poses + step), 9)
         return ~fits
 
-    def _take(
-        self, slots: IndexArray, levels: NDArray[np.intp], durations: Array
-    ) -> tuple[Array, NDArray[np.bool_], dict[int, str]]:
-        """Excite and measure arms, and enter what they show into their slots.
+    def _measure(
+        self, slots: IndexArray, act: Action, torque: Array, share: Array, nominal: Array
+    ) -> dict[int, str]:
+        """Measure arms, and enter what they show into the observations.
 
-        Returns the share of each level that torque limits allow, which arms had any torque left
-        for a record, and why the records of some failed, by their row.
+        Returns why the records of some failed, by their row.
         """
         self._drift(slots)
-        torque, share, predicted = self._planned(slots, levels)
-        taken = np.asarray((torque > 0).any(axis=1))  # not where gravity leaves a drive no torque
-        for slot in slots:
-            self._last[slot] = None
+        self._last[slots] = None
         failures: dict[int, str] = {}
         excited = np.count_nonzero(torque, axis=1)
 
         def enter(rows: IndexArray, records: Records) -> None:
             """Enter records alike in length and number of excited joints."""
             try:
-                found = self._slots_of(levels[rows], share[rows], records, predicted[rows])
+                found = self._observed(act.levels[rows], share[rows], records, nominal[rows])
             except InvalidData as error:
                 if len(rows) == 1:
                     failures[int(rows[0])] = f"the readings make no statistics: {error}"
@@ -636,9 +637,9 @@ class EpisodeBatch:
                     enter(np.array([row]), records.some(np.array([k])))
                 return
             own = slots[rows]
-            self._slots[own, self._records[own]] = found
+            self._slots[own, self.records[own]] = found
 
-        for rows, records in self._measure(slots, torque, durations, np.flatnonzero(taken)):
+        for rows, records in self._simulated(slots, torque, act.duration):
             for k, row in enumerate(rows.tolist()):
                 self._last[slots[row]] = (records, k)
                 failure = records.failures[k]
@@ -649,9 +650,9 @@ class EpisodeBatch:
                 chosen = np.flatnonzero(good & (excited[rows] == m))
                 if len(chosen):
                     enter(rows[chosen], records.some(chosen))
-        return share, taken, failures
+        return failures
 
-    def _planned(self, slots: IndexArray, levels: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    def _excite(self, slots: IndexArray, levels: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """Torques for levels (A, n), shares of the levels allowed, and predicted elements."""
         linear, arm, wanted = self.nominal, self.arm, self._levels[levels]
         torque, share = np.zeros(wanted.shape), np.ones(wanted.shape)
@@ -675,7 +676,7 @@ class EpisodeBatch:
                     predict(rows[some], at.some(some).responses(driven[some]))
         return torque, share, predicted
 
-    def _slots_of(
+    def _observed(
         self, levels: NDArray[np.intp], share: Array, records: Records, predicted: Array
     ) -> NDArray[np.float32]:
         """Slots of records alike in length and number of excited joints."""
@@ -695,22 +696,23 @@ class EpisodeBatch:
 
     def _drift(self, slots: IndexArray) -> None:
         """Let true arms drift since the record before, if there was one and they do."""
-        going = slots[self._records[slots] > 0]
+        going = slots[self.records[slots] > 0]
         if self.settings.drift == Drift() or not len(going):
             return
-        draws = zip(going, self._streams(going, _DRIFT), strict=True)
-        after = [self.settings.drift.after(self._mismatches[k], rng) for k, rng in draws]
-        self._mount(going.tolist(), [self._faults[slot] for slot in going], after)
+        draws = zip(self._mismatches[going], self._streams(going, _DRIFT), strict=True)
+        after = [self.settings.drift.after(mismatch, rng) for mismatch, rng in draws]
+        self._mount(going, self._faults[going], after)
 
     def _streams(self, slots: IndexArray, kind: int) -> list[np.random.Generator]:
         """Generators of one kind of draw for the next record of each slot."""
-        key = [self._numbers[slots], np.full(len(slots), kind), self._records[slots]]
-        return streams([self._seeds[slot] for slot in slots], np.column_stack(key))
+        key = [self._numbers[slots], np.full(len(slots), kind), self.records[slots]]
+        return streams(self._seeds[slots].tolist(), np.column_stack(key))
 
-    def _measure(
-        self, slots: IndexArray, torque: Array, durations: Array, rows: IndexArray
+    def _simulated(
+        self, slots: IndexArray, torque: Array, durations: Any
     ) -> Iterator[tuple[IndexArray, Records]]:
-        """Measure some of the arms; yield records of one length with their rows."""
+        """Measure the arms whose drives have torque; yield records of one length with rows."""
+        rows = np.flatnonzero(_taken(torque))
         if not len(rows):
             return
         rngs = dict(zip(rows.tolist(), self._streams(slots[rows], _RECORD), strict=True))
@@ -732,11 +734,6 @@ class EpisodeBatch:
         for which, some, records in self.rig.record(asked):
             yield members[which][some], records
 
-    def _end(self, slot: int, named: str | None) -> dict[str, Any]:
-        """End an episode by naming a hypothesis, or None by running out of records."""
-        self._ended[slot], self._verdicts[slot] = True, named
-        return ({"out_of_records": True} if named is None else {}) | self._truth(slot, named)
-
     def _truth(self, slot: int, named: str | None) -> dict[str, Any]:
         fault = self._faults[slot]
         truth = fault.hypothesis
@@ -748,10 +745,15 @@ class EpisodeBatch:
             "is_success": named == truth,
             "link_success": right_place,
             "poses": len(np.unique(self._visited[slot, : self._visits[slot]], axis=0)),
-            "records": int(self._records[slot]),
+            "records": int(self.records[slot]),
             "seconds": float(self._seconds[slot]),
-            "action_mask": self.mask(slot),
+            "action_mask": self.masks([slot])[0],
         }
+
+
+def _taken(torque: Array) -> NDArray[np.bool_]:
+    """Which arms are measured (A,): not where gravity leaves a drive no torque (A, n)."""
+    return np.asarray((torque > 0).any(axis=1))
 
 
 def spread(values: NDArray[Any], rows: IndexArray, count: int) -> NDArray[Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs.batch import BatchRig, EpisodeBatch
+from loose_env.envs.batch import BatchRig, Beginning, EnvBatch
 from loose_env.envs.rendering import Picture
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidSetting, UnknownName
@@ -29,7 +29,7 @@ class EnvState:
     numbers: tuple[int, ...]
     """Number of each arm's episode under it."""
     batch: Mapping[str, Any]
-    """Hidden faults, true arms, poses and records, as `EpisodeBatch.state` gives them."""
+    """Hidden faults, true arms, poses and records, as `EnvBatch.state` gives them."""
     ended: tuple[bool, ...]
     """True for each environment of a batch that is to be reset before it goes on."""
     fingerprint: str
@@ -42,12 +42,12 @@ class BatchShell:
     A copy is built anew from the arguments and takes up the state: no engine is copied.
     """
 
-    batch: EpisodeBatch
+    batch: EnvBatch
     render_mode: str | None
     _kept: tuple[str, ...]
     """Attributes that a copy takes over."""
 
-    def _show(self, batch: EpisodeBatch, **arguments: Any) -> None:
+    def _show(self, batch: EnvBatch, **arguments: Any) -> None:
         """Show a batch; ``arguments`` are those beside arms, settings, threads and render mode."""
         self.batch, self._arguments = batch, arguments
         self.arm, self.settings = batch.arm, batch.settings
@@ -70,8 +70,8 @@ class BatchShell:
         numbers = [0 if seeds[i] is not None else self._numbers[i] + 1 for i in chosen]
         given = [self._seeds[i] if seeds[i] is None else seeds[i] for i in chosen]
         roots = [new_seed() if root is None else root for root in given]
-        own = [options[i] for i in chosen]
-        self.batch.start_all([*chosen], seeds=roots, numbers=numbers, options=own)
+        own = [Beginning.of(options[i], self.batch.true_arm) for i in chosen]
+        self.batch.start_all(chosen, seeds=roots, numbers=numbers, beginnings=own)
         # only now: a refused reset leaves the sequence of episodes as it was
         for i, root, number in zip(chosen, roots, numbers, strict=True):
             self._seeds[i], self._numbers[i], self._ended[i] = root, number, False
@@ -271,7 +271,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     ) -> None:
         self._draws(render_mode)
         settings = DiagnosisSettings() if settings is None else settings
-        batch = EpisodeBatch(arm, settings, threads=threads, rig=rig, true_arm=true_arm)
+        batch = EnvBatch(arm, settings, threads=threads, rig=rig, true_arm=true_arm)
         self._show(batch, rig=rig)
         self.action_space = self.actions.space
         self.observation_space = self.batch.space
@@ -284,7 +284,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         if seed is not None:
             self._warn_of_neighbour(seed)
         self._begin([0], [seed], [options])
-        return self._shown(), {"action_mask": self.batch.mask(0)}
+        return self._shown(), {"action_mask": self.batch.masks([0])[0]}
 
     def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, excite and measure; or give a verdict."""
@@ -312,7 +312,7 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next action, in the form MaskablePPO takes."""
-        return self.batch.mask(0)
+        return np.asarray(self.batch.masks([0])[0])
 
     def render(self) -> Any:
         """Draw the arm in its pose with the latest record."""

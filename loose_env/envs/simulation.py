@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import gymnasium
 import numpy as np
 
-from loose_env.envs.batch import EpisodeBatch
+from loose_env.envs.batch import Beginning, EnvBatch
 from loose_env.envs.faults import log_uniform, uniform
 from loose_env.envs.spaces import checked_indices
 from loose_env.errors import InvalidSetting
@@ -129,7 +129,7 @@ def simulator(
             f"{env_id!r} hides no fault of an arm: give an arm's id, such as 'loose_env/Planar-v0'"
         )
     made: Any = gymnasium.make_vec(env_id, num_envs=num_envs, engine=engine, **arguments)
-    batch: EpisodeBatch = made.unwrapped.batch
+    batch: EnvBatch = made.unwrapped.batch
     hypotheses, difficulty = batch.hypotheses, batch.difficulty
     kinds = [name.partition("@")[0] for name in hypotheses]
     shares = [batch.sampler.probabilities[kind] / kinds.count(kind) for kind in kinds]
@@ -169,7 +169,7 @@ def _check_generator(rng: Any) -> None:
         raise InvalidSetting(f"rng is numpy's default_rng(seed), a Generator; got {rng!r:.60}")
 
 
-def _check(batch: EpisodeBatch, prior: FaultPrior, theta: Array, designs: Array) -> None:
+def _check(batch: EnvBatch, prior: FaultPrior, theta: Array, designs: Array) -> None:
     n, most = batch.arm.n, batch.settings.max_records
     if theta.ndim != 2 or theta.shape[1] != len(NAMES) or not np.isfinite(theta).all():
         raise InvalidSetting(
@@ -192,7 +192,7 @@ def _check(batch: EpisodeBatch, prior: FaultPrior, theta: Array, designs: Array)
 
 
 def _records(
-    batch: EpisodeBatch, faults: list[Fault], designs: Array, rng: np.random.Generator
+    batch: EnvBatch, faults: list[Fault], designs: Array, rng: np.random.Generator
 ) -> Array:
     """Take records of some arms, one after the other (B, T, S)."""
     count, records, n = *designs.shape[:2], batch.arm.n
@@ -201,7 +201,7 @@ def _records(
         slots.tolist(),
         seeds=[int(rng.integers(1 << 63)) for _ in range(count)],
         numbers=[0] * count,
-        options=[{"fault": fault} for fault in faults],
+        beginnings=[Beginning(fault=fault) for fault in faults],
     )
     failed = np.zeros(count, dtype=bool)
     for t in range(records):

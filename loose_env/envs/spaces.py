@@ -121,6 +121,10 @@ class Action:
     verdict: int
     """0 to go on, k to name the k-th hypothesis and end, the last choice to end unsure."""
 
+    def some(self, rows: Any) -> Action:
+        """Some of several actions."""
+        return Action(**{name: values[rows] for name, values in vars(self).items()})
+
 
 class ActionLayout:
     """Layout of the `MultiDiscrete` action, and the choices that are allowed.

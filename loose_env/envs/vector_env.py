@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from loose_env.arms import Arm
-from loose_env.envs.batch import EpisodeBatch, mapping_of, spread
+from loose_env.envs.batch import EnvBatch, mapping_of, spread
 from loose_env.envs.env import BatchShell
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting
@@ -120,7 +120,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
     threads : int
         Simulation threads; 0 takes all processors.
     true_arm : Arm, optional
-        The arm that is measured; the nominal one by default. See `loose_env.envs.EpisodeBatch`.
+        The arm that is measured; the nominal one by default. See `loose_env.envs.EnvBatch`.
     autoreset_mode : AutoresetMode or str
         A mode or its value: "SameStep", "NextStep" or "Disabled".
     render_mode : {"rgb_array"}, optional
@@ -175,7 +175,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         self.num_envs = int(num_envs)
         settings = DiagnosisSettings() if settings is None else settings
         self._show(
-            EpisodeBatch(arm, settings, num=self.num_envs, threads=threads, true_arm=true_arm),
+            EnvBatch(arm, settings, num=self.num_envs, threads=threads, true_arm=true_arm),
             num_envs=self.num_envs,
             autoreset_mode=self.autoreset_mode,
             max_episode_steps=max_episode_steps,
@@ -202,7 +202,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         given = mapping_of(options)
         chosen = checked_mask(given.pop("reset_mask", None), self.num_envs)
         own = own_options(given.pop("env_options", None), self.num_envs)
-        if not all(self.batch.has_episode(int(i)) for i in np.flatnonzero(~chosen)):
+        if not self.batch.begun[~chosen].all():
             raise ResetNeeded("the first reset() begins all episodes: give it no reset_mask")
         self._begin(
             np.flatnonzero(chosen),

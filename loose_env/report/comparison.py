@@ -19,7 +19,7 @@ from loose_env.envs import (
     INK,
     MUTED,
     DiagnosisSettings,
-    EpisodeBatch,
+    EnvBatch,
     Picture,
     fault_words,
     hypothesis_words,
@@ -299,7 +299,7 @@ def episode_timeline(
     seed, number : int
         Index of the episode: the same one as that of a comparison with this seed.
     """
-    batch = EpisodeBatch(arm, settings, threads=1)
+    batch = EnvBatch(arm, settings, threads=1)
     picture = Picture(batch.nominal, sensors=settings.sensors)
     batch.start(0, seed=seed, number=number)
     episode = batch.episode(0)

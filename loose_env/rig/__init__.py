@@ -1,7 +1,7 @@
 """Rigs: sources of measurements, simulated or recorded."""
 
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.records import Job, Measurement, Records, Trials
+from loose_env.rig.records import Measurement, Records, Trials
 from loose_env.rig.reduced import ReducedRig
 from loose_env.rig.simulated import (
     SimulatedRig,
@@ -13,7 +13,6 @@ from loose_env.rig.simulated import (
 )
 
 __all__ = [
-    "Job",
     "Measurement",
     "Plant",
     "PlantShop",

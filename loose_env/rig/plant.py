@@ -157,15 +157,28 @@ class PlantShop:
         """Build the true arm with the seat of its fault; as `build_all`."""
         return self.build_all([fault], [mismatch])[0]
 
-    def build_all(self, faults: Sequence[Fault], mismatches: Sequence[MismatchDraw]) -> list[Plant]:
+    def build_all(
+        self,
+        faults: Sequence[Fault],
+        mismatches: Sequence[MismatchDraw],
+        old: Sequence[Plant] = (),
+    ) -> list[Plant]:
         """Build true arms, each with the seat of its fault.
+
+        The models of ``old`` plants of this shop may become theirs: they must not be used again.
 
         Raises
         ------
         UnknownName
             If a fault names a link or joint the arm does not have, or is no fault.
         """
-        plants = [self._bare(*each) for each in zip(faults, mismatches, strict=True)]
+        seats = [part_seats(fault) for fault in faults]
+        for links, _ in seats:
+            for link in links:
+                self.arm.link_number(link)
+        for plant in old:
+            self._retired.setdefault(plant.indices, []).append(plant.model)
+        plants = [self._bare(*each) for each in zip(faults, mismatches, seats, strict=True)]
         alike: dict[int, list[Plant]] = {}  # models of as many parts have one layout
         for plant in plants:
             alike.setdefault(plant.parts, []).append(plant)
@@ -173,11 +186,9 @@ class PlantShop:
             self._finish(members)
         return plants
 
-    def _bare(self, fault: Fault, mismatch: MismatchDraw) -> Plant:
+    def _bare(self, fault: Fault, mismatch: MismatchDraw, seats: _Seats) -> Plant:
         """Build an arm with its seat in place, nominal so far."""
-        links, kinds = part_seats(fault)
-        for link in links:
-            self.arm.link_number(link)
+        links, kinds = seats
         # A shut seat shows nowhere; the last link's is as good as any.
         links = links or (self.arm.n,)
         template = self.template(links, kinds)
@@ -231,14 +242,6 @@ class PlantShop:
                 if at.scaled_by >= 0:
                     site = model.site(f"accelerometer{at.link}").id
                     model.site_pos[site] *= plant.mismatch.length[at.scaled_by]
-
-    def retire(self, plant: Plant) -> None:
-        """Take back the model of a plant of this shop, for one of the plants to come.
-
-        The plant must not be used again; it has no model any more.
-        """
-        self._retired.setdefault(plant.indices, []).append(plant.model)
-        del plant.model
 
     def _compile(self, links: tuple[int, ...], kinds: tuple[SeatKind, ...]) -> mujoco.MjModel:
         arm = self.arm

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loose_env.arms import Arm
-from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, Shaping
 from loose_env.typing import Array, IndexArray
 
@@ -128,20 +126,6 @@ _STACKED = ("pose", "torque_rms", "command", "encoder", "tool")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Job:
-    """One measurement to take."""
-
-    slot: int
-    """Which arm of the rig."""
-    pose: Array
-    """Commanded pose [rad] (n,)."""
-    excitation: Excitation
-    """What to play."""
-    rng: np.random.Generator
-    """Source of the excitation, the sensor noise and the seat's place in its gap."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Trials:
     """J measurements to take, of one length and band, each on a slot of its own."""
 
@@ -179,30 +163,4 @@ class Trials:
             rngs=[self.rngs[k] for k in rows],
             shaping=None if self.shaping is None else [self.shaping[k] for k in rows],
             **own,
-        )
-
-    @classmethod
-    def of(cls, arm: Arm, jobs: Sequence[Job]) -> Trials:
-        """Measurements of one length and band; those that do not fit the arm are refused."""
-        n, first = arm.n, jobs[0].excitation
-        for job in jobs:
-            if job.pose.shape != (n,) or len(job.excitation.torque_rms) != n:
-                raise InvalidSetting(
-                    f"arm {arm.name!r} needs {n} joint positions and {n} torques, got "
-                    f"{job.pose.shape} and {len(job.excitation.torque_rms)}"
-                )
-            if job.excitation.shaker_rms > 0 and arm.shaker is None:
-                raise InvalidSetting(
-                    f"arm {arm.name!r} has no shaker; set shaker_rms to 0 or take an arm "
-                    "that stands at one"
-                )
-        return cls(
-            slots=np.array([job.slot for job in jobs], dtype=np.intp),
-            poses=np.array([job.pose for job in jobs]),
-            torque_rms=np.array([job.excitation.torque_rms for job in jobs]),
-            shaker_rms=np.array([job.excitation.shaker_rms for job in jobs]),
-            duration=first.duration,
-            band=first.band,
-            rngs=[job.rng for job in jobs],
-            shaping=[job.excitation.shaping for job in jobs],
         )

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm, MismatchDraw
 from loose_env.errors import InvalidSetting
-from loose_env.faults import Fault, Healthy
+from loose_env.faults import Fault, Healthy, gaps_of
 from loose_env.rig.plant import Plant, PlantIndices
 from loose_env.rig.records import Records, Trials
 from loose_env.rig.simulated import (
@@ -145,7 +145,7 @@ def small_motions(
 ) -> SmallMotion:
     """Linearise true arms about their initial poses; ``places`` are those of the seats."""
     found = _Placed(fixed, models, data, poses, places)
-    jobs, n = excited.shape
+    n = excited.shape[1]
     diagonal = np.arange(found.inertia.shape[1])
     # Gravity, from the arms' geometry; angular velocity and motion of centres of mass.
     turning = np.where(fixed.hinges[..., None], found.axis, 0.0)
@@ -176,16 +176,12 @@ def small_motions(
     force = _dot(centres, gravity) + _row_sums(linear * start[:, None])
     force[:, :n] += torque
     # Accelerometers: direction of each axis read, in the world.
-    frames = found.frames[:, mixed]
-    along = np.stack([_dot(fixed.mixing, frames[:, :, k]) for k in range(3)], axis=-1)
-    readings = np.empty((jobs, len(mixed), len(diagonal)))
-    tilting = np.empty_like(readings)
-    falling = _cross(turning, gravity)
-    for s, sensor in enumerate(mixed):
-        reached = fixed.reached[:, sensor]
-        moved = _motion(found, found.sites[:, sensor][:, None])
-        readings[:, s] = np.where(reached, _dot(along[:, s][:, None], moved), 0.0)
-        tilting[:, s] = np.where(reached, _dot(along[:, s][:, None], falling), 0.0)
+    along = _dot(fixed.mixing[:, :, None], found.frames[:, mixed])
+    reached = fixed.reached[:, mixed]
+    moved = _motion(found, found.sites[:, :, None])[:, mixed]
+    readings = np.where(reached, _dot(along[:, :, None], moved), 0.0)
+    falling = _cross(turning, gravity)[:, None]
+    tilting = np.where(reached, _dot(along[:, :, None], falling), 0.0)
     law = fixed.law.copy()
     law[:, :2] -= found.rest[:, -1:]
     return SmallMotion(
@@ -344,9 +340,11 @@ def _law(model: mujoco.MjModel, at: MotionLayout, weight: float) -> tuple[float,
 
 
 def _motion(found: _Placed, points: Array) -> Array:
-    """Velocity of points (J, D or 1, 3) per velocity of each degree of freedom (J, D, 3)."""
-    turned = _cross(found.axis, points - found.anchor)
-    return np.where(found.hinges[..., None], turned, found.axis)
+    """Velocity of points (J, ..., D or 1, 3) per velocity of each degree of freedom, D, there."""
+    axis, anchor, hinges = found.axis, found.anchor, found.hinges
+    if points.ndim > axis.ndim:
+        axis, anchor, hinges = axis[:, None], anchor[:, None], hinges[:, None]
+    return np.where(hinges[..., None], _cross(axis, points - anchor), axis)
 
 
 # Written out, so that the order of a sum never depends on the number of arms.
@@ -368,17 +366,7 @@ def _row_sums(a: Array) -> Array:
     return total
 
 
-def require_one_part(plant: Plant) -> None:
-    """Reject an arm that is loose in more than one degree of freedom."""
-    if plant.parts != 1:
-        raise InvalidSetting(
-            "the reduced engine knows faults of one degree of freedom; take the engine 'mujoco' "
-            "for several faults at once"
-        )
-
-
 def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
-    require_one_part(plant)
     if plant.shaker is not None:
         raise InvalidSetting("the reduced engine knows no shaker; take the engine 'mujoco'")
     seat = int(model.joint("seat").dofadr[0])
@@ -479,12 +467,14 @@ class ReducedRig(SlotRig):
         InvalidSetting
             If a fault has several loose degrees of freedom.
         """
-        plants = self.shop.build_all(faults, mismatches)
-        for plant in plants:
-            require_one_part(plant)
+        if any(len(gaps_of(fault)) != 1 for fault in faults):
+            raise InvalidSetting(
+                "the reduced engine knows faults of one degree of freedom; take the engine "
+                "'mujoco' for several faults at once"
+            )
+        old = [self.plants[slot] for slot in slots]
+        plants = self.shop.build_all(faults, mismatches, [p for p in old if p is not self._spare])
         for slot, plant in zip(slots, plants, strict=True):
-            if self.plants[slot] is not self._spare:
-                self.shop.retire(self.plants[slot])
             self.plants[slot] = plant
         self._fixed.put(slots, self._fixed_of(plants))
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.signal import upfirdn
 
 from loose_env.arms import Arm, LinearArm, MismatchDraw, quiet
@@ -19,7 +19,7 @@ from loose_env.errors import InvalidSetting
 from loose_env.excitation import Excitation, torque_periods
 from loose_env.faults import Fault, Healthy
 from loose_env.rig.plant import Plant, PlantShop
-from loose_env.rig.records import Job, Measurement, Records, Trials
+from loose_env.rig.records import Measurement, Records, Trials
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.typing import Array, IndexArray
 
@@ -409,33 +409,71 @@ class SlotRig(ABC):
     ) -> Measurement:
         """Measure one arm (the first seam: any rig answers this call)."""
         generator = np.random.default_rng(0) if rng is None else rng
-        job = Job(
-            slot=slot, pose=np.asarray(pose, dtype=float), excitation=excitation, rng=generator
-        )
-        return self.measure_many([job])[0]
+        return self.measure_all([slot], pose, excitation, [generator])[0]
 
-    def measure_many(self, jobs: Sequence[Job]) -> list[Measurement]:
-        """Take measurements on different slots at once; results in the order of the jobs.
+    def measure_all(
+        self,
+        slots: Sequence[int],
+        poses: ArrayLike,
+        excitations: Excitation | Sequence[Excitation],
+        rngs: Sequence[np.random.Generator],
+    ) -> list[Measurement]:
+        """Take J measurements on different slots at once.
+
+        Parameters
+        ----------
+        slots : sequence of int (J,)
+            Arms of the rig.
+        poses : array_like (J, n) or (n,)
+            Commanded poses [rad or m], or one for all.
+        excitations : Excitation or sequence of them (J,)
+            What to play, or one for all.
+        rngs : sequence of numpy.random.Generator (J,)
+            Sources of excitation, sensor noise and the seat's place in its gap.
 
         Raises
         ------
         InvalidSetting
             If a slot is named twice, or a pose or excitation does not fit the arm.
         """
-        slots = [job.slot for job in jobs]
-        if len(set(slots)) != len(slots):
-            raise InvalidSetting(f"each slot can be measured once at a time, got slots {slots}")
+        arm, n, count = self.arm, self.arm.n, len(slots)
+        if len(set(slots)) != count:
+            raise InvalidSetting(f"each slot can be measured once at a time, got slots {[*slots]}")
+        at = np.broadcast_to(np.asarray(poses, dtype=float), (count, np.shape(poses)[-1]))
+        played = [excitations] * count if isinstance(excitations, Excitation) else [*excitations]
         alike: dict[tuple[object, ...], list[int]] = {}
-        for k, job in enumerate(jobs):
-            alike.setdefault((job.excitation.duration, job.excitation.band), []).append(k)
+        for k, own in enumerate(played):
+            if at.shape[1] != n or len(own.torque_rms) != n:
+                raise InvalidSetting(
+                    f"arm {arm.name!r} needs {n} joint positions and {n} torques, got "
+                    f"{at.shape[1:]} and {len(own.torque_rms)}"
+                )
+            if own.shaker_rms > 0 and arm.shaker is None:
+                raise InvalidSetting(
+                    f"arm {arm.name!r} has no shaker; set shaker_rms to 0 or take an arm "
+                    "that stands at one"
+                )
+            alike.setdefault((own.duration, own.band), []).append(k)
         members = list(alike.values())
+        asked = [
+            Trials(
+                slots=np.array([slots[k] for k in rows], dtype=np.intp),
+                poses=at[rows],
+                torque_rms=np.array([played[k].torque_rms for k in rows]),
+                shaker_rms=np.array([played[k].shaker_rms for k in rows]),
+                duration=played[rows[0]].duration,
+                band=played[rows[0]].band,
+                rngs=[rngs[k] for k in rows],
+                shaping=[played[k].shaping for k in rows],
+            )
+            for rows in members
+        ]
         results: dict[int, Measurement] = {}
-        asked = [Trials.of(self.arm, [jobs[k] for k in own]) for own in members]
-        for which, rows, records in self.record(asked):
-            for k, row in enumerate(rows):
-                job = members[which][row]
-                results[job] = records.measurement(k, jobs[job].excitation)
-        return [results[k] for k in range(len(jobs))]
+        for which, taken, records in self.record(asked):
+            for k, row in enumerate(taken):
+                trial = members[which][row]
+                results[trial] = records.measurement(k, played[trial])
+        return [results[k] for k in range(count)]
 
 
 _CHUNK = 16  # arms simulated in one call; reading one chunk overlaps with the next

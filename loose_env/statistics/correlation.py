@@ -139,9 +139,11 @@ def axial_vector(direction: ArrayLike) -> Array:
     [-0.6, 0.8]
     """
     unit = as_directions(direction)
-    last = np.zeros(unit.shape[:-1])  # component that is not zero
-    for component in np.moveaxis(unit, -1, 0):
-        last = np.where(component != 0.0, component, last)
+    last = unit[..., -1]  # component that is not zero
+    for k in range(2, unit.shape[-1] + 1):
+        if last.all():
+            break
+        last = np.where(last != 0.0, last, unit[..., -k])
     return np.where(last[..., None] > 0.0, unit, -unit)
 
 

@@ -325,9 +325,11 @@ def _require_related(command_x: Covariances) -> None:
             f"command has {ux.shape[-2]} rows and x has {ux.shape[-1]}; each excited joint needs "
             "one"
         )
-    commanded, moved = (np.diagonal(own, axis1=-2, axis2=-1) for own in (uu, xx))
-    scale = np.sqrt(commanded[..., :, None] * moved[..., None, :])
-    if (scale == 0.0).any() or (
-        np.linalg.svd(ux / scale, compute_uv=False)[..., -1] < UNRELATED
-    ).any():
+    scale = np.sqrt(_diagonals(uu)[..., :, None] * _diagonals(xx)[..., None, :])
+    related = scale.all()
+    if related and ux.shape[-1] == 1:
+        related = (np.abs(ux) >= UNRELATED * scale).all()
+    elif related:
+        related = (np.linalg.svd(ux / scale, compute_uv=False)[..., -1] >= UNRELATED).all()
+    if not related:
         raise InvalidData("x does not follow the command; the command cannot serve as instrument")

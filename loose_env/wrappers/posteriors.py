@@ -131,10 +131,12 @@ def taken_in(
     Returned with the number of records that are in them.
     """
     slots, taken, after = layout.slots_of(observations), layout.records_of(observations), [*beliefs]
-    for k in range(int(known.min(initial=0)), int(taken.max(initial=0))):
-        new = np.flatnonzero((known <= k) & (k < taken) & (slots[:, k, 0] > 0.5))
+    for step in range(int((taken - known).max(initial=0))):
+        k = np.minimum(known + step, slots.shape[1] - 1)
+        rows = np.arange(len(slots))
+        new = np.flatnonzero((known + step < taken) & (slots[rows, k, 0] > 0.5))
         if len(new):
-            records = records_from(layout, slots[new, k])
+            records = records_from(layout, slots[new, k[new]])
             found = posterior.update_all([after[i] for i in new], records)
             for i, belief in zip(new, found, strict=True):
                 after[i] = belief

@@ -210,7 +210,7 @@ def write_dataset(
         for code in row["actions"].split():
             action = action_of(batch.actions, code)
             steps["observations"].append(batch.observe(0))
-            steps["action_masks"].append(batch.mask(0))
+            steps["action_masks"].append(batch.masks([0])[0])
             found = batch.step([0], [action])
             steps["actions"].append(action)
             for name, own in zip(("rewards", "terminals", "timeouts"), found.arrays, strict=True):

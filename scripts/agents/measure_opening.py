@@ -37,7 +37,7 @@ from loose_env.envs import Difficulty, FaultSampler
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, StructuralLooseness, hypotheses
 from loose_env.io import Count, plain, write_text
-from loose_env.rig import Job, SimulatedRig
+from loose_env.rig import SimulatedRig
 from scripts.study import arm_named
 
 TABLE = Path(loose_env.__file__).parent / "diagnosis" / "opening.json"
@@ -71,7 +71,7 @@ def fits_of(name: str, records: int, seed: int) -> list[Found]:
     faulty = hypotheses(arm)[1:]
     with ProgressLine(records, unit="records") as line:
         while len(found) < records:
-            jobs = []
+            trials = []
             for slot in range(SLOTS):
                 fault = sampler.draw(rng, hypothesis=faulty[rng.integers(len(faulty))])
                 rig.mount(slot, fault, difficulty.mismatch.draw(arm, rng))
@@ -82,9 +82,10 @@ def fits_of(name: str, records: int, seed: int) -> list[Found]:
                 excitation, _ = at_levels(linear.at(pose), levels, duration=length)
                 if not any(excitation.excited):  # gravity takes all that the drive has
                     continue
-                jobs.append(Job(slot=slot, pose=pose, excitation=excitation, rng=rng.spawn(1)[0]))
-            for job, measurement in zip(jobs, rig.measure_many(jobs), strict=True):
-                fault = rig.plants[job.slot].fault
+                trials.append((slot, pose, excitation, rng.spawn(1)[0]))
+            slots, *others = zip(*trials, strict=True)
+            for slot, measurement in zip(slots, rig.measure_all(slots, *others), strict=True):
+                fault = rig.plants[slot].fault
                 assert isinstance(fault, (StructuralLooseness, Backlash))
                 if measurement.failure is not None:
                     continue
@@ -99,7 +100,7 @@ def fits_of(name: str, records: int, seed: int) -> list[Found]:
                     )
                     for a in arms
                 ]
-                log = np.array([f.log[0, place] for f in each]) + weights[:, None, None]
+                log = np.array([f.log[0, ..., place] for f in each]) + weights[:, None, None]
                 total = np.logaddexp.reduce(log, axis=0)
                 middle = each[len(each) // 2]
                 force, load = float(middle.force[0, place]), float(middle.load[0, place])

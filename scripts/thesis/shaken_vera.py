@@ -15,7 +15,7 @@ from loose_env.arms import BENDING_MODE_HZ, COIL, Arm, LinearArm
 from loose_env.envs import FAINT, INK, MUTED
 from loose_env.excitation import Excitation
 from loose_env.faults import Backlash, Fault, Healthy
-from loose_env.rig import Job, Measurement, SimulatedRig
+from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import STANDARD_GRAVITY, Accelerometer, SensorSuite
 from loose_env.statistics import (
     axial_difference,
@@ -212,12 +212,12 @@ def measure_case(
 ) -> Case:
     """Measure a fault in a pose by the rig's digitised accelerometers, each record by its seed."""
     sensors = SensorSuite(rate=RATE, accelerometer=Accelerometer(bandwidth=0.45 * RATE))
-    rig, jobs = SimulatedRig(arm, slots=records, sensors=sensors), []
+    rig = SimulatedRig(arm, slots=records, sensors=sensors)
     for k in range(records):
         rig.mount(k, fault)
-        rng = np.random.default_rng([*seed, k])
-        jobs.append(Job(slot=k, pose=np.array(pose), excitation=shake, rng=rng))
-    measured = [m for m in rig.measure_many(jobs) if m.failure is None]
+    rngs = [np.random.default_rng([*seed, k]) for k in range(records)]
+    found = rig.measure_all(range(records), pose, shake, rngs)
+    measured = [m for m in found if m.failure is None]
     return Case(angle=angle, pairs=[pair(m) for m in measured], records=measured)
 
 

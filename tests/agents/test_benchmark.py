@@ -29,7 +29,7 @@ from loose_agents.benchmark.results import (
     results_schema,
 )
 
-from loose_env.envs import EpisodeBatch, difficulty_named
+from loose_env.envs import EnvBatch, difficulty_named
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.rig import ReducedRig
 
@@ -97,7 +97,7 @@ def test_the_hidden_set_is_drawn_from_a_salt_that_was_committed_to(
 
 def test_an_agent_that_knows_the_public_arms_by_heart_knows_no_hidden_one(results: Results) -> None:
     problem = tasks.task_problem(TASK, results.episodes)
-    batch = EpisodeBatch(problem.arm, problem.settings)
+    batch = EnvBatch(problem.arm, problem.settings)
 
     def first_pose(seed: int, number: int) -> bytes:
         batch.start(0, seed=seed, number=number)

@@ -13,7 +13,7 @@ from loose_agents.policies.classical import ClassicalAgent, ClassicalSettings
 from loose_agents.registry import make_agent
 
 from loose_env.arms import DESK_ARM, Arm, arm_from_file, planar, scara, six_axis, vera
-from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.envs import DiagnosisSettings, EnvBatch
 from loose_env.errors import InvalidSetting
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 
@@ -67,7 +67,7 @@ def steps(
 ) -> Iterator[tuple[Any, Any, dict[str, Any]]]:
     """Action, state and info of every step of an episode."""
     problem = agent.problem
-    batch = EpisodeBatch(problem.arm, problem.settings, threads=1)
+    batch = EnvBatch(problem.arm, problem.settings, threads=1)
     batch.start(0, seed=1, number=number, options={"fault": fault})
     state: Any = None
     info: dict[str, Any] = {}

@@ -27,7 +27,7 @@ from loose_agents.policies.choice import (
 from loose_agents.registry import make_agent
 
 from loose_env.arms import planar
-from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.envs import DiagnosisSettings, EnvBatch
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 
 
@@ -77,7 +77,7 @@ def test_every_policy_measures_and_stays_in_range(problem, estimator, name):
 def test_a_record_says_little_that_drives_no_seat_or_that_is_known_already(problem, estimator):
     information = information_of(problem, estimator)
     now = situation(problem, estimator)
-    faults = information.imagine(now.memory.belief, now.rng)
+    faults = information.imagine([now.memory.belief], [now.rng])
     assert faults.weight.sum() == pytest.approx(1.0)
     torque = np.array(problem.arm.torque_limits) / 5
     at, long = np.tile(now.pose, (2, 1)), np.full(2, 1.2)
@@ -85,7 +85,7 @@ def test_a_record_says_little_that_drives_no_seat_or_that_is_known_already(probl
     assert strong > 0.5
     assert weak < 0.2 * strong
     belief = now.memory.belief
-    sure = information.imagine(replace(belief, healthy=belief.healthy + 6.0), now.rng)
+    sure = information.imagine([replace(belief, healthy=belief.healthy + 6.0)], [now.rng])
     known = information.of(sure, at[:1], torque[None], long[:1]).information
     assert known[0] < 0.3 * strong
 
@@ -113,7 +113,7 @@ def situation_in(problem: Problem, observation: Any, estimator: Any, records: in
 
 def test_a_fixed_sequence_turns_back_at_the_limit_of_a_joint() -> None:
     problem = Problem.of(planar(2), RULES)
-    batch = EpisodeBatch(problem.arm, RULES)
+    batch = EnvBatch(problem.arm, RULES)
     batch.start(0, seed=1, number=0, options={"pose": [0.0, np.radians(149.0)]})
     action = problem.actions.encode(moves=np.array([3, 4]), levels=np.array([0, 2]))
     policy = FixedPolicy(problem, [action.tolist()])
@@ -133,7 +133,7 @@ def test_the_open_loop_is_blind_to_results() -> None:
     policy = make_policy("open_loop", problem, estimator)
     seen = []
     for fault in ("healthy", "backlash@joint1", "structural_looseness@link2"):
-        batch = EpisodeBatch(problem.arm, RULES)
+        batch = EnvBatch(problem.arm, RULES)
         batch.start(0, seed=1, number=0, options={"pose": [0.3, 0.8], "fault": fault})
         batch.step([0], [problem.actions.encode(levels=np.array([3, 0]), duration=0)])
         seen.append(policy.choose(situation_in(problem, batch.observe(0), estimator, 1)).tolist())
@@ -165,7 +165,7 @@ def test_fixed_agents_need_their_sequences_and_take_so_many_records(
 def test_several_arms_are_played_as_each_is_alone(name: str) -> None:
     rules = DiagnosisSettings(engine="reduced", durations=(0.2,))
     problem, num = Problem.of(planar(2), rules), 3
-    agent, batch = make_agent(name, problem), EpisodeBatch(problem.arm, rules, num=num, threads=1)
+    agent, batch = make_agent(name, problem), EnvBatch(problem.arm, rules, num=num, threads=1)
     for slot in range(num):
         batch.start(slot, seed=slot, number=0)
     together, alone = None, [None] * num
@@ -182,7 +182,7 @@ def test_several_arms_are_played_as_each_is_alone(name: str) -> None:
 
 def test_expected_information_does_not_depend_on_the_candidates_beside(problem, estimator) -> None:
     information, now = information_of(problem, estimator), situation(problem, estimator)
-    faults = information.imagine(now.memory.belief, now.rng)
+    faults = information.imagine([now.memory.belief], [now.rng])
     rng = np.random.default_rng(2)
     poses = np.array([problem.arm.random_pose(rng) for _ in range(7)])
     torque = rng.random((7, 3)) * (rng.random((7, 3)) < 0.6) + np.eye(3)[rng.integers(3, size=7)]

@@ -44,7 +44,7 @@ from loose_env.diagnosis import (
     Seen,
 )
 from loose_env.diagnosis.features import TransmissionChange
-from loose_env.envs import DiagnosisSettings, EpisodeBatch
+from loose_env.envs import DiagnosisSettings, EnvBatch
 from loose_env.faults import UNSURE, Healthy
 from loose_env.sensors import SensorSuite
 from loose_env.statistics import axes_grid
@@ -229,7 +229,7 @@ def verdict(problem: Problem, probabilities: np.ndarray, surprise: float, **opti
         Sure(probability=0.0),
         **options,  # type: ignore[arg-type]
     )
-    batch = EpisodeBatch(problem.arm, problem.settings, num=1, threads=1)
+    batch = EnvBatch(problem.arm, problem.settings, num=1, threads=1)
     batch.start(0, seed=1, number=0)
     for _ in range(problem.settings.unsure_after):  # "unsure" counts from then on
         batch.step([0], [problem.actions.encode(levels=np.array([1, 0]))])

@@ -28,7 +28,7 @@ from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import at_levels
 from loose_env.faults import Backlash, hypotheses
-from loose_env.rig import Job, SimulatedRig
+from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 from scripts.thesis.rigs import cylindrical
 
@@ -211,11 +211,9 @@ def test_a_healthy_arm_with_elastic_gears_answers_as_predicted(name: str, bare_f
         levels[j] = 0.5 * arm.levels[0]
         at = linear.at(0.7 * arm.random_pose(rng))
         excitation, _ = at_levels(at, levels, duration=2.4)
-        jobs = [
-            Job(slot=k, pose=at.pose, excitation=excitation, rng=np.random.default_rng([5, j, k]))
-            for k in range(RECORDS)
-        ]
-        found = [statistics_of(m) for m in rig.measure_many(jobs)]
+        rngs = [np.random.default_rng([5, j, k]) for k in range(RECORDS)]
+        measured = rig.measure_all(range(RECORDS), at.pose, excitation, rngs)
+        found = [statistics_of(m) for m in measured]
         b = np.array([r.transmission[:, j] for r in found])
         expected = predict(at, excitation, QUIET).transmission[:, 0]
         scatter = np.linalg.norm(b.std(axis=0, ddof=1)) / np.sqrt(RECORDS)
@@ -231,7 +229,7 @@ def test_no_fault_makes_an_arm_with_elastic_gears_diverge(name: str, bare_file: 
     places = hypotheses(arm)[1:]
     rig = SimulatedRig(arm, slots=len(places))
     rng = np.random.default_rng(8)
-    jobs = []
+    trials = []
     for slot, place in enumerate(places):
         fault = sampler.draw(rng, hypothesis=place)
         if isinstance(fault, Backlash):
@@ -239,8 +237,9 @@ def test_no_fault_makes_an_arm_with_elastic_gears_diverge(name: str, bare_file: 
         rig.mount(slot, fault, Mismatch().draw(arm, rng))
         at = linear.at(arm.random_pose(rng))
         excitation, _ = at_levels(at, np.full(arm.n, arm.levels[-1]), duration=0.3)
-        jobs.append(Job(slot=slot, pose=at.pose, excitation=excitation, rng=rng.spawn(1)[0]))
-    assert [m.failure for m in rig.measure_many(jobs)] == [None] * len(places)
+        trials.append((slot, at.pose, excitation, rng.spawn(1)[0]))
+    found = rig.measure_all(*zip(*trials, strict=True))
+    assert [m.failure for m in found] == [None] * len(places)
 
 
 def test_the_posterior_tries_softer_and_stiffer_gears() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from loose_env.arms import COIL, add_shaker, place_shaker, planar
 from loose_env.errors import InvalidSetting
-from loose_env.excitation import Excitation, torque_signals
+from loose_env.excitation import Excitation, torque_periods
 from loose_env.rig import SimulatedRig
 from loose_env.sensors import Accelerometer, SensorSuite
 from scripts.thesis.estimators import transfer_function
@@ -71,8 +71,11 @@ def test_the_shaker_draws_last_and_leaves_the_joints_signals_alone() -> None:
     with_it = Excitation(torque_rms=(1.0, 2.0), duration=1.2, band=(30.0, 150.0), shaker_rms=5.0)
 
     def draw(excitation: Excitation) -> np.ndarray:
-        rng = np.random.default_rng(1)
-        return torque_signals(excitation, timestep=1e-3, before=0, after=0, rng=rng)
+        torque, force = np.array([excitation.torque_rms]), np.array([excitation.shaker_rms])
+        rngs = [np.random.default_rng(1)]
+        return torque_periods(
+            torque, force, duration=1.2, band=excitation.band, timestep=1e-3, rngs=rngs
+        )[0]
 
     a, b = draw(without), draw(with_it)
     assert (a.shape, b.shape) == ((2, 1200), (3, 1200))

@@ -24,7 +24,7 @@ from loose_env.envs import Difficulty, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Fault, Healthy, StructuralLooseness, hypotheses, place_of
-from loose_env.rig import Job, SimulatedRig
+from loose_env.rig import SimulatedRig
 from loose_env.sensors import SensorSuite
 
 
@@ -45,13 +45,13 @@ def played(
         rig.mount(slot, fault, Difficulty().mismatch.draw(arm, rng) if mismatch else None)
     found: list[list[RecordStatistics]] = [[] for _ in faults]
     for k in range(count):
-        jobs = []
+        trials = []
         for slot in range(len(faults)):
             pose, levels = arm.random_pose(rng), np.zeros(arm.n)
             levels[(slot + k) % (joints or arm.n)] = arm.levels[-1]
             excitation, _ = at_levels(rig.nominal.at(pose), levels, duration=1.2)
-            jobs.append(Job(slot=slot, pose=pose, excitation=excitation, rng=rng.spawn(1)[0]))
-        for slot, measurement in enumerate(rig.measure_many(jobs)):
+            trials.append((slot, pose, excitation, rng.spawn(1)[0]))
+        for slot, measurement in enumerate(rig.measure_all(*zip(*trials, strict=True))):
             found[slot].append(statistics_of(measurement))
     return found
 
@@ -231,11 +231,9 @@ def test_it_finds_an_open_gap_and_knows_nothing_of_a_shut_one(make: Callable[[],
             for joint in (0, arm.n - 1):
                 levels = arm.levels[-1] * (np.arange(arm.n) == joint)
                 shake, _ = at_levels(linear.at(q), levels, duration=0.2)
-                jobs = [
-                    Job(slot=slot, pose=q, excitation=shake, rng=np.random.default_rng(k))
-                    for slot in range(len(closed))
-                ]
-                for own, measured in zip(records, rig.measure_many(jobs), strict=True):
+                rngs = [np.random.default_rng(k) for _ in closed]
+                found = rig.measure_all(range(len(closed)), q, shake, rngs)
+                for own, measured in zip(records, found, strict=True):
                     own.append(statistics_of(measured))
         return np.array([after(posterior, own).probabilities for own in records])
 

@@ -27,7 +27,7 @@ from loose_env.envs import (
     DiagnosisEnv,
     DiagnosisSettings,
     Difficulty,
-    EpisodeBatch,
+    EnvBatch,
     FaultSampler,
 )
 from loose_env.errors import InvalidSetting
@@ -136,7 +136,7 @@ ARM = planar(2)
 
 def drifted(settings: DiagnosisSettings, *, beside: int = 0) -> tuple[list[Array], list[Array]]:
     """Zeros of the joints and observations after each of three records of one episode."""
-    batch = EpisodeBatch(ARM, settings, num=1 + beside, threads=1)
+    batch = EnvBatch(ARM, settings, num=1 + beside, threads=1)
     for slot in range(1 + beside):
         batch.start(slot, seed=3, number=slot, options={"fault": "healthy"})
     zeros, seen = [], []
@@ -163,12 +163,12 @@ def test_the_first_record_is_of_the_arm_as_drawn_and_later_ones_of_one_that_walk
 
 def test_an_episode_drifts_alike_beside_others_and_from_a_saved_state() -> None:
     np.testing.assert_array_equal(drifted(DRIFTING)[1][-1], drifted(DRIFTING, beside=3)[1][-1])
-    batch = EpisodeBatch(ARM, DRIFTING, num=2, threads=1)
+    batch = EnvBatch(ARM, DRIFTING, num=2, threads=1)
     batch.start(0, seed=3, number=0)
     action = batch.actions.encode(levels=np.array([3, 3]), duration=0)
     batch.step([0], [action])
     batch.step([0], [action])
-    other = EpisodeBatch(ARM, DRIFTING, num=2, threads=1)
+    other = EnvBatch(ARM, DRIFTING, num=2, threads=1)
     other.restore(batch.state())
     for each in (batch, other):
         each.step([0], [action])

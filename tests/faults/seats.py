@@ -16,7 +16,7 @@ from loose_env.faults import (
     RotationalLooseness,
     StructuralLooseness,
 )
-from loose_env.rig import Job, Plant, PlantShop, SimulatedRig
+from loose_env.rig import Plant, PlantShop, SimulatedRig
 from loose_env.sensors import SensorSuite
 from loose_env.typing import Array
 
@@ -93,11 +93,8 @@ def records(arm: Arm, faults: list[Fault], *, finer: int = 1, centred: bool = Fa
             rig.plants[slot].gaps[:] = 0.0
     pose = pose_of(arm)
     shake, _ = at_levels(rig.nominal.at(pose), np.full(arm.n, arm.levels[-1]), duration=0.2)
-    jobs = [
-        Job(slot=slot, pose=pose, excitation=shake, rng=np.random.default_rng(5))
-        for slot in range(len(faults))
-    ]
-    found = rig.measure_many(jobs)
+    rngs = [np.random.default_rng(5) for _ in faults]
+    found = rig.measure_all(range(len(faults)), pose, shake, rngs)
     assert all(m.failure is None for m in found)
     return [m.tool for m in found]
 

@@ -13,7 +13,7 @@ from loose_env.arms import Arm, Mismatch, MismatchDraw, link_site, planar, scara
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import Excitation
 from loose_env.faults import Healthy
-from loose_env.rig import Job, Measurement, SimulatedRig
+from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 
 
@@ -29,9 +29,7 @@ def measured(
     rig.mount(0, Healthy(), draw)
     shake = Excitation(torque_rms=(3.0,) * arm.n, duration=0.2, band=(30.0, 150.0))
     pose = np.array([0.4 if r is None else 0.4 * r[1] + 0.6 * r[0] for r in arm.joint_ranges])
-    return rig.measure_many(
-        [Job(slot=0, pose=pose, excitation=shake, rng=np.random.default_rng(0))]
-    )[0]
+    return rig.measure(pose, shake)
 
 
 @pytest.mark.parametrize("make", [vera, lambda: planar(3), six_axis, scara])

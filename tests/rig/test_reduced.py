@@ -16,7 +16,7 @@ from loose_env.arms import (
     with_compliance,
 )
 from loose_env.diagnosis import statistics_of
-from loose_env.envs import DiagnosisSettings, Difficulty, EpisodeBatch, FaultSampler
+from loose_env.envs import DiagnosisSettings, Difficulty, EnvBatch, FaultSampler
 from loose_env.errors import InvalidSetting
 from loose_env.excitation import at_levels
 from loose_env.faults import Healthy, Preload, SeveralFaults, StructuralLooseness, hypotheses
@@ -142,7 +142,7 @@ def test_episodes_hide_the_same_faults_on_either_engine():
     arm = planar(2)
     found = []
     for engine in ("mujoco", "reduced"):
-        batch = EpisodeBatch(arm, DiagnosisSettings(engine=engine), threads=1)
+        batch = EnvBatch(arm, DiagnosisSettings(engine=engine), threads=1)
         batch.start(0, seed=5, number=3)
         shaking = batch.actions.encode(levels=np.array([3, 3]), duration=0)
         batch.step([0], [shaking])
@@ -154,7 +154,7 @@ def test_episodes_hide_the_same_faults_on_either_engine():
 
 def played(arm, num, threads, episodes):
     """Observations of two steps of some episodes, by the number of each."""
-    batch = EpisodeBatch(arm, DiagnosisSettings(engine="reduced"), num=num, threads=threads)
+    batch = EnvBatch(arm, DiagnosisSettings(engine="reduced"), num=num, threads=threads)
     found = {}
     for first in range(0, len(episodes), num):
         mine = episodes[first : first + num]

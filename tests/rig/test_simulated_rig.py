@@ -24,7 +24,7 @@ from loose_env.faults import (
     SeveralFaults,
     StructuralLooseness,
 )
-from loose_env.rig import Job, Measurement, SimulatedRig
+from loose_env.rig import Measurement, SimulatedRig
 from loose_env.sensors import Accelerometer, Encoder, SensorSuite
 from loose_env.typing import Array
 
@@ -59,8 +59,17 @@ FAULTS: dict[str, Fault] = {
 }
 
 
-def job(slot: int = 0, *, seed: int = 0, pose: Array = POSE, excitation: Excitation = SHAKE) -> Job:
-    return Job(slot=slot, pose=pose, excitation=excitation, rng=np.random.default_rng(seed))
+Trial = tuple[int, Array, Excitation, np.random.Generator]
+
+
+def trial(
+    slot: int = 0, *, seed: int = 0, pose: Array = POSE, excitation: Excitation = SHAKE
+) -> Trial:
+    return slot, pose, excitation, np.random.default_rng(seed)
+
+
+def measured(rig: SimulatedRig, trials: Sequence[Trial]) -> list[Measurement]:
+    return rig.measure_all(*zip(*trials, strict=True))
 
 
 def true_arm(seed: int = 1) -> MismatchDraw:
@@ -83,7 +92,7 @@ def alone(request: pytest.FixtureRequest) -> tuple[Fault, Measurement]:
     """A fault, and its arm measured on a rig of its own."""
     rig = SimulatedRig(planar(2), threads=1)
     rig.mount(0, request.param, true_arm())
-    measurement = rig.measure_many([job()])[0]
+    measurement = measured(rig, [trial()])[0]
     assert measurement.failure is None
     return request.param, measurement
 
@@ -99,10 +108,10 @@ def test_readings_do_not_depend_on_slot_neighbours_order_or_threads(
         for other, neighbour in enumerate(neighbours):
             rig.mount(other, neighbour, true_arm(10 + other))
         rig.mount(slot, fault, true_arm())
-        jobs = [job(other, seed=20 + other, pose=POSE * other) for other in (3, 0, 4, 1, 2)]
-        jobs = [job(slot) if j.slot == slot else j for j in jobs]
-        found = rig.measure_many(jobs)
-        assert_same(found[[j.slot for j in jobs].index(slot)], expected)
+        order = [3, 0, 4, 1, 2]
+        trials = [trial(other, seed=20 + other, pose=POSE * other) for other in order]
+        trials[order.index(slot)] = trial(slot)
+        assert_same(measured(rig, trials)[order.index(slot)], expected)
 
 
 def test_readings_do_not_depend_on_what_was_measured_before(
@@ -111,14 +120,14 @@ def test_readings_do_not_depend_on_what_was_measured_before(
     fault, expected = alone
     rig = SimulatedRig(planar(2), slots=2)
     rig.mount(1, fault, true_arm())
-    rig.measure_many([job(0, seed=5), job(1, seed=6, pose=-2 * POSE, excitation=ONE_JOINT)])
+    measured(rig, [trial(0, seed=5), trial(1, seed=6, pose=-2 * POSE, excitation=ONE_JOINT)])
     longer = dataclasses.replace(SHAKE, duration=0.3)
-    rig.measure_many([job(1, seed=7, excitation=longer)])
-    assert_same(rig.measure_many([job(1)])[0], expected)
+    measured(rig, [trial(1, seed=7, excitation=longer)])
+    assert_same(measured(rig, [trial(1)])[0], expected)
     rig.mount(1, PLAY, true_arm(9))
-    rig.measure_many([job(1)])
+    measured(rig, [trial(1)])
     rig.mount(1, fault, true_arm())
-    assert_same(rig.measure_many([job(1)])[0], expected)
+    assert_same(measured(rig, [trial(1)])[0], expected)
 
 
 def test_records_of_several_lengths_can_be_taken_at_once(
@@ -128,7 +137,7 @@ def test_records_of_several_lengths_can_be_taken_at_once(
     rig = SimulatedRig(planar(2), slots=3)
     rig.mount(1, fault, true_arm())
     longer = dataclasses.replace(SHAKE, duration=0.3)
-    found = rig.measure_many([job(2, excitation=longer), job(1), job(0, excitation=longer)])
+    found = measured(rig, [trial(2, excitation=longer), trial(1), trial(0, excitation=longer)])
     assert [m.tool.shape[1] for m in found] == [300, 200, 300]
     assert_same(found[1], expected)
 
@@ -137,16 +146,16 @@ def test_more_arms_than_one_call_simulates_are_each_measured_alike() -> None:
     arm, brief = planar(2), dataclasses.replace(SHAKE, duration=0.04)
     rig = SimulatedRig(arm, slots=70)
     seeds = np.random.default_rng(0).permutation(70)
-    found = rig.measure_many([job(int(s), seed=int(s), excitation=brief) for s in seeds])
+    found = measured(rig, [trial(int(s), seed=int(s), excitation=brief) for s in seeds])
     single = SimulatedRig(arm)
     for seed, measurement in zip(seeds[::9], found[::9], strict=True):
-        assert_same(measurement, single.measure_many([job(seed=int(seed), excitation=brief)])[0])
+        assert_same(measurement, measured(single, [trial(seed=int(seed), excitation=brief)])[0])
 
 
-def test_a_single_measurement_is_that_of_a_job() -> None:
+def test_a_single_measurement_is_one_of_many() -> None:
     rig = SimulatedRig(planar(2), slots=2)
     single = rig.measure(POSE, SHAKE, rng=np.random.default_rng(0), slot=1)
-    assert_same(single, rig.measure_many([job(1)])[0])
+    assert_same(single, measured(rig, [trial(1)])[0])
 
 
 def test_channels_have_the_stated_shapes() -> None:
@@ -178,19 +187,21 @@ def test_a_rig_that_cannot_be_is_refused(change: dict[str, Any], message: str) -
 
 
 @pytest.mark.parametrize(
-    ("jobs", "message"),
+    ("trials", "message"),
     [
-        ([job(1), job(1)], r"each slot.*\[1, 1\]"),
-        ([job(pose=np.zeros(3))], r"needs 2 joint positions and 2 torques, got \(3,\) and 2"),
+        ([trial(1), trial(1)], r"each slot.*\[1, 1\]"),
+        ([trial(pose=np.zeros(3))], r"needs 2 joint positions and 2 torques, got \(3,\) and 2"),
         (
-            [job(excitation=dataclasses.replace(SHAKE, torque_rms=(1.0,)))],
+            [trial(excitation=dataclasses.replace(SHAKE, torque_rms=(1.0,)))],
             r"needs 2 joint positions and 2 torques, got \(2,\) and 1",
         ),
     ],
 )
-def test_a_job_that_cannot_be_done_is_refused(jobs: Sequence[Job], message: str) -> None:
+def test_a_measurement_that_cannot_be_done_is_refused(
+    trials: Sequence[Trial], message: str
+) -> None:
     with pytest.raises(InvalidSetting, match=message):
-        SimulatedRig(planar(2), slots=2).measure_many(jobs)
+        measured(SimulatedRig(planar(2), slots=2), trials)
 
 
 def test_a_fault_in_a_link_the_arm_lacks_is_refused() -> None:
@@ -242,8 +253,8 @@ def test_a_healthy_nominal_arm_transmits_what_its_closed_form_says(case: str) ->
         at = linear.at(0.8 * arm.random_pose(poses))
         excitation, share = at_levels(at, levels_of(arm, *excited), duration=1.2)
         assert share.min() == 1.0
-        records = rig.measure_many(
-            [job(k, seed=k, pose=at.pose, excitation=excitation) for k in range(RECORDS)]
+        records = measured(
+            rig, [trial(k, seed=k, pose=at.pose, excitation=excitation) for k in range(RECORDS)]
         )
         found = np.array([statistics_of(r).transmission[:, list(excited)] for r in records])
         expected = predict(at, excitation, QUIET).transmission
@@ -287,7 +298,7 @@ def test_a_preloaded_seat_looks_healthy() -> None:
                 damping=0.02 * np.sqrt(stiffness * carried),
             ),
         )
-    records = rig.measure_many([job(s, pose=POSE, excitation=excitation) for s in range(3)])
+    records = measured(rig, [trial(s, pose=POSE, excitation=excitation) for s in range(3)])
     healthy, stiff, soft = (statistics_of(r).transmission[:, 0] for r in records)
     assert np.linalg.norm(stiff - healthy) < 0.05 * np.linalg.norm(healthy)
     assert np.linalg.norm(soft - healthy) > 0.1 * np.linalg.norm(healthy)
@@ -322,11 +333,11 @@ def test_a_diverging_arm_fails_alone_and_in_silence(
     rig = SimulatedRig(planar(2), slots=4, threads=threads)
     for slot, fault in enumerate((LOOSE, PLAY, Healthy(), LOOSE)):
         rig.mount(slot, fault, true_arm(slot))
-    jobs = [0, 1, 2, 3]
-    before = rig.measure_many([job(s, seed=s) for s in jobs])
+    slots = [0, 1, 2, 3]
+    before = measured(rig, [trial(s, seed=s) for s in slots])
     assert [m.failure for m in before] == [None] * 4
     poison(rig.plants[1].model)
-    after = rig.measure_many([job(s, seed=s) for s in jobs])
+    after = measured(rig, [trial(s, seed=s) for s in slots])
     assert after[1].failure is not None
     assert after[1].failure.startswith("the simulation ")
     assert not after[1].tool.any()
@@ -335,7 +346,7 @@ def test_a_diverging_arm_fails_alone_and_in_silence(
         assert_same(after[slot], before[slot])
     # A new arm in the slot is as good as any.
     rig.mount(1, PLAY, true_arm(1))
-    assert_same(rig.measure_many([job(1, seed=1)])[0], before[1])
+    assert_same(measured(rig, [trial(1, seed=1)])[0], before[1])
     captured = capfd.readouterr()
     assert captured.err == ""
     assert captured.out == ""
@@ -344,9 +355,9 @@ def test_a_diverging_arm_fails_alone_and_in_silence(
 
 def test_a_failed_record_has_the_shapes_of_a_good_one() -> None:
     rig = SimulatedRig(planar(2), sensors=SensorSuite(link_accelerometers=True))
-    good = rig.measure_many([job()])[0]
+    good = measured(rig, [trial()])[0]
     nan_mass(rig.plants[0].model)
-    bad = rig.measure_many([job()])[0]
+    bad = measured(rig, [trial()])[0]
     assert bad.failure is not None
     for name in ("command", "encoder", "tool", "links"):
         assert getattr(bad, name).shape == getattr(good, name).shape
@@ -359,7 +370,7 @@ def test_mujoco_s_own_warnings_are_as_they_were_after_a_measurement(
     monkeypatch.chdir(tmp_path)
     rig = SimulatedRig(planar(2))
     nan_mass(rig.plants[0].model)
-    rig.measure_many([job()])
+    measured(rig, [trial()])
     data = mujoco.MjData(rig.plants[0].model)
     mujoco.mj_step(rig.plants[0].model, data)
     assert "WARNING" in capfd.readouterr().err
@@ -377,7 +388,7 @@ def test_gain_and_cross_axis_of_the_mismatch_reach_the_readings() -> None:
     matrix = np.array([[1.02, 0.03, 0.5], [-0.01, 0.97, -0.2], [0.0, 0.0, 1.0]])
     rig = SimulatedRig(planar(2), slots=2, sensors=SensorSuite.ideal())
     rig.mount(1, Healthy(), nothing_but(sensor=matrix))
-    true, read = (m.tool for m in rig.measure_many([job(0), job(1)]))
+    true, read = (m.tool for m in measured(rig, [trial(0), trial(1)]))
     # The plane is horizontal: the third axis feels gravity and no motion.
     expected = matrix[:2, :2] @ true + matrix[:2, 2:] * 9.81
     np.testing.assert_allclose(read, expected, rtol=0, atol=1e-6)
@@ -386,7 +397,7 @@ def test_gain_and_cross_axis_of_the_mismatch_reach_the_readings() -> None:
 def test_a_drive_gain_scales_the_motion_and_not_the_command() -> None:
     rig = SimulatedRig(planar(2), slots=2, sensors=SensorSuite.ideal())
     rig.mount(1, Healthy(), nothing_but(drive_gain=np.array([1.1, 1.1])))
-    nominal, strong = rig.measure_many([job(0), job(1)])
+    nominal, strong = measured(rig, [trial(0), trial(1)])
     np.testing.assert_array_equal(strong.command, nominal.command)
     assert strong.tool.std() == pytest.approx(1.1 * nominal.tool.std(), rel=0.02)
 
@@ -395,7 +406,7 @@ def test_a_joint_zero_shifts_the_true_pose_and_not_the_encoder() -> None:
     zero = np.array([0.02, -0.05])
     rig = SimulatedRig(planar(2), slots=2, sensors=SensorSuite.ideal())
     rig.mount(0, Healthy(), nothing_but(joint_zero=zero))
-    shifted, there = rig.measure_many([job(0), job(1, pose=POSE + zero)])
+    shifted, there = measured(rig, [trial(0), trial(1, pose=POSE + zero)])
     np.testing.assert_allclose(shifted.encoder + zero[:, None], there.encoder, atol=1e-12)
     np.testing.assert_allclose(shifted.tool, there.tool, atol=1e-9)
 
@@ -406,7 +417,7 @@ def test_sensors_add_no_more_than_they_state() -> None:
         encoder=Encoder(resolution=1e-5, noise=2e-5),
     )
     (exact,), (read,) = (
-        SimulatedRig(planar(2), sensors=suite).measure_many([job()])
+        measured(SimulatedRig(planar(2), sensors=suite), [trial()])
         for suite in (SensorSuite.ideal(), real)
     )
     tool, encoder = read.tool - exact.tool, read.encoder - exact.encoder

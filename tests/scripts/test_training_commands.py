@@ -26,7 +26,7 @@ from loose_agents.rl.hyperparameters import HYPERPARAMETERS
 from loose_agents.rl.training import CurvePoint, git_commit, read_curve, write_curve
 from loose_agents.rl.training_env import evaluation_seed
 
-from loose_env.envs import EpisodeBatch
+from loose_env.envs import EnvBatch
 from loose_env.errors import InvalidData
 from scripts.agents import enjoy, learning_curves, train
 
@@ -95,13 +95,13 @@ def test_a_run_leaves_a_policy_that_plays(
 def begun(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, int]]]:
     """Seeds and numbers of the episodes that have begun."""
     found: list[tuple[int, int]] = []
-    start = EpisodeBatch.start_all
+    start = EnvBatch.start_all
 
-    def spy(self: EpisodeBatch, slots: Any, **given: Any) -> None:
+    def spy(self: EnvBatch, slots: Any, **given: Any) -> None:
         found.extend(zip(given["seeds"], given["numbers"], strict=True))
         start(self, slots, **given)
 
-    monkeypatch.setattr(EpisodeBatch, "start_all", spy)
+    monkeypatch.setattr(EnvBatch, "start_all", spy)
     yield found
 
 

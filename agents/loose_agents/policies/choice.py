@@ -36,6 +36,18 @@ from loose_env.typing import Array
 from loose_env.wrappers import records_from
 
 
+class BatchPolicy:
+    """Policy that chooses the records of several episodes together, each as if it were alone."""
+
+    def choose_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
+        """Choose the next record of each episode."""
+        raise NotImplementedError
+
+    def choose(self, situation: Situation) -> NDArray[np.int64]:
+        """Choose the next record of one episode."""
+        return self.choose_all([situation])[0]
+
+
 class RandomPolicy:
     """Excites one random joint at a random level and duration, in random poses."""
 
@@ -154,6 +166,8 @@ def make_policy(name: str, problem: Problem, estimator: Estimator) -> Policy:
 class Candidates:
     """C records that could be taken next."""
 
+    arm: NDArray[np.intp]
+    """Arm that each is for (C,)."""
     moves: NDArray[np.intp]
     """Moves of the joints (C, n)."""
     levels: NDArray[np.intp]
@@ -175,6 +189,11 @@ class Candidates:
     def __getitem__(self, rows: Any) -> Candidates:
         """Some of the records."""
         return Candidates(**{name: values[rows] for name, values in vars(self).items()})
+
+    def by_arm(self, count: int, order: Array | None = None) -> list[Candidates]:
+        """Those of each of some arms, the highest of ``order`` (C,) first."""
+        rank = np.arange(len(self)) if order is None else np.argsort(-order, kind="stable")
+        return [self[rank[self.arm[rank] == arm]] for arm in range(count)]
 
     def action(self, problem: Problem, k: int) -> NDArray[np.int64]:
         """Action that takes one of them."""
@@ -226,13 +245,17 @@ def excitations(problem: Problem) -> tuple[Excitations, Excitations]:
 
 
 def candidates_at(
-    problem: Problem, moves: NDArray[np.intp], where: Array, every: Excitations
+    problem: Problem,
+    places: Sequence[tuple[NDArray[np.intp], Array]],
+    every: Excitations,
 ) -> Candidates:
-    """Each of K moves, to poses (K, n), with every one of some excitations.
+    """Each of the moves (K, n) of some arms, to poses (K, n), with every one of some excitations.
 
     The torques are those of the levels in the pose.
     """
     arm, prices = problem.arm, problem.settings.prices
+    owner = np.repeat(np.arange(len(places)), [len(moves) for moves, _ in places])
+    moves, where = (np.concatenate(part) for part in zip(*places, strict=True))
     pose = np.repeat(np.arange(len(moves)), len(every))
     levels = np.tile(np.array([own for own, _ in every]), (len(moves), 1))
     duration = np.tile(np.array([length for _, length in every]), len(moves))
@@ -247,6 +270,7 @@ def candidates_at(
     moved = np.count_nonzero(moves != problem.settings.stay, axis=1)[pose]
     price = prices.record + prices.second * seconds + prices.level * levels.sum(axis=1)
     return Candidates(
+        arm=owner[pose],
         moves=moves[pose],
         levels=levels,
         duration=duration,
@@ -265,29 +289,34 @@ WORTH = 0.5
 """Value of a nat of information, in the environment's reward."""
 
 
-class GreedyPolicy:
+class GreedyPolicy(BatchPolicy):
     """Maximises expected information over pose, joints, level and duration."""
 
     def __init__(self, problem: Problem, information: RecordInformation) -> None:
         self.problem, self.information = problem, information
 
-    def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Choose the best of the scored records."""
-        faults = self.information.imagine(belief_of(situation), situation.rng)
-        best = ranked(self.problem, self.information, situation, faults)
-        return best.action(self.problem, 0)
+    def choose_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
+        """Choose the best of the scored records of each episode."""
+        faults = imagined(self.information, situations)
+        best = ranked(self.problem, self.information, situations, faults)
+        return [own.action(self.problem, 0) for own in best]
+
+
+def imagined(information: RecordInformation, situations: Sequence[Situation]) -> ImaginedFaults:
+    """Thin the beliefs of several episodes."""
+    return information.imagine([belief_of(s) for s in situations], [s.rng for s in situations])
 
 
 def ranked(
     problem: Problem,
     information: RecordInformation,
-    situation: Situation,
+    situations: Sequence[Situation],
     faults: ImaginedFaults,
     planned: Array | None = None,
-) -> Candidates:
-    """Score candidate records and sort them, best first.
+) -> list[Candidates]:
+    """Score candidate records of each of A episodes and sort them, best first.
 
-    After records with the likelihood ``planned`` where it is given, as
+    After records with the likelihood ``planned`` (A, M, M) where it is given, as
     `loose_env.diagnosis.RecordInformation.of` takes it.
     """
 
@@ -295,19 +324,21 @@ def ranked(
         worth = np.full(len(candidates), -np.inf)
         some = candidates.torque.any(axis=1)  # gravity leaves the drives nothing in the others
         own = candidates[some]
-        found = information.of(faults, own.poses, own.torque, own.seconds, planned)
+        found = information.of(faults, own.poses, own.torque, own.seconds, planned, beliefs=own.arm)
         worth[some] = WORTH * found.information - own.price
         return worth
 
     first, further = excitations(problem)
-    moves, where = poses(problem, situation, TOGETHER_POSES if len(first) == 1 else SINGLE_POSES)
-    found = candidates_at(problem, moves, where, first)
+    count = TOGETHER_POSES if len(first) == 1 else SINGLE_POSES
+    places = [poses(problem, situation, count) for situation in situations]
+    found = candidates_at(problem, places, first)
     worth = value(found)
-    best = np.argsort(-worth, kind="stable")[:SHORTLIST] // len(first)
     if further:
-        more = candidates_at(problem, moves[best], where[best], further)
+        best = found.by_arm(len(places), worth)
+        shortlist = [(own.moves[:SHORTLIST], own.poses[:SHORTLIST]) for own in best]
+        more = candidates_at(problem, shortlist, further)
         found, worth = _joined(found, more), np.concatenate([worth, value(more)])
-    return found[np.argsort(-worth, kind="stable")]
+    return found.by_arm(len(places), worth)
 
 
 def _joined(*parts: Candidates) -> Candidates:
@@ -322,7 +353,7 @@ OUTCOMES = 24
 """Outcomes that the look-ahead imagines of each first record."""
 
 
-class LookAheadPolicy:
+class LookAheadPolicy(BatchPolicy):
     """Maximises the expected reward after a record, or after one more.
 
     The value of a record is the expected reward of the best name less what the records cost.
@@ -331,28 +362,40 @@ class LookAheadPolicy:
     def __init__(self, problem: Problem, information: RecordInformation) -> None:
         self.problem, self.information = problem, information
 
-    def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Choose the record of the highest value."""
-        faults = self.information.imagine(belief_of(situation), situation.rng)
-        every = ranked(self.problem, self.information, situation, faults)
-        firsts, first = every[:FIRST_RECORDS], excitations(self.problem)[0]
-        seconds = []
-        for torque, pose in zip(firsts.torque, firsts.poses, strict=True):
-            if torque.any():
-                after = replace(situation, pose=pose)
-                moves, where = poses(self.problem, after, SECOND_RECORDS)
-                own = candidates_at(self.problem, moves, where, first)
-                seconds.append(own[own.torque.any(axis=1)])
-        together = _joined(firsts[: len(seconds)], *seconds)
-        likely = self.information.likelihoods(
-            faults, together.poses, together.torque, together.seconds
-        )
-        ends = np.cumsum([len(seconds), *map(len, seconds)])
-        values = [
-            self._value(likely[k], float(firsts.price[k]), likely[i:j], own.price, faults)
-            for k, (i, j, own) in enumerate(zip(ends, ends[1:], seconds, strict=False))
+    def choose_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
+        """Choose the record of the highest value in each episode."""
+        problem, faults = self.problem, imagined(self.information, situations)
+        every = ranked(problem, self.information, situations, faults)
+        firsts = [own[:FIRST_RECORDS] for own in every]
+        firsts = [own[own.torque.any(axis=1)] if own.torque.any() else own[:1] for own in firsts]
+        after = [
+            poses(problem, replace(situation, pose=pose), SECOND_RECORDS)
+            for own, situation in zip(firsts, situations, strict=True)
+            for pose in own.poses
         ]
-        return firsts.action(self.problem, int(np.argmax(values)) if values else 0)
+        arm = np.repeat(np.arange(len(firsts)), [len(own) for own in firsts])
+        seconds = candidates_at(problem, after, excitations(problem)[0])
+        seconds = seconds[seconds.torque.any(axis=1)]
+        first = seconds.arm  # the first record that each one follows
+        together = _joined(*firsts, seconds)
+        whose = np.concatenate([arm, arm[first]])
+        likely = self.information.likelihoods(
+            faults, together.poses, together.torque, together.seconds, beliefs=whose
+        )
+        values = np.array(
+            [
+                self._value(
+                    likely[k],
+                    float(together.price[k]),
+                    likely[len(arm) :][first == k],
+                    seconds.price[first == k],
+                    faults[arm[k]],
+                )
+                for k in range(len(arm))
+            ]
+        )
+        chosen = [int(np.argmax(values[arm == a])) for a in range(len(firsts))]
+        return [own.action(problem, k) for own, k in zip(firsts, chosen, strict=True)]
 
     def _value(
         self, first: Array, price: float, seconds: Array, prices: Array, faults: ImaginedFaults
@@ -364,14 +407,16 @@ class LookAheadPolicy:
         drawn = np.searchsorted(np.cumsum(faults.weight), ticks * faults.weight.sum())
         weight = faults.weight * first[np.minimum(drawn, len(faults.weight) - 1)]
         weight /= weight.sum(1, keepdims=True)
-        labels = np.eye(int(faults.hypothesis.max()) + 1)[faults.hypothesis]
-        best = (weight @ labels).max(1)  # of a verdict now
-        # Share of each hypothesis after the second record, too (M, outcomes, hypotheses).
-        split = (weight[:, :, None] * labels).transpose(1, 0, 2)
-        for likely, second in zip(seconds, prices, strict=True):
-            after = (likely @ split.reshape(len(likely), -1)).reshape(split.shape)
-            sure = after.max(2) / after.sum(2)
-            best = np.maximum(best, (weight.T * sure).sum(0) - second / stake)
+        total, most = np.zeros((2, len(seconds), *weight.T.shape))  # (N, M, outcomes)
+        now = []
+        for hypothesis in np.unique(faults.hypothesis):
+            own = faults.hypothesis == hypothesis
+            share = seconds[:, :, own] @ weight[:, own].T  # after the second record, too
+            total += share
+            np.maximum(most, share, out=most)
+            now.append(weight[:, own].sum(1))
+        then = np.einsum("om,nmo->no", weight, most / total) - prices[:, None] / stake
+        best = np.maximum(np.max(now, axis=0), then.max(axis=0, initial=-np.inf))
         return float(worth.wrong + stake * best.mean() - price)
 
 
@@ -454,7 +499,7 @@ def tuned_sequence(problem: Problem, records: int | None = None) -> Records:
     return tuple(tuple(int(entry) for entry in action) for action in chosen)
 
 
-class OpenLoopPolicy:
+class OpenLoopPolicy(BatchPolicy):
     """Maximises expected information over records whose results it does not look at.
 
     It knows where the arm is and which records were taken, and counts on what they will have
@@ -477,16 +522,20 @@ class OpenLoopPolicy:
             )
         self._prior = prior
 
-    def choose(self, situation: Situation) -> NDArray[np.int64]:
-        """Choose the best of the scored records, given which ones were taken."""
-        faults = self.information.imagine(self._prior, situation.rng)
-        slots = self.problem.layout.slots_of(situation.observation)[: situation.records]
-        records = records_from(self.problem.layout, slots[slots[:, 0] > 0.5])
-        planned = self.information.likelihoods(
-            faults, records.pose, records.torque, records.duration
-        ).prod(axis=0)
-        best = ranked(self.problem, self.information, situation, faults, planned)
-        return best.action(self.problem, 0)
+    def choose_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
+        """Choose the best of the scored records of each episode, given which ones were taken."""
+        count, rngs = len(situations), [situation.rng for situation in situations]
+        faults = self.information.imagine([self._prior] * count, rngs)
+        observations = np.stack([situation.observation for situation in situations])
+        slots = self.problem.layout.slots_of(observations)
+        arm, slot = np.nonzero(slots[..., 0] > 0.5)
+        records = records_from(self.problem.layout, slots[arm, slot])
+        likely = self.information.likelihoods(
+            faults, records.pose, records.torque, records.duration, beliefs=arm
+        )
+        planned = np.stack([likely[arm == k].prod(axis=0) for k in range(count)])
+        best = ranked(self.problem, self.information, situations, faults, planned)
+        return [own.action(self.problem, 0) for own in best]
 
 
 def designed_sequences(

@@ -46,7 +46,7 @@ from loose_agents.rl.training_env import (
     forced_records,
     training_seed,
 )
-from loose_env.envs import ActionLayout, EpisodeBatch
+from loose_env.envs import ActionLayout, EnvBatch
 from loose_env.envs.sb3 import Sb3VecEnv
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.faults import UNSURE
@@ -309,7 +309,7 @@ class RunCallback(BaseCallback):
         vec: Any,
         budget: Budget,
         configuration: dict[str, Any],
-        batch: EpisodeBatch,
+        batch: EnvBatch,
         estimator: Tracker | None,
         show: Callable[[int, str], None],
     ) -> None:
