@@ -177,7 +177,10 @@ class BeliefAgent(EpisodeAgent):
         self, observations: NDArray[np.float32], memories: Sequence[_Memory]
     ) -> list[NDArray[np.int64]]:
         """Choose an action for each episode; their new records are taken in together."""
-        situations = self.situations(observations, memories)
+        return self.decide_all(self.situations(observations, memories))
+
+    def decide_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
+        """Take a measurement in each episode, or give the verdict of highest expected reward."""
         named = [self._named(now) for now in situations]
         going = [now for now, name in zip(situations, named, strict=True) if name is None]
         together = getattr(self.policy, "choose_all", None)

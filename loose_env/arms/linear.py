@@ -246,14 +246,28 @@ class LinearArm:
 
     def kinematics(self, poses: Array) -> Array:
         """Tool motion per joint motion at poses [rad] (B, n), as `LinearPose.kinematic`."""
+        jacobian, frames = self._jacobians(poses)
+        turned = frames.transpose(0, 2, 1) @ jacobian[:, :, self.joint_dofs]
+        return turned[:, list(self.arm.axes)]
+
+    def axes(self, poses: Array) -> tuple[Array, Array]:
+        """Sliding axes of every link and tool motion per joint motion, in the base's axes.
+
+        Of poses [rad] (B, n): unit vectors (B, n, 3, d), and [m/rad] (B, n, 3).
+        """
+        jacobian, _ = self._jacobians(poses)
+        slides = jacobian[:, :, self.slide_dofs].transpose(0, 2, 1, 3)
+        return slides, jacobian[:, :, self.joint_dofs].transpose(0, 2, 1)
+
+    def _jacobians(self, poses: Array) -> tuple[Array, Array]:
+        """Tool motion per coordinate in the base's axes (B, 3, nv); the tool's axes (B, 3, 3)."""
         model, data = self.model, self._data
         jacobian = np.zeros((len(poses), 3, model.nv))
         frames, frame = np.empty((len(poses), 3, 3)), data.site_xmat[self.tool].reshape(3, 3)
         for k in self._placed(poses):
             mujoco.mj_jacSite(model, data, jacobian[k], None, self.tool)
             frames[k] = frame
-        turned = frames.transpose(0, 2, 1) @ jacobian[:, :, self.joint_dofs]
-        return turned[:, list(self.arm.axes)]
+        return jacobian, frames
 
     def gravity_torques(self, poses: Array) -> Array:
         """Torque that holds each joint against gravity at poses [rad] (B, n) [N·m] (B, n)."""

@@ -38,7 +38,7 @@ LEARNERS = {
     "ppo": ("ppo", "ppo", "flat"),
     "maskable_ppo": ("maskable_ppo", "maskable_ppo", "flat"),
     "ppo_set": ("ppo", "ppo_set", "set"),
-    "maskable_ppo_set": ("maskable_ppo", "ppo_set", "set"),
+    "maskable_ppo_set": ("maskable_ppo", "maskable_ppo_set", "set"),
 }
 """Learners: algorithm, hyperparameter file, and layers on the flat observation or a set network."""
 SHOWN = {
@@ -95,6 +95,8 @@ def train_one(env: str, learner: str, seed: int, options: Options) -> None:
     given = read_hyperparameters(HYPERPARAMETERS / f"{file}.yml", env)
     given |= key_values(options.hyperparams, "--hyperparams")
     arguments = given.pop("env_kwargs", {}) | {"threads": 1}
+    wrappers = [each.rpartition(".")[2] for each in given.pop("env_wrapper", [])]
+    prices = given.pop("training_prices", {})
     steps = options.steps or whole(given.get("n_timesteps", 0), "n_timesteps")
     name = f"{env} {learner} seed {seed}"
     training.train(
@@ -105,6 +107,8 @@ def train_one(env: str, learner: str, seed: int, options: Options) -> None:
             env=env,
             arguments=arguments | key_values(options.env_kwargs, "--env-kwargs"),
             hyperparameters=given,
+            wrappers=tuple(wrappers),
+            training_prices=prices,
             steps=steps,
             seconds=options.seconds or None,
             seed=seed,

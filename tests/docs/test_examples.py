@@ -32,8 +32,9 @@ PREPARED: dict[str, Callable[[Path], None]] = {"README.md": a_shaken_arm}
 FEWER: dict[str, dict[str, str]] = {
     "agents.md": {
         "arms = 50": "arms = 8",
-        "n_steps=32, batch_size=128": "n_steps=4, batch_size=32",
-        "learn(1024)": "learn(64)",
+        "num_envs=128": "num_envs=8",
+        "n_eval_episodes=64": "n_eval_episodes=4",
+        "learn(4096)": "learn(128)",
         "num, length, updates, rate = 64, 32, 3": "num, length, updates, rate = 8, 32, 1",
     },
     "environments.md": {

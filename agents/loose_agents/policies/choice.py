@@ -202,14 +202,23 @@ class Candidates:
         )
 
 
+EVERY_MOVE = 64
+"""Moves of one joint that are all weighed, where one may move: a sample misses the best one."""
+
+
 def poses(
     problem: Problem, situation: Situation, count: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Sample moves uniformly from the allowed ranges, with the resulting poses."""
     allowed = problem.actions.allowed_moves(situation.pose)
     options = [np.flatnonzero(row) for row in allowed]
+    stay, n = problem.settings.stay, problem.arm.n
+    one = [(j, k) for j, own in enumerate(options) for k in own if k != stay]
     total = int(np.prod([len(o) for o in options], dtype=np.int64))
-    if total <= count and problem.actions.most_moved == problem.arm.n:
+    if problem.actions.most_moved == 1 and len(one) < EVERY_MOVE:
+        moves = np.full((1 + len(one), n), stay)
+        moves[np.arange(1, len(moves)), [j for j, _ in one]] = [k for _, k in one]
+    elif total <= count and problem.actions.most_moved == n:
         moves = np.stack(np.meshgrid(*options, indexing="ij"), -1).reshape(-1, len(options))
     else:
         drawn = [situation.rng.choice(o, 2 * count) for o in options]

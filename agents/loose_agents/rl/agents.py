@@ -8,6 +8,7 @@ records are unlike all that the posterior was made for.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,15 +37,22 @@ from loose_agents.rl.model_files import (
 from loose_agents.rl.networks import (
     FORMAT,
     PolicyNetwork,
+    choices_of,
     input_size,
     load_network,
     network_from_tensors,
 )
-from loose_env.errors import InvalidData
-from loose_env.wrappers import posterior_bounds, posterior_features
+from loose_env.envs import DiagnosisVectorEnv
+from loose_env.errors import InvalidData, UnknownName
+from loose_env.wrappers import posterior_bounds, posterior_features, vector
 
 CONFIGURATION = "configuration.json"
 """File that says how a policy was trained, beside its weights."""
+
+WRAPPERS = ("MeasuredMinusNominal", "JointSideObservation", "MacroActions")
+"""Wrappers that a policy may be trained within: those that keep no state of an episode."""
+
+_ONE = np.array([0])
 
 FURTHER_BOUND = 5.0
 """Bound of an estimator's features beside its probabilities, either sign."""
@@ -53,14 +61,16 @@ FURTHER_BOUND = 5.0
 class PolicyForm:
     """Observation and action encoding of the learned policy.
 
-    It sees the `loose_env.wrappers.posterior_features`, then what else the estimator has to show.
+    It sees the `loose_env.wrappers.posterior_features`, then what else the estimator has to show;
+    with ``geometry`` the links and the tool in the base's axes, too: which way every link points
+    and may slide, and how every joint moves the tool.
 
     It chooses moves, levels and a record length by the entries of the environment's action, and
     in place of the verdict whether to stop.
     """
 
-    def __init__(self, problem: Problem, further: int = 0) -> None:
-        self.problem, self.further = problem, further
+    def __init__(self, problem: Problem, further: int = 0, *, geometry: bool = False) -> None:
+        self.problem, self.further, self.geometry = problem, further, geometry
         self.nvec = np.append(problem.actions.nvec[:-1], 2)
         kinds = len(problem.hypotheses)
         start = problem.layout.global_elements
@@ -68,6 +78,8 @@ class PolicyForm:
             *posterior_bounds(kinds, start),
             *[(-FURTHER_BOUND, FURTHER_BOUND)] * further,
         ]
+        if geometry:
+            bounds += [(-1.0, 1.0)] * problem.arm.n * (9 + 3 * len(problem.arm.axes))
         low, high = np.array(bounds, dtype=np.float32).T
         self.observation_space = spaces.Box(low, high, dtype=np.float32)
         self.action_space = spaces.MultiDiscrete(self.nvec)
@@ -85,10 +97,25 @@ class PolicyForm:
             raise InvalidData(
                 f"the estimator said that it shows {self.further} numbers, it showed {shown.shape}"
             )
-        shown = np.clip(shown, -FURTHER_BOUND, FURTHER_BOUND)
-        both = np.concatenate([posterior_features(probabilities, start), shown]).astype(np.float32)
+        parts = [posterior_features(probabilities, start), shown]
+        if self.geometry:
+            parts.append(self._geometry(observation, shown))
         space = self.observation_space
-        return np.asarray(np.clip(both, space.low, space.high))
+        return np.asarray(np.clip(np.concatenate(parts).astype(np.float32), space.low, space.high))
+
+    def _geometry(
+        self, observation: NDArray[np.float32], further: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Sliding directions by their products, axes of the links, tool motion per joint motion."""
+        problem, (n, d) = self.problem, (self.problem.arm.n, len(self.problem.arm.axes))
+        pose = problem.layout.pose_of(observation)[None]
+        (axes,), (motion,) = problem.linear.axes(np.asarray(pose, dtype=float))
+        upper = np.triu_indices(d)
+        products = np.zeros((n, d, d))
+        products[:, *upper] = further[: n * len(upper[0])].reshape(n, -1)
+        products[:, *upper[::-1]] = products[:, *upper]
+        turned = (axes @ products @ axes.mT)[:, *np.triu_indices(3)]
+        return np.concatenate([turned, axes.reshape(n, -1), motion / problem.arm.reach], 1).ravel()
 
     def stops(self, choice: NDArray[np.int64], records: int, *, least: int = 1) -> bool:
         """Return True if a choice ends the episode, within the record limits."""
@@ -153,11 +180,13 @@ class LearnedAgent(BeliefAgent):
         estimator: Tracker | None = None,
         stopping: StoppingRule | None = None,
         *,
+        geometry: bool = False,
         seed: int = 0,
     ) -> None:
         made = make_estimator("posterior", problem) if estimator is None else estimator
         super().__init__(problem, made, None, stopping, seed=seed)
-        self.network, self.form = network, PolicyForm(problem, made.feature_size)
+        self.form = PolicyForm(problem, made.feature_size, geometry=geometry)
+        self.network = network
 
     @classmethod
     def load(cls, problem: Problem, folder: str | Path) -> LearnedAgent:
@@ -173,11 +202,15 @@ class LearnedAgent(BeliefAgent):
         if arm != problem.arm.name:
             raise InvalidData(f"{where} was trained for arm {arm!r:.60}, not {problem.arm.name!r}")
         estimator = make_estimator(str(described.get("estimator", "posterior")), problem)
-        form = PolicyForm(problem, estimator.feature_size)
-        return cls(problem, load_network(where, form), estimator)
+        geometry = bool(described.get("geometry"))
+        form = PolicyForm(problem, estimator.feature_size, geometry=geometry)
+        return cls(problem, load_network(where, form), estimator, geometry=geometry)
 
-    def decide(self, situation: Situation) -> NDArray[np.int64]:
+    def decide_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
         """Evaluate the policy."""
+        return [self._decide(now) for now in situations]
+
+    def _decide(self, situation: Situation) -> NDArray[np.int64]:
         problem, form, now = self.problem, self.form, situation
         observation = now.observation
         further = self.estimator.features(observation, now.memory)
@@ -195,12 +228,39 @@ class LearnedAgent(BeliefAgent):
         return form.measuring(choice) if named is None else problem.verdict(named)
 
 
-class ModelAgent(EpisodeAgent):
-    """Plays a policy trained on the environment's own observation and action."""
+def wrapped(env: Any, wrappers: Sequence[str]) -> Any:
+    """A batch within some of the `WRAPPERS`, the first innermost."""
+    for name in wrappers:
+        if name not in WRAPPERS:
+            raise UnknownName(f"unknown wrapper {name!r:.60}; wrappers are {list(WRAPPERS)}")
+        env = getattr(vector, name)(env)
+    return env
 
-    def __init__(self, problem: Problem, network: PolicyNetwork, *, seed: int = 0) -> None:
+
+def layout_of(env: Any) -> Any:
+    """Layout of what a batch shows, within wrappers or not."""
+    return env.layout if hasattr(env, "layout") else env.of_inner("layout")
+
+
+class ModelAgent(EpisodeAgent):
+    """Plays a policy trained on the environment's own records, as its wrappers show them."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        network: PolicyNetwork,
+        wrappers: Sequence[str] = (),
+        *,
+        seed: int = 0,
+    ) -> None:
         super().__init__(problem, seed=seed)
         self.network = network
+        shell = wrapped(DiagnosisVectorEnv(problem.arm, problem.settings, num_envs=1), wrappers)
+        self._space = shell.single_action_space
+        self._changes: list[Any] = []
+        while shell is not shell.unwrapped:
+            self._changes.insert(0, shell)
+            shell = shell.env
 
     def begin(self, rng: np.random.Generator) -> Any:
         """Return the initial state of an episode: none is kept."""
@@ -213,7 +273,14 @@ class ModelAgent(EpisodeAgent):
             problem.layout.records_of(observation),
             records_measured(problem, observation),
         )
-        return self.network.choose(observation, mask)
+        shown, mask = observation[None], mask[None]
+        for change in self._changes:
+            shown, mask = change.shown(shown, _ONE), change.masks(mask)
+        choice: NDArray[np.int64] = self.network.choose(shown[0], mask[0])
+        choice = choice.reshape(1, *self._space.shape)
+        for change in reversed(self._changes):
+            choice = change.inner_actions(choice)
+        return np.asarray(choice[0])
 
 
 def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> EpisodeAgent:
@@ -233,10 +300,14 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
     except (KeyError, IndexError) as error:
         raise InvalidData(f"{stored.path}: only MlpPolicy is read, on a set network too") from error
     layout = problem.layout
-    if seen is None or seen == layout.size:
-        return ModelAgent(problem, _network(stored, problem, problem.actions.nvec), seed=seed)
+    wrappers = beside.get("wrappers", [])
+    if wrappers or seen is None or seen == layout.size:
+        shell = wrapped(DiagnosisVectorEnv(problem.arm, problem.settings, num_envs=1), wrappers)
+        made = _network(stored, problem, choices_of(shell.single_action_space), layout_of(shell))
+        return ModelAgent(problem, made, wrappers, seed=seed)
     estimator = make_estimator(str(beside.get("estimator", "posterior")), problem)
-    form = PolicyForm(problem, estimator.feature_size)
+    geometry = bool(beside.get("geometry"))
+    form = PolicyForm(problem, estimator.feature_size, geometry=geometry)
     sees = form.observation_space.shape[0]
     if seen != sees:
         raise InvalidData(
@@ -244,10 +315,13 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
             f"{layout.size}, and that on a posterior {sees}: it was trained on another arm, other "
             "settings or through a wrapper"
         )
-    return LearnedAgent(problem, _network(stored, problem, form.nvec), estimator, seed=seed)
+    network = _network(stored, problem, form.nvec)
+    return LearnedAgent(problem, network, estimator, geometry=geometry, seed=seed)
 
 
-def _network(stored: StoredModel, problem: Problem, nvec: NDArray[np.int64]) -> PolicyNetwork:
+def _network(
+    stored: StoredModel, problem: Problem, nvec: NDArray[np.int64], layout: Any = None
+) -> PolicyNetwork:
     """Actor of a model file."""
     kind = stored.described.get("policy_class")
     module = kind.get("__module__", "") if isinstance(kind, dict) else ""
@@ -257,7 +331,7 @@ def _network(stored: StoredModel, problem: Problem, nvec: NDArray[np.int64]) -> 
             nvec,
             activation=activation_of(stored),
             masked="maskable" in str(module),
-            layout=problem.layout,
+            layout=problem.layout if layout is None else layout,
         )
     except (KeyError, IndexError, ValueError, RuntimeError) as error:
         raise InvalidData(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from loose_agents.rl.model_files import one_line
-from loose_env.envs import ObservationLayout
+from loose_env.envs import RecordLayout
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.io import write_bytes
 
@@ -66,14 +66,19 @@ class PolicyNetwork:
         return np.array([int(np.argmax(part)) for part in parts])
 
 
-def network_of(model: Any, layout: ObservationLayout | None = None) -> PolicyNetwork:
+def choices_of(space: Any) -> NDArray[np.int64]:
+    """Options of each choice of a `MultiDiscrete` or `Discrete` action."""
+    return np.atleast_1d(space.nvec if hasattr(space, "nvec") else space.n)
+
+
+def network_of(model: Any, layout: RecordLayout | None = None) -> PolicyNetwork:
     """Copy the actor of a stable-baselines3 or sb3-contrib model."""
     name = model.policy.activation_fn.__name__.lower()
     if name not in _ACTIVATIONS:
         raise InvalidSetting(f"a policy ships with the activations Tanh or ReLU, not {name}")
     tensors = {k: v.detach().cpu().clone() for k, v in model.policy.state_dict().items()}
     masked = type(model).__name__ == "MaskablePPO"
-    nvec = np.array(model.action_space.nvec)
+    nvec = choices_of(model.action_space)
     return network_from_tensors(tensors, nvec, activation=name, masked=masked, layout=layout)
 
 
@@ -83,7 +88,7 @@ def network_from_tensors(
     *,
     activation: str,
     masked: bool,
-    layout: ObservationLayout | None = None,
+    layout: RecordLayout | None = None,
 ) -> PolicyNetwork:
     """Build the actor from tensors under stable-baselines3's names."""
     if activation not in _ACTIVATIONS:
@@ -176,7 +181,7 @@ def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
         raise InvalidData(f"{path} holds no policy of this kind: {one_line(error)}") from error
 
 
-def record_set_arguments(layout: ObservationLayout) -> dict[str, Any]:
+def record_set_arguments(layout: RecordLayout) -> dict[str, Any]:
     """Arguments of the set network for an environment's observation."""
     names = [each.name for each in layout.slot_elements]
     twins = [(k, names.index(_NOMINAL + n)) for k, n in enumerate(names) if _NOMINAL + n in names]
@@ -255,9 +260,7 @@ class RecordSetExtractor(nn.Module):
         return which, torch.cat([records, records[:, self.own] - records[:, self.nominal]], 1)
 
 
-def _extractor_of(
-    tensors: Mapping[str, torch.Tensor], layout: ObservationLayout
-) -> RecordSetExtractor:
+def _extractor_of(tensors: Mapping[str, torch.Tensor], layout: RecordLayout) -> RecordSetExtractor:
     """Set network of a model's tensors."""
     own = {k.removeprefix(_EXTRACTOR): v for k, v in tensors.items() if k.startswith(_EXTRACTOR)}
     space = spaces.Box(-1.0, 1.0, (layout.size,))

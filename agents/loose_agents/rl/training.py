@@ -17,7 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, astuple, dataclass, field, fields
+from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,9 +27,17 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from loose_agents.base import CURVE_SEED, Problem
-from loose_agents.belief import Tracker, make_estimator
+from loose_agents.belief import BeliefAgent, Tracker, make_estimator, tuned_stopping
 from loose_agents.evaluation import evaluate, make_environments
-from loose_agents.rl.agents import CONFIGURATION, LearnedAgent, ModelAgent, described_run
+from loose_agents.policies.choice import make_policy
+from loose_agents.rl.agents import (
+    CONFIGURATION,
+    LearnedAgent,
+    ModelAgent,
+    described_run,
+    layout_of,
+    wrapped,
+)
 from loose_agents.rl.hyperparameters import LinearSchedule, algorithm_named, model_arguments, whole
 from loose_agents.rl.model_files import TRAINED_ON, read_model, restore, zipped
 from loose_agents.rl.networks import (
@@ -62,7 +70,7 @@ NOT_COMPARED = ("n_timesteps", "versions", "git_commit", "command", "trained", "
 _VERSIONS = ("loose_env", "gymnasium", "mujoco", "numpy", "stable_baselines3", "torch")
 """Packages whose versions are written beside a result."""
 _STANDARDISING_STEPS = 8
-"""Random actions of each environment on whose records the set network's input is standardised."""
+"""Steps of each environment on whose records the set network's input is standardised."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,6 +106,16 @@ class Training:
     """Arms side by side in an evaluation."""
     save_freq: int = 0
     """Steps between checkpoints, at least one update of the policy; 0 for every update."""
+    wrappers: tuple[str, ...] = ()
+    """Wrappers of the environment's own observation and action, the first innermost."""
+    training_prices: dict[str, float] = field(default_factory=dict)
+    """Prices of the training alone; evaluations have the task's."""
+    geometry: bool = False
+    """True for a policy that sees links and tool in the base's axes beside the posterior."""
+    planner: str | None = None
+    """Policy that is imitated before the training; None: none."""
+    planner_steps: int = 0
+    """Steps of it, of all environments together."""
     shaping: float = 0.0
     """Reward for a nat of log-posterior gained."""
     forced_records: int = 1
@@ -132,10 +150,15 @@ class Training:
             "arm": problem.arm.name,
             "hypotheses": problem.hypotheses,
             "estimator": self.estimator,
+            "wrappers": list(self.wrappers),
+            "geometry": self.geometry,
             "seed": self.seed,
             "n_timesteps": self.steps,
             "hyperparameters": own,
             "training": {
+                "prices": self.training_prices,
+                "planner": self.planner,
+                "planner_steps": self.planner_steps,
                 "shaping": self.shaping,
                 "forced_records": self.forced_records,
                 "forced_share": self.forced_share,
@@ -326,6 +349,8 @@ class RunCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._saved, self._due = self.model.num_timesteps, self._number()
+        if self.run.planner is not None and not self._saved:
+            self.save()
         if self.run.last_episodes is not None and not self.state.points:
             self._evaluate(self.run.eval_episodes)
 
@@ -379,11 +404,12 @@ class RunCallback(BaseCallback):
     def _evaluate(self, episodes: int) -> None:
         state, steps, batch = self.state, self.model.num_timesteps, self.batch
         problem = Problem.of(batch.arm, batch.settings)
-        network = network_of(self.model, problem.layout)
+        layout = None if self.estimator is not None else layout_of(self.vec.env)
+        network = network_of(self.model, layout)
         agent: Any = (
-            ModelAgent(problem, network)
+            ModelAgent(problem, network, self.run.wrappers)
             if self.estimator is None
-            else LearnedAgent(problem, network, self.estimator)
+            else LearnedAgent(problem, network, self.estimator, geometry=self.run.geometry)
         )
         rows = evaluate(
             agent, "policy", problem.arm, problem.settings, episodes=episodes,
@@ -453,18 +479,19 @@ def train(
     model_class = algorithm_named(run.algorithm)
     given = model_arguments(run.hyperparameters, run.algorithm)  # refused before anything is made
     torch.set_num_threads(max(run.threads, 1))
-    env = make_environments(
-        run.env, whole(run.hyperparameters.get("n_envs", 1), "n_envs"), run.arguments
-    )
-    problem = Problem.of(env.arm, env.settings)
+    count = whole(run.hyperparameters.get("n_envs", 1), "n_envs")
+    task = make_environments(run.env, 1, run.arguments)
+    prices = replace(task.settings.prices, **run.training_prices)
+    env = make_environments(run.env, count, run.arguments | {"prices": prices})
+    problem = Problem.of(task.arm, task.settings)
     estimator = None if run.estimator is None else make_estimator(run.estimator, problem)
     further = 0 if estimator is None else estimator.feature_size
     configuration = run.configuration(problem, further_features=further, **described)
     folder = RunFolder(run.folder)
     vec: Any = (
-        Sb3VecEnv(env)
+        Sb3VecEnv(wrapped(env, run.wrappers))
         if estimator is None
-        else TrackedVecEnv(env, problem, estimator, shaping=run.shaping)
+        else TrackedVecEnv(env, problem, estimator, shaping=run.shaping, geometry=run.geometry)
     )
     budget = Budget(steps=run.steps, seconds=run.seconds)
     for name in ("learning_rate", "clip_range"):
@@ -473,7 +500,7 @@ def train(
     if run.network == "set":
         own = dict(given.get("policy_kwargs") or {})
         own["features_extractor_kwargs"] = {
-            **record_set_arguments(env.layout),
+            **record_set_arguments(layout_of(vec.env)),
             **own.pop("features_extractor_kwargs", {}),
         }
         given["policy_kwargs"] = {**own, "features_extractor_class": RecordSetExtractor}
@@ -502,7 +529,10 @@ def train(
         budget.begin(state.seconds)
         vec.seed(training_seed(run.seed, model.num_timesteps))
         if run.network == "set" and not resumed:
-            state.records += _standardise(model, vec, run.seed, problem.settings.max_records)
+            state.records += standardise(model, vec)
+        show = show or (lambda steps, words: None)
+        if run.planner is not None and estimator is not None and not resumed:
+            state.records += _imitated(model, vec, run, problem, estimator, show)
         state.restore_generators()
         if not run.tensorboard:
             model.set_logger(Logger(None, []))  # its own would leave an empty folder in /tmp
@@ -511,9 +541,9 @@ def train(
             vec,
             budget,
             configuration,
-            env.batch,
+            task.batch,
             estimator,
-            show or (lambda steps, words: None),
+            show,
         )
         model.learn(
             run.steps - model.num_timesteps,
@@ -586,19 +616,45 @@ def _new_model(
     return model
 
 
-def _standardise(model: Any, vec: Any, seed: int, max_records: int) -> int:
-    """Standardise the set network's input on the records of random actions; return their number."""
-    rng = np.random.default_rng(seed)
-    choices = vec.action_space.nvec
-    observation = vec.reset()
-    taken = 0
-    for _ in range(min(_STANDARDISING_STEPS, max_records)):
-        actions = rng.integers(0, choices, size=(vec.num_envs, len(choices)))
-        actions[:, -1] = 0  # no verdict
-        observation, _, _, _ = vec.step(actions)
-        taken += vec.num_envs
-    model.policy.features_extractor.standardise(observation)
+def standardise(model: Any, vec: Any) -> int:
+    """Standardise the set network's input on records of the untrained policy; count them."""
+    observation, seen, taken = vec.reset(), [], 0
+    for _ in range(_STANDARDISING_STEPS):
+        masks = (
+            {"action_masks": np.array(vec.env_method("action_masks"))}
+            if hasattr(model.rollout_buffer, "action_masks")
+            else {}
+        )
+        actions, _ = model.predict(observation, **masks)
+        observation, _, over, _ = vec.step(actions)
+        taken += int(np.count_nonzero(~over))
+        seen.append(observation)
+    model.policy.features_extractor.standardise(np.concatenate(seen))
     return taken
+
+
+def _imitated(
+    model: Any,
+    vec: TrackedVecEnv,
+    run: Training,
+    problem: Problem,
+    estimator: Tracker,
+    show: Callable[[int, str], None],
+) -> int:
+    """Imitate a planner on the training's first episodes; return the number of its records."""
+    from loose_agents.rl.imitation import demonstrate, imitate
+
+    assert run.planner is not None
+    rng = np.random.default_rng([run.seed, training_seed(run.seed, 0)])
+    planner = BeliefAgent(
+        problem,
+        estimator,
+        make_policy(run.planner, problem, estimator),
+        tuned_stopping(problem, f"{run.estimator}/{run.planner}"),
+    )
+    shown = demonstrate(vec, planner, max(run.planner_steps // vec.num_envs, 1), rng, show)
+    imitate(model, shown, rng)
+    return int((shown.choices[:, -1] == 0).sum())
 
 
 def git_commit(folder: Path) -> str | None:
