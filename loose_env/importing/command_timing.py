@@ -57,37 +57,36 @@ def command_delays(model: mujoco.MjModel, runs: Sequence[Run]) -> dict[str, Comm
 
     Empty where the positions of some joints are not known, or loops are closed.
     """
-    targets = [each for each in joint_targets(model) if each.position]
-    runs = [
-        run for run in runs
-        if run.controls and all(each.position[7:] in run.sensors for each in targets)
-    ][:_RUNS]  # fmt: skip
+    targets = {each.name: each.position[7:] for each in joint_targets(model) if each.position}
+    runs = [run for run in runs if run.controls and run.sensors.keys() >= {*targets.values()}]
     if not runs:
         return {}
     step = median_step(runs[0].time)
-    pieces = [_middle(run, step) for run in runs]
-    runs, grids = [piece for piece, _ in pieces], [grid for _, grid in pieces]
+    pieces = [_middle(run, step) for run in runs[:_RUNS]]
     positions = {
-        each.name: [
-            np.interp(grid, run.time, filled(run.time, run.sensors[each.position[7:]]))
-            for run, grid in zip(runs, grids, strict=True)
-        ]
-        for each in targets
-    }
+        joint: [np.interp(grid, run.time, filled(run.time, run.sensors[sensor]))
+                for run, grid in pieces] for joint, sensor in targets.items()
+    }  # fmt: skip
     needed = needed_torques(model, positions, step)
-    found, drives = {}, {drive.name: drive for drive in drives_of(model)}
-    for each in targets:
-        drive = each.command[5:]
-        own = drives.get(drive)
-        if each.name in needed and own and own.gain and not own.filter_s and not own.tendon:
+    drives = {f"ctrl.{drive.name}": drive for drive in drives_of(model)}
+    found = {}
+    for each in joint_targets(model):
+        own = drives.get(each.command)
+        if (
+            each.name in {*positions} & {*needed}
+            and own
+            and own.gain
+            and not own.filter_s
+            and not own.tendon
+        ):
             parts = [
                 (needed[each.name][k], positions[each.name][k], grid, run.time, held)
-                for k, (run, grid) in enumerate(zip(runs, grids, strict=True))
-                if drive in run.controls and np.ptp(held := last_known(run.controls[drive])) > 0
-            ]
-            if parts:
-                found[drive] = _delay(own, step, parts)
-    return {drive: delay for drive, delay in found.items() if np.isfinite([*delay]).all()}
+                for k, (run, grid) in enumerate(pieces) if own.name in run.controls
+                and np.ptp(held := last_known(run.controls[own.name])) > 0
+            ]  # fmt: skip
+            if parts and np.isfinite([*(delay := _delay(own, step, parts))]).all():
+                found[own.name] = delay
+    return found
 
 
 def _middle(run: Run, step: float) -> tuple[Run, Array]:

@@ -739,15 +739,14 @@ class Roles:
         Tried is the exchange by which each joint follows its own command; without commands, the
         one by which the states explain the torques, joint by joint. Witnesses decide.
         """
-        torques = {j: s for s in self.signals if s.meaning.role == "torque" and s.moves
-                   and (j := self._label(s)) in self.needed}  # fmt: skip
-        commands = {}
-        for target in self.joints.values():
-            if target.torque in self.lines:
-                torques[target.name] = self.lines[target.torque].candidate
-            if target.command in self.lines:
-                commands[target.name] = self._label(self.lines[target.command].candidate)
-        other = {j: to for j, to in commands.items() if to not in ("", j) and to in commands}
+        named = {self._label(s): s for s in self.signals if s.meaning.role == "torque" and s.moves}
+        torques, commands = (
+            {t.name: self.lines[column].candidate for t in self.joints.values()
+             if (column := getattr(t, kind)) in self.lines} for kind in ("torque", "command")
+        )  # fmt: skip
+        torques = {j: s for j, s in (named | torques).items() if j in self.needed}
+        label = {j: self._label(s) for j, s in commands.items()}
+        other = {j: to for j, to in label.items() if to not in ("", j) and to in label}
         asked, motion = set(other) == set(other.values()) != set(), self._motion()
         if not asked and (commands or len(torques) < 2):
             return self

@@ -257,7 +257,7 @@ def tool_sensors(
         if (lettered := set(keys) <= {*"xyz"}) or len(keys) == 3:
             places = map("xyz".index, keys) if lettered else range(3)
             named.append(dict(zip(places, map(group.__getitem__, keys), strict=True)))
-    rest = [s for s in free if not s.unit and s.meaning.role in ("", "acceleration")]
+    rest = [s for s in free if untold < 1 and not s.unit and s.meaning.role in ("", "acceleration")]
     rows = [dict(enumerate(own)) for own in zip(rest, rest[1:], rest[2:], strict=False)]
     for kind, quantity, units, words in _TOOLS:
         others = set().union(*(each for *_, each in _TOOLS)) - words
