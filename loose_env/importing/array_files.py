@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from _codecs import encode  # by which pickles hold bytes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -84,8 +85,8 @@ def _table(leaves: Leaves, place: str, whole: Leaves) -> Table:
     """Arrays that have the length that most of them have, as columns."""
     found = {key: _matrix(value) for key, value in leaves.items()}
     arrays = {k: v for k, v in found.items() if v is not None and v.shape[1] <= _WIDEST}
-    lengths = [n for a in arrays.values() for n in {*a.shape} if n >= _FEWEST]
-    # Most values lie along the time; of equals the longer one is it.
+    # Most arrays lie along the time, by their longer sides; of equals the longer one is it.
+    lengths = [n for a in arrays.values() if (n := max(a.shape)) >= _FEWEST]
     length = max(set(lengths), key=lambda n: (lengths.count(n), n), default=0)
     around = [*leaves.items(), *whole.items()]
     columns: dict[str, NDArray[Any]] = {}
@@ -196,12 +197,16 @@ def _of_torch(path: Path) -> Leaves:
         import torch
     except ImportError:
         raise MissingExtra("files of torch need torch: pip install torch") from None
+    # Arrays of numpy beside the tensors: what rebuilds numbers runs no other code.
+    numbers = {type(np.dtype(kind)) for kind in "?bBhHiIqQefd"}
+    known: list[Any] = [np.ndarray, np.dtype, np.zeros(0).__reduce__()[0], encode, *numbers]
     try:
-        whole = torch.load(path, map_location="cpu", weights_only=True)
+        with torch.serialization.safe_globals(known):
+            whole = torch.load(path, map_location="cpu", weights_only=True)
     except Exception:
         raise InvalidData(
-            "it holds more than tensors, numbers and texts, or is damaged; files that can hold "
-            "code are not read: save its tensors as a dictionary, or as .npz"
+            "it holds more than tensors, arrays, numbers and texts, or is damaged; files that can "
+            "hold code are not read: save its tensors as a dictionary, or as .npz"
         ) from None
     tensor = torch.Tensor
     return {k: v.numpy() if isinstance(v, tensor) else v for k, v in _flat(whole).items()}

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -160,6 +161,7 @@ class Roles:
         self.vectors = self._vectors()
         self.places = {s.sort: j for v in self.vectors if v.given for j, s in v.members.items()}
         self._take_positions()
+        self._take_places()
         self._take_units()
         self._take_tools(_NEVER)
         self._take_rest()
@@ -230,6 +232,22 @@ class Roles:
                 for first in range(len(own) - stride * (count - 1)):
                     block = own[first : first + stride * (count - 1) + 1 : stride]
                     yield Vector(dict(zip(names, block, strict=True)), words, False)
+
+    def _take_places(self) -> None:
+        """Places of joints in the vectors beside that of the positions, as wide as it.
+
+        Their other entries are of what the model has not: the other legs of a robot.
+        """
+        taken = {p.meaning.index: j for j, (p, *_) in self.positions.items() if not self._label(p)}
+        own = {(p.source, p.meaning.vector) for p, *_ in self.positions.values()}
+        width = Counter((s.source, s.meaning.vector) for s in self.signals)
+        if None in taken or len(own) != 1 or len(taken) < len(self.joints):
+            return
+        for s in self.signals:
+            of = (s.source, s.meaning.vector)
+            beside = of not in own and width[of] == width[next(iter(own))]
+            if beside and s.meaning.index is not None and not s.meaning.joint:
+                self.places[s.sort] = taken.get(s.meaning.index, f"[{s.meaning.index}]")
 
     # --------------------------------------------------------------------- positions
 

@@ -64,7 +64,8 @@ def write_mat(path: Path, time: np.ndarray, columns: Columns) -> Path:
 
 def write_torch(path: Path, time: np.ndarray, columns: Columns) -> Path:
     values = {name: torch.from_numpy(own.copy()) for name, own in columns.items()}
-    torch.save({"time": torch.from_numpy(time.copy()), **values}, path.with_suffix(".pt"))
+    gains = {"kp": np.full(12, 20.0), "kd": np.full(12, 1.5)}  # arrays of numpy, of another length
+    torch.save({"time": torch.from_numpy(time.copy()), **values, **gains}, path.with_suffix(".pt"))
     return path.with_suffix(".pt")
 
 
