@@ -659,6 +659,22 @@ def test_a_wrapped_position_is_put_to_the_turn_of_its_command(home: Path, motion
         np.testing.assert_allclose(own, motion.position[:, i] + 2 * np.pi * turns[i], atol=1e-6)
 
 
+def test_a_robot_of_which_the_model_has_one_leg(home: Path, motion: Motion) -> None:
+    """The other leg moves alike, and its velocities have less noise."""
+
+    def legs(name: str) -> str:
+        return " ".join(f"{name}_{k}" for k in range(6))
+
+    noise = np.random.default_rng(0).normal(0, 0.1, motion.velocity.shape)
+    found = guess(home, ARM, motion,
+                  (legs("dof_pos"), np.hstack([motion.position, motion.position + 0.3])),
+                  (legs("dof_vel"), np.hstack([motion.velocity + noise, motion.velocity])),
+                 )  # fmt: skip
+    for k, joint in enumerate(JOINTS):
+        assert found[f"sensor.{joint}_pos"].candidate.key.channel == f"dof_pos_{k}"
+        assert found[f"sensor.{joint}_vel"].candidate.key.channel == f"dof_vel_{k}"
+
+
 def test_words_of_a_servo_are_ticks(home: Path, motion: Motion) -> None:
     def ticks(values: np.ndarray) -> np.ndarray:
         return np.round(values / (2 * np.pi) * 4096 + 2048)
