@@ -181,24 +181,23 @@ class BeliefAgent(EpisodeAgent):
 
     def decide_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
         """Take a measurement in each episode, or give the verdict of highest expected reward."""
-        named = [self._named(now) for now in situations]
-        going = [now for now, name in zip(situations, named, strict=True) if name is None]
+        decided = [self.decide(now) for now in situations]
+        going = [now for now, own in zip(situations, decided, strict=True) if own is None]
+        if not going:
+            return [own for own in decided if own is not None]
         together = getattr(self.policy, "choose_all", None)
-        chosen = iter(
-            (together(going) if together else [self.policy.choose(now) for now in going])
-            if going
-            else ()
-        )
-        return [next(chosen) if name is None else self.problem.verdict(name) for name in named]
+        chosen = iter(together(going) if together else map(self.policy.choose, going))
+        return [next(chosen) if own is None else own for own in decided]
 
-    def _named(self, situation: Situation) -> str | None:
-        """Verdict of highest expected reward where it is time for one, else None."""
+    def decide(self, situation: Situation) -> NDArray[np.int64] | None:
+        """Give the verdict of highest expected reward, or None to take the policy's record."""
         if situation.records > 0 and (
             situation.records >= self.problem.settings.max_records
             or self.stopping.stop(situation)
             or surprise_of(situation.memory) < DECISIVE * self.surprising
         ):
-            return verdict_of(self.problem, situation, self.surprising)
+            named = verdict_of(self.problem, situation, self.surprising)
+            return None if named is None else self.problem.verdict(named)
         return None
 
     def situations(

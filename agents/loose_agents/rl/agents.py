@@ -206,11 +206,8 @@ class LearnedAgent(BeliefAgent):
         form = PolicyForm(problem, estimator.feature_size, geometry=geometry)
         return cls(problem, load_network(where, form), estimator, geometry=geometry)
 
-    def decide_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
+    def decide(self, situation: Situation) -> NDArray[np.int64]:
         """Evaluate the policy."""
-        return [self._decide(now) for now in situations]
-
-    def _decide(self, situation: Situation) -> NDArray[np.int64]:
         problem, form, now = self.problem, self.form, situation
         observation = now.observation
         further = self.estimator.features(observation, now.memory)
