@@ -1,23 +1,11 @@
-"""Parallel tasks by joblib (processes or cluster), stored results by episode, progress line.
+"""Parallel tasks by joblib, stored results by episode, progress line.
 
 No result depends on the backend, the number of workers, the size of a task or what was interrupted:
 everything random in episode k comes from streams of its own, never from a worker or an order.
-
-On a Slurm cluster the workers are dask-jobqueue's, started once and used by any script here:
-
-    from dask_jobqueue import SLURMCluster
-    from distributed import Client
-
-    cluster = SLURMCluster(cores=1, memory="4GB", walltime="02:00:00", queue="cpu")
-    cluster.scale(jobs=100)
-    print(cluster.scheduler_address)  # python SCRIPT --backend dask --dask-scheduler ADDRESS
-    Client(cluster).run(lambda: None)  # waits for the first worker
-    input("Enter ends the jobs")
 """
 
 from __future__ import annotations
 
-import importlib
 import io
 import json
 import math
@@ -26,23 +14,19 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path, PurePath
 from typing import Any, Literal, TextIO
 
+import joblib
 import numpy as np
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 from tqdm import tqdm
 
-from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError, MissingExtra
+from loose_env.errors import InvalidData, InvalidSetting, LooseEnvError
 from loose_env.evaluation import configuration_hash
 from loose_env.io import Count, NonNegativeCount, write_bytes
 
-ONE_THREAD = dict.fromkeys(
-    ("MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
-)
-"""Environment of a worker. One thread even where there is one worker: the order in which threads
-add up changes the last digit, and rows must not depend on the number of workers."""
 _LINES = 10
 """Lines of a whole run where there is no terminal to write a line over."""
 
@@ -51,15 +35,12 @@ _LINES = 10
 class BackendSettings:
     """Where the work runs; no result depends on it."""
 
-    backend: Literal["loky", "threading", "dask"] = "loky"
-    """Where the work runs: loky, processes on this machine; threading, threads of this process;
-    dask, a Dask cluster, or one started here."""
+    backend: Literal["loky", "threading"] = "loky"
+    """Where the work runs: loky, processes on this machine; threading, threads of this process."""
     workers: Count | None = None
     """Tasks that run side by side; by default as many as there are cores."""
     retries: NonNegativeCount = 2
     """Times that tasks run again after a worker died."""
-    dask_scheduler: str | None = None
-    """Running Dask scheduler, as in tcp://host:8786; by default one on this machine."""
 
 
 class WorkerDied(LooseEnvError, RuntimeError):
@@ -91,40 +72,37 @@ def results_of(
     if not len(tasks):
         return
     chosen = settings or BackendSettings()
-    joblib = _installed("joblib", "scale")
     done: set[int] = set()
     here = os.getpid()
-    with ExitStack() as stack:
-        died = _begun(chosen, stack)
 
-        def run(positions: Sequence[int], workers: int) -> Iterator[tuple[int, Any]]:
-            calls = (joblib.delayed(_numbered)(work, k, tasks[k]) for k in positions)
-            own: dict[str, Any] = {}
-            if chosen.backend == "loky":
-                own = {"inner_max_num_threads": 1}
-                own |= {"initializer": _end_with, "initargs": (here,)}
-            with joblib.parallel_config(chosen.backend, **own):
-                found = joblib.Parallel(
-                    workers, batch_size=1, pre_dispatch="n_jobs", return_as="generator_unordered"
-                )(calls)
-            for position, result in found:
-                done.add(position)
-                yield position, result
+    def run(positions: Sequence[int], workers: int) -> Iterator[tuple[int, Any]]:
+        calls = (joblib.delayed(_numbered)(work, k, tasks[k]) for k in positions)
+        own: dict[str, Any] = {}
+        if chosen.backend == "loky":
+            own = {"inner_max_num_threads": 1}
+            own |= {"initializer": _end_with, "initargs": (here,)}
+        with joblib.parallel_config(chosen.backend, **own):
+            found = joblib.Parallel(
+                workers, batch_size=1, pre_dispatch="n_jobs", return_as="generator_unordered"
+            )(calls)
+        for position, result in found:
+            done.add(position)
+            yield position, result
 
-        workers = chosen.workers or joblib.cpu_count()  # one: this process
-        workers = min(workers, max(2, len(tasks)))  # a lone task may still end its worker
-        for deaths in range(chosen.retries + 1):
-            try:
-                yield from run([k for k in range(len(tasks)) if k not in done], workers)
-                return
-            except died as error:
-                words = (str(error).strip() or type(error).__name__).splitlines()[0]
-                print(f"a worker died ({deaths + 1}): {words}", file=sys.stderr)
-        for position in (k for k in range(len(tasks)) if k not in done):
-            try:
-                yield from run([position], 2)
-            except died as error:
-                raise WorkerDied(position, words) from error
+    workers = chosen.workers or joblib.cpu_count()  # one: this process
+    workers = min(workers, max(2, len(tasks)))  # a lone task may still end its worker
+    for deaths in range(chosen.retries + 1):
+        try:
+            yield from run([k for k in range(len(tasks)) if k not in done], workers)
+            return
+        except TerminatedWorkerError as error:
+            words = (str(error).strip() or type(error).__name__).splitlines()[0]
+            print(f"a worker died ({deaths + 1}): {words}", file=sys.stderr)
+    for position in (k for k in range(len(tasks)) if k not in done):
+        try:
+            yield from run([position], 2)
+        except TerminatedWorkerError as error:
+            raise WorkerDied(position, words) from error
 
 
 def _end_with(parent: int) -> None:
@@ -140,41 +118,6 @@ def _end_with(parent: int) -> None:
 
 def _numbered(work: Callable[[Any], Any], position: int, task: Any) -> tuple[int, Any]:
     return position, work(task)
-
-
-def _begun(settings: BackendSettings, stack: ExitStack) -> tuple[type[BaseException], ...]:
-    """Join or start the cluster of a backend; errors by which a dead worker shows."""
-    if settings.backend == "dask":
-        distributed = _installed("distributed", "dask")
-        cluster: Any = settings.dask_scheduler
-        if cluster is None:
-            cluster = stack.enter_context(
-                distributed.LocalCluster(
-                    n_workers=settings.workers, threads_per_worker=1, dashboard_address=None,
-                    env=ONE_THREAD,
-                )
-            )  # fmt: skip
-        try:
-            stack.enter_context(distributed.Client(cluster))
-        except (OSError, ValueError, RuntimeError) as error:
-            raise InvalidSetting(
-                f"no Dask scheduler answers at {settings.dask_scheduler}; start one with "
-                f"'dask scheduler', or give no address: {error}"
-            ) from error
-        return (distributed.KilledWorker,)
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    return (TerminatedWorkerError,)
-
-
-def _installed(module: str, extra: str) -> Any:
-    """Import a package of an extra."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise MissingExtra(
-            f"{module} is not installed: pip install 'loose-env[{extra}]' brings it"
-        ) from error
 
 
 def spans(total: int, size: int) -> list[range]:

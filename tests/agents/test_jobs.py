@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import signal
 import subprocess
@@ -36,11 +35,6 @@ SPANS = spans(11, 3)
 CONFIGURATION = {"seed": 5, "arm": {"links": 4}}
 THREADS = BackendSettings(backend="threading", workers=1)
 TWO = BackendSettings(workers=2)
-
-
-def needs(package: str) -> pytest.MarkDecorator:
-    missing = importlib.util.find_spec(package) is None
-    return pytest.mark.skipif(missing, reason=f"{package} is not installed")
 
 
 def rows_of(span: range) -> list[dict[str, Any]]:
@@ -85,9 +79,6 @@ def all_rows(settings: BackendSettings, work: Any = rows_of) -> list[dict[str, A
 
 
 EXPECTED = [row for span in SPANS for row in rows_of(span)]
-CLUSTERS = [
-    pytest.param("dask", marks=[needs("distributed"), pytest.mark.slow]),
-]
 
 
 @pytest.mark.slow
@@ -96,13 +87,6 @@ def test_rows_are_the_same_for_every_number_of_workers(backend: Any, workers: in
     assert all_rows(BackendSettings(backend=backend, workers=workers)) == EXPECTED
     whole = results_of(rows_of, spans(11, 4), THREADS)
     assert [row for _, rows in whole for row in rows] == EXPECTED
-
-
-@pytest.mark.parametrize("backend", CLUSTERS)
-def test_rows_are_the_same_on_a_cluster_and_its_workers_have_one_thread(backend: Any) -> None:
-    settings = BackendSettings(backend=backend, workers=2)
-    assert all_rows(settings) == EXPECTED
-    assert {found for _, found in results_of(threads_of_blas, SPANS, settings)} == {"1"}
 
 
 def test_a_killed_worker_loses_and_doubles_no_row(tmp_path: Path) -> None:

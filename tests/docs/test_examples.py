@@ -38,9 +38,6 @@ FEWER: dict[str, dict[str, str]] = {
         "num, length, updates, rate = 64, 32, 3": "num, length, updates, rate = 8, 32, 1",
     },
     "environments.md": {
-        "2400": "240",
-        "2000": "200",
-        "range(300)": "range(30)",
         "arms, n, iterations, adaptive = 256, 3, 3": "arms, n, iterations, adaptive = 16, 3, 2",
     },
 }
