@@ -28,6 +28,7 @@ from loose_agents.rl.training_env import evaluation_seed
 
 from loose_env.envs import EnvBatch
 from loose_env.errors import InvalidData
+from loose_env.wrappers import vector
 from scripts.agents import enjoy, learning_curves, train
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -201,12 +202,17 @@ def test_learning_curves_are_written_resume_and_their_checkpoints_play(
     env = gymnasium.make_vec("loose_env/Vera-v0", num_envs=4, engine="reduced")
     problem, path = Problem.of(env.arm, env.settings), run / "checkpoint.zip"
     agent, model = model_agent(path, problem), MaskablePPO.load(path, device="cpu")
+    minus = vector.MeasuredMinusNominal(env)
+    macros, every = vector.MacroActions(minus), np.arange(4)
     observation, infos = env.reset(seed=2)
     rng = np.random.default_rng(0)
     for _ in range(3):
-        wanted, _ = model.predict(
-            observation, deterministic=True, action_masks=infos["action_mask"]
+        choices, _ = model.predict(
+            minus.shown(observation, every),
+            deterministic=True,
+            action_masks=macros.masks(infos["action_mask"]),
         )
+        wanted = macros.inner_actions(choices)
         np.testing.assert_array_equal(agent.predict(observation)[0], wanted)
         actions = rng.integers(0, env.single_action_space.nvec, size=(4, 6))
         actions[:, -1] = 0
