@@ -13,13 +13,13 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from loose_agents.base import Agent, EpisodeAgent, Problem
 from loose_env.diagnosis import Belief, LinkReadings, link_axes, misfit, read_network
 from loose_env.envs import DiagnosisSettings, EnvBatch, ObservationLayout, difficulty_named
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.faults import UNSURE
+from loose_env.typing import Array
 from loose_env.wrappers import Posterior, analytic_posterior, checked_order, taken_in
 
 SURPRISING = 0.003
@@ -456,27 +456,35 @@ class Tracker:
         return n * (d * (d + 1) // 2) + 2 * n
 
     def features(self, observation: NDArray[np.float32], memory: _Tracked) -> NDArray[np.float32]:
-        """Policy features in addition to the probabilities.
+        """Policy features in addition to the probabilities, as `seen` tells them."""
+        _, shown = self.seen([memory])
+        return np.asarray(shown[0])
+
+    def seen(self, memories: Sequence[_Tracked]) -> tuple[Array, NDArray[np.float32]]:
+        """Probabilities by the posterior (A, hypotheses) and further features (A, features).
 
         For every link the mean of its sliding direction's products of components, in the link's
         frame, times the probability that it is loose; then for every fault the mean place of its
         friction among the nodes, from -1 for the lowest to 1 for the highest.
         """
-        belief = getattr(memory.belief, "belief", memory.belief)
-        log = logsumexp(belief.loose, axis=0)
-        top = log.max()
-        weight = np.exp(log - top)
-        n, u = belief.links, belief.directions
-        total = weight.sum() + np.exp(belief.healthy - top).sum()
-        by_direction = weight[: n * len(u)].sum(1).reshape(n, len(u)) / total
+        beliefs = [getattr(memory.belief, "belief", memory.belief) for memory in memories]
+        n, u = beliefs[0].links, beliefs[0].directions
+        loose, healthy = (
+            np.stack([getattr(b, name) for b in beliefs]) for name in ("loose", "healthy")
+        )
+        top = np.maximum(loose.max(axis=(1, 2, 3)), healthy.max(axis=1))[:, None]
+        weight = np.exp(loose - top[..., None, None]).sum(1)  # (A, places, frictions)
+        total = weight.sum((1, 2)) + np.exp(healthy - top).sum(1)
+        slides = weight[:, : n * len(u)].reshape(len(beliefs), n, len(u), -1)
         upper = np.triu_indices(u.shape[1])
-        products = (u[:, upper[0]] * u[:, upper[1]])[None]
-        directions = (by_direction[..., None] * products).sum(1)
-        slides = weight[: n * len(u)].reshape(n, len(u), -1).sum(1)
-        by_node = np.concatenate([slides, weight[n * len(u) :]]) + 1e-12
-        nodes = np.linspace(-1.0, 1.0, by_node.shape[1])
-        friction = by_node @ nodes / by_node.sum(1)
-        return np.concatenate([directions.ravel(), friction]).astype(np.float32)
+        products = slides.sum(3) @ (u[:, upper[0]] * u[:, upper[1]]) / total[:, None, None]
+        by_node = np.concatenate([slides.sum(2), weight[:, n * len(u) :]], axis=1)
+        by_node += 1e-12 * total[:, None, None]
+        nodes = np.linspace(-1.0, 1.0, by_node.shape[2])
+        friction = by_node @ nodes / by_node.sum(2)
+        shown = np.concatenate([products.reshape(len(beliefs), -1), friction], axis=1)
+        told = np.array([memory.belief.probabilities[self._order] for memory in memories])
+        return told, shown.astype(np.float32)
 
 
 def belief_of(situation: Situation) -> Belief:
@@ -506,9 +514,16 @@ def _amortised(problem: Problem) -> Tracker:
     return Tracker(problem, posterior)
 
 
+def _calibrated(problem: Problem) -> Tracker:
+    from loose_agents.policies.foresight import Calibrated
+
+    return Calibrated(problem)
+
+
 ESTIMATORS: dict[str, tuple[Callable[[Problem], Tracker], str]] = {
     "posterior": (Tracker, "the analytic posterior over the faults"),
     "amortised": (_amortised, "the posterior with a learned likelihood"),
+    "calibrated": (_calibrated, "the analytic posterior, its probabilities corrected by a network"),
 }
 """Constructor and short description of each estimator."""
 

@@ -182,6 +182,10 @@ AGENTS: dict[str, tuple[Callable[[Problem, int], Agent], str]] = {
     ),
     "greedy": (_of("greedy"), "the task's posterior, the most telling record next"),
     "look_ahead": (_of("look_ahead"), "the same, two records ahead"),
+    "foresight": (
+        _of("foresight", "calibrated"),
+        "probabilities and the choice of records corrected by what came true on simulated arms",
+    ),
     **{
         f"fixed_{k}": (_fixed(k), f"the same {k} record{'s' * (k > 1)} on every arm, then a name")
         for k in range(1, FIXED_RECORDS + 1)

@@ -51,6 +51,7 @@ from loose_env.arms.library import (
     vera_spec,
 )
 from loose_env.arms.linear import (
+    ArmGeometry,
     LinearArm,
     LinearPose,
     LinearPoses,
@@ -89,6 +90,7 @@ __all__ = [
     "SERVO_ARM",
     "SIX_AXIS_SERVO_ARM",
     "Arm",
+    "ArmGeometry",
     "BendingLink2",
     "Chain",
     "Drift",

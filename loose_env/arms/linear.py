@@ -88,6 +88,20 @@ class Response:
         return np.asarray(self.pose.alone.transmitted(self.acceleration[None])[0])
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmGeometry:
+    """An arm in B poses, in the base's axes."""
+
+    slides: Array
+    """Sliding axes of every link, unit vectors (B, n, 3, d)."""
+    motion: Array
+    """Tool motion per joint motion [m/rad, or 1] (B, n, 3)."""
+    axes: Array
+    """Axes of the joints, unit vectors (B, n, 3)."""
+    places: Array
+    """Places of the joints from the tool [m] (B, n, 3)."""
+
+
 class LinearArm:
     """The nominal arm with all its seats, linearised wherever it is asked to be.
 
@@ -250,14 +264,23 @@ class LinearArm:
         turned = frames.transpose(0, 2, 1) @ jacobian[:, :, self.joint_dofs]
         return turned[:, list(self.arm.axes)]
 
-    def axes(self, poses: Array) -> tuple[Array, Array]:
-        """Sliding axes of every link and tool motion per joint motion, in the base's axes.
-
-        Of poses [rad] (B, n): unit vectors (B, n, 3, d), and [m/rad] (B, n, 3).
-        """
-        jacobian, _ = self._jacobians(poses)
-        slides = jacobian[:, :, self.slide_dofs].transpose(0, 2, 1, 3)
-        return slides, jacobian[:, :, self.joint_dofs].transpose(0, 2, 1)
+    def geometry(self, poses: Array) -> ArmGeometry:
+        """Where links and joints are and how they move the tool, at poses [rad] (B, n)."""
+        model, data = self.model, self._data
+        joints, count = model.dof_jntid[self.joint_dofs], len(poses)
+        jacobian, axes, places = np.zeros((count, 3, model.nv)), *np.empty((2, *poses.shape, 3))
+        for k in self._placed(poses):
+            mujoco.mj_jacSite(model, data, jacobian[k], None, self.tool)
+            axes[k], places[k] = (
+                data.xaxis[joints],
+                data.xanchor[joints] - data.site_xpos[self.tool],
+            )
+        return ArmGeometry(
+            slides=jacobian[:, :, self.slide_dofs].transpose(0, 2, 1, 3),
+            motion=jacobian[:, :, self.joint_dofs].transpose(0, 2, 1),
+            axes=axes,
+            places=places,
+        )
 
     def _jacobians(self, poses: Array) -> tuple[Array, Array]:
         """Tool motion per coordinate in the base's axes (B, 3, nv); the tool's axes (B, 3, 3)."""

@@ -18,7 +18,6 @@ from typing import Annotated, Any
 
 from loose_agents.belief import ESTIMATORS
 from loose_agents.jobs import ProgressLine
-from loose_agents.policies.choice import POLICIES
 from loose_agents.rl.hyperparameters import (
     ALGORITHMS,
     HYPERPARAMETERS,
@@ -68,12 +67,6 @@ class Options:
     """Forget what the run's folder holds."""
     export: Path | None = None
     """Folder for the best policy at the end."""
-    geometry: bool = False
-    """Show links and tool in the base's axes beside the posterior."""
-    planner: Annotated[str | None, one_of(tuple(POLICIES))] = None
-    """Policy that is imitated first, such as greedy."""
-    planner_steps: NonNegativeCount = 16_000
-    """Its steps."""
     shaping: float = 0.1
     """Reward for a nat of log-posterior gained."""
     forced_records: Count = 3
@@ -124,9 +117,6 @@ def train(options: Options) -> Path:
         evaluations=steps / options.eval_freq if options.eval_freq > 0 else 0.0,
         eval_episodes=options.eval_episodes,
         save_freq=options.save_freq,
-        geometry=options.geometry,
-        planner=options.planner,
-        planner_steps=options.planner_steps,
         shaping=options.shaping,
         forced_records=options.forced_records,
         forced_share=options.forced_share,

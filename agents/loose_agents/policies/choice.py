@@ -122,6 +122,12 @@ def _constant(problem: Problem, estimator: Estimator) -> Policy:
     return ConstantPolicy(problem, tuple(min(level, top) for level in levels))
 
 
+def _foresight(problem: Problem, estimator: Estimator) -> Policy:
+    from loose_agents.policies.foresight import ForesightPolicy
+
+    return ForesightPolicy(problem, estimator)
+
+
 POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
     "random": (lambda problem, _: RandomPolicy(problem), "random poses, joint, level and length"),
     "constant": (_constant, "the best single joint and level, random poses"),
@@ -145,6 +151,7 @@ POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
         lambda problem, made: LookAheadPolicy(problem, information_of(problem, made)),
         "the record that is worth most with the next one in view",
     ),
+    "foresight": (_foresight, "the record after which a network foretells the least doubt"),
 }
 """Constructor and short description of each policy."""
 

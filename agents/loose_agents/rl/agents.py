@@ -61,16 +61,14 @@ FURTHER_BOUND = 5.0
 class PolicyForm:
     """Observation and action encoding of the learned policy.
 
-    It sees the `loose_env.wrappers.posterior_features`, then what else the estimator has to show;
-    with ``geometry`` the links and the tool in the base's axes, too: which way every link points
-    and may slide, and how every joint moves the tool.
+    It sees the `loose_env.wrappers.posterior_features`, then what else the estimator has to show.
 
     It chooses moves, levels and a record length by the entries of the environment's action, and
     in place of the verdict whether to stop.
     """
 
-    def __init__(self, problem: Problem, further: int = 0, *, geometry: bool = False) -> None:
-        self.problem, self.further, self.geometry = problem, further, geometry
+    def __init__(self, problem: Problem, further: int = 0) -> None:
+        self.problem, self.further = problem, further
         self.nvec = np.append(problem.actions.nvec[:-1], 2)
         kinds = len(problem.hypotheses)
         start = problem.layout.global_elements
@@ -78,8 +76,6 @@ class PolicyForm:
             *posterior_bounds(kinds, start),
             *[(-FURTHER_BOUND, FURTHER_BOUND)] * further,
         ]
-        if geometry:
-            bounds += [(-1.0, 1.0)] * problem.arm.n * (9 + 3 * len(problem.arm.axes))
         low, high = np.array(bounds, dtype=np.float32).T
         self.observation_space = spaces.Box(low, high, dtype=np.float32)
         self.action_space = spaces.MultiDiscrete(self.nvec)
@@ -97,25 +93,9 @@ class PolicyForm:
             raise InvalidData(
                 f"the estimator said that it shows {self.further} numbers, it showed {shown.shape}"
             )
-        parts = [posterior_features(probabilities, start), shown]
-        if self.geometry:
-            parts.append(self._geometry(observation, shown))
+        found = np.concatenate([posterior_features(probabilities, start), shown])
         space = self.observation_space
-        return np.asarray(np.clip(np.concatenate(parts).astype(np.float32), space.low, space.high))
-
-    def _geometry(
-        self, observation: NDArray[np.float32], further: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Sliding directions by their products, axes of the links, tool motion per joint motion."""
-        problem, (n, d) = self.problem, (self.problem.arm.n, len(self.problem.arm.axes))
-        pose = problem.layout.pose_of(observation)[None]
-        (axes,), (motion,) = problem.linear.axes(np.asarray(pose, dtype=float))
-        upper = np.triu_indices(d)
-        products = np.zeros((n, d, d))
-        products[:, *upper] = further[: n * len(upper[0])].reshape(n, -1)
-        products[:, *upper[::-1]] = products[:, *upper]
-        turned = (axes @ products @ axes.mT)[:, *np.triu_indices(3)]
-        return np.concatenate([turned, axes.reshape(n, -1), motion / problem.arm.reach], 1).ravel()
+        return np.asarray(np.clip(found.astype(np.float32), space.low, space.high))
 
     def stops(self, choice: NDArray[np.int64], records: int, *, least: int = 1) -> bool:
         """Return True if a choice ends the episode, within the record limits."""
@@ -180,12 +160,11 @@ class LearnedAgent(BeliefAgent):
         estimator: Tracker | None = None,
         stopping: StoppingRule | None = None,
         *,
-        geometry: bool = False,
         seed: int = 0,
     ) -> None:
         made = make_estimator("posterior", problem) if estimator is None else estimator
         super().__init__(problem, made, None, stopping, seed=seed)
-        self.form = PolicyForm(problem, made.feature_size, geometry=geometry)
+        self.form = PolicyForm(problem, made.feature_size)
         self.network = network
 
     @classmethod
@@ -202,9 +181,8 @@ class LearnedAgent(BeliefAgent):
         if arm != problem.arm.name:
             raise InvalidData(f"{where} was trained for arm {arm!r:.60}, not {problem.arm.name!r}")
         estimator = make_estimator(str(described.get("estimator", "posterior")), problem)
-        geometry = bool(described.get("geometry"))
-        form = PolicyForm(problem, estimator.feature_size, geometry=geometry)
-        return cls(problem, load_network(where, form), estimator, geometry=geometry)
+        form = PolicyForm(problem, estimator.feature_size)
+        return cls(problem, load_network(where, form), estimator)
 
     def decide(self, situation: Situation) -> NDArray[np.int64]:
         """Evaluate the policy."""
@@ -303,8 +281,7 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
         made = _network(stored, problem, choices_of(shell.single_action_space), layout_of(shell))
         return ModelAgent(problem, made, wrappers, seed=seed)
     estimator = make_estimator(str(beside.get("estimator", "posterior")), problem)
-    geometry = bool(beside.get("geometry"))
-    form = PolicyForm(problem, estimator.feature_size, geometry=geometry)
+    form = PolicyForm(problem, estimator.feature_size)
     sees = form.observation_space.shape[0]
     if seen != sees:
         raise InvalidData(
@@ -313,7 +290,7 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
             "settings or through a wrapper"
         )
     network = _network(stored, problem, form.nvec)
-    return LearnedAgent(problem, network, estimator, geometry=geometry, seed=seed)
+    return LearnedAgent(problem, network, estimator, seed=seed)
 
 
 def _network(

@@ -27,9 +27,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from loose_agents.base import CURVE_SEED, Problem
-from loose_agents.belief import BeliefAgent, Tracker, make_estimator, tuned_stopping
+from loose_agents.belief import Tracker, make_estimator
 from loose_agents.evaluation import evaluate, make_environments
-from loose_agents.policies.choice import make_policy
 from loose_agents.rl.agents import (
     CONFIGURATION,
     LearnedAgent,
@@ -110,12 +109,6 @@ class Training:
     """Wrappers of the environment's own observation and action, the first innermost."""
     training_prices: dict[str, float] = field(default_factory=dict)
     """Prices of the training alone; evaluations have the task's."""
-    geometry: bool = False
-    """True for a policy that sees links and tool in the base's axes beside the posterior."""
-    planner: str | None = None
-    """Policy that is imitated before the training; None: none."""
-    planner_steps: int = 0
-    """Steps of it, of all environments together."""
     shaping: float = 0.0
     """Reward for a nat of log-posterior gained."""
     forced_records: int = 1
@@ -151,14 +144,11 @@ class Training:
             "hypotheses": problem.hypotheses,
             "estimator": self.estimator,
             "wrappers": list(self.wrappers),
-            "geometry": self.geometry,
             "seed": self.seed,
             "n_timesteps": self.steps,
             "hyperparameters": own,
             "training": {
                 "prices": self.training_prices,
-                "planner": self.planner,
-                "planner_steps": self.planner_steps,
                 "shaping": self.shaping,
                 "forced_records": self.forced_records,
                 "forced_share": self.forced_share,
@@ -349,8 +339,6 @@ class RunCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._saved, self._due = self.model.num_timesteps, self._number()
-        if self.run.planner is not None and not self._saved:
-            self.save()
         if self.run.last_episodes is not None and not self.state.points:
             self._evaluate(self.run.eval_episodes)
 
@@ -409,7 +397,7 @@ class RunCallback(BaseCallback):
         agent: Any = (
             ModelAgent(problem, network, self.run.wrappers)
             if self.estimator is None
-            else LearnedAgent(problem, network, self.estimator, geometry=self.run.geometry)
+            else LearnedAgent(problem, network, self.estimator)
         )
         rows = evaluate(
             agent, "policy", problem.arm, problem.settings, episodes=episodes,
@@ -491,7 +479,7 @@ def train(
     vec: Any = (
         Sb3VecEnv(wrapped(env, run.wrappers))
         if estimator is None
-        else TrackedVecEnv(env, problem, estimator, shaping=run.shaping, geometry=run.geometry)
+        else TrackedVecEnv(env, problem, estimator, shaping=run.shaping)
     )
     budget = Budget(steps=run.steps, seconds=run.seconds)
     for name in ("learning_rate", "clip_range"):
@@ -531,8 +519,6 @@ def train(
         if run.network == "set" and not resumed:
             state.records += standardise(model, vec)
         show = show or (lambda steps, words: None)
-        if run.planner is not None and estimator is not None and not resumed:
-            state.records += _imitated(model, vec, run, problem, estimator, show)
         state.restore_generators()
         if not run.tensorboard:
             model.set_logger(Logger(None, []))  # its own would leave an empty folder in /tmp
@@ -631,30 +617,6 @@ def standardise(model: Any, vec: Any) -> int:
         seen.append(observation)
     model.policy.features_extractor.standardise(np.concatenate(seen))
     return taken
-
-
-def _imitated(
-    model: Any,
-    vec: TrackedVecEnv,
-    run: Training,
-    problem: Problem,
-    estimator: Tracker,
-    show: Callable[[int, str], None],
-) -> int:
-    """Imitate a planner on the training's first episodes; return the number of its records."""
-    from loose_agents.rl.imitation import demonstrate, imitate
-
-    assert run.planner is not None
-    rng = np.random.default_rng([run.seed, training_seed(run.seed, 0)])
-    planner = BeliefAgent(
-        problem,
-        estimator,
-        make_policy(run.planner, problem, estimator),
-        tuned_stopping(problem, f"{run.estimator}/{run.planner}"),
-    )
-    shown = demonstrate(vec, planner, max(run.planner_steps // vec.num_envs, 1), rng, show)
-    imitate(model, shown, rng)
-    return int((shown.choices[:, -1] == 0).sum())
 
 
 def git_commit(folder: Path) -> str | None:

@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from loose_agents.base import Problem
-from loose_agents.belief import Situation, Tracker, make_estimator, records_measured
+from loose_agents.belief import Tracker, make_estimator, records_measured
 from loose_agents.rl.agents import PolicyForm
 from loose_env.envs import DiagnosisVectorEnv
 from loose_env.envs.sb3 import Sb3VecEnv
@@ -80,13 +80,12 @@ class TrackedVecEnv(VecEnvWrapper):
         estimator: Tracker | None = None,
         *,
         shaping: float = 0.0,
-        geometry: bool = False,
     ) -> None:
         if not np.isfinite(shaping) or shaping < 0:
             raise InvalidSetting(f"the shaping's weight is a number, 0 or more; got {shaping!r}")
         self.problem, self.shaping = problem, shaping
         self.estimator = make_estimator("posterior", problem) if estimator is None else estimator
-        self.form = PolicyForm(problem, self.estimator.feature_size, geometry=geometry)
+        self.form = PolicyForm(problem, self.estimator.feature_size)
         self.least_records = 1
         """Records before which stopping is refused."""
         self.diagnosis = env
@@ -156,21 +155,6 @@ class TrackedVecEnv(VecEnvWrapper):
             return self.venv.env_method(method_name, *args, indices=indices, **kwargs)
         masks = self.action_masks()
         return [masks[i] for i in self._get_indices(indices)]
-
-    def situations(self, rng: np.random.Generator) -> list[Situation]:
-        """What is known now of every arm, as agents see it."""
-        poses = self.problem.layout.pose_of(self._rows)
-        return [
-            Situation(
-                observation=self._rows[i],
-                pose=poses[i],
-                records=int(self._records[i]),
-                probabilities=self._probabilities[i],
-                memory=memory,
-                rng=rng,
-            )
-            for i, memory in enumerate(self._memories)
-        ]
 
     def _begin(self, at: IndexArray, rows: NDArray[np.float32]) -> NDArray[np.float32]:
         """Reset some arms to the prior; return the policy's observations."""
