@@ -515,7 +515,7 @@ def _amortised(problem: Problem) -> Tracker:
 
 
 def _calibrated(problem: Problem) -> Tracker:
-    from loose_agents.policies.foresight import Calibrated
+    from loose_agents.rl.foresight import Calibrated
 
     return Calibrated(problem)
 

@@ -52,7 +52,7 @@ def run(options: Options) -> None:
     """Train, write the weights, print what they are worth."""
     import torch
     from loose_agents.evaluation import make_environments
-    from loose_agents.policies.foresight import folder_of
+    from loose_agents.rl.foresight import folder_of
     from loose_agents.rl.foresight_training import train
 
     torch.set_num_threads(1)

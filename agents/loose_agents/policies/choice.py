@@ -123,7 +123,7 @@ def _constant(problem: Problem, estimator: Estimator) -> Policy:
 
 
 def _foresight(problem: Problem, estimator: Estimator) -> Policy:
-    from loose_agents.policies.foresight import ForesightPolicy
+    from loose_agents.rl.foresight import ForesightPolicy
 
     return ForesightPolicy(problem, estimator)
 

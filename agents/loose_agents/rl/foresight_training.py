@@ -14,7 +14,7 @@ from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Tracker
 from loose_agents.jobs import Store, spans
 from loose_agents.policies.choice import BatchPolicy, poses
-from loose_agents.policies.foresight import (
+from loose_agents.rl.foresight import (
     POSES,
     Foresight,
     ForesightPolicy,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -98,8 +98,9 @@ class Views:
         strength = np.linalg.norm(push, axis=2)
         push /= strength[..., None] + np.float32(_SMALL)
         own, back = turned[rows], frame.mT
-        seen = (frame[:, None] @ own @ back[:, None])[..., *np.triu_indices(3)]
-        pushed = (own @ push[..., None])[..., 0]
+        half = (frame @ own.swapaxes(1, 2).reshape(-1, 3, 3 * n)).reshape(-1, 3 * n, 3) @ back
+        seen = half.reshape(-1, 3, n, 3).swapaxes(1, 2)[..., *np.triu_indices(3)]
+        pushed = np.einsum("mipq,miq->mip", own, push)
         parts = [seen, pushed @ back, (pushed * push).sum(-1), push @ back, places @ back / reach]
         parts += [strength / (size + np.float32(_SMALL)) * (n - beyond) / n, size / reach]
         return _joined([*parts, motion / reach, axis, np.eye(n)[joints]])
@@ -136,6 +137,18 @@ class Standardised(nn.Module):
         found: Tensor = self.layers(((numbers - self.mean) * self.gain).clamp(-CUT, CUT))
         return found
 
+    def of_parts(self, first: Tensor, second: Tensor, times: int) -> Tensor:
+        """The same, where each row of the first numbers goes with so many of the second."""
+        cut, layer = first.shape[1], cast(nn.Linear, self.layers[0])
+        parts = ((first, slice(None, cut)), (second, slice(cut, None)))
+        one, two = (
+            ((given - self.mean[own]) * self.gain[own]).clamp(-CUT, CUT) @ layer.weight[:, own].T
+            for given, own in parts
+        )
+        hidden = (two.reshape(len(one), times, -1) + (one + layer.bias)[:, None]).flatten(0, 1)
+        found: Tensor = self.layers[1:](hidden)
+        return found
+
 
 class Foresight(nn.Module):
     """Both networks: corrections of the log-probabilities, and the entropy after a record."""
@@ -165,9 +178,9 @@ class Foresight(nn.Module):
         n, count = self.problem.arm.n, len(p)
         pose, turned = self.views.of_poses(p, shown, at)
         rows, joints = np.repeat(np.arange(count), n), np.tile(np.arange(n), count)
-        seen = np.concatenate([pose[rows], self.views.of_records(turned, at, rows, joints)], 1)
+        record = self.views.of_records(turned, at, rows, joints)
         with torch.inference_mode():
-            found = self.after(torch.from_numpy(seen))[:, 0].numpy()
+            found = self.after.of_parts(torch.from_numpy(pose), torch.from_numpy(record), n)
         return np.asarray(found.reshape(count, n), dtype=float)
 
     def save(self, folder: Path, described: dict[str, Any]) -> None:
