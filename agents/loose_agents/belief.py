@@ -327,7 +327,9 @@ def tuned_stopping(problem: Problem, agent: str) -> Sure:
 
 
 def usual_estimator(problem: Problem) -> str:
-    """Name of the learned posterior where one is trained for a problem, else the analytic one."""
+    """Name of the best posterior of a task: one trained for it, else the analytic one."""
+    if weights_path(f"foresight-{tuning_name(problem)}").is_dir():
+        return "calibrated"
     folder = weights_path(f"posterior-{setting_name(problem)}")
     rules = (problem.arm, problem.settings.durations)
     trained = folder.is_dir() and not misfit(read_network(folder)[0], *rules)

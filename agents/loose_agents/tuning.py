@@ -25,6 +25,7 @@ from loose_agents.belief import (
     Sure,
     make_estimator,
     setting_name,
+    tuning_name,
     weights_path,
 )
 from loose_agents.jobs import BackendSettings
@@ -273,9 +274,9 @@ def agent_of(player: Player, problem: Problem) -> Agent:
 
 
 def trained(problem: Problem) -> str:
-    """Digest of the trained posterior of an arm and difficulty, if there is one."""
-    folder = weights_path(f"posterior-{setting_name(problem)}")
-    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    """Digest of the trained posteriors of a task, if there are any."""
+    names = (f"posterior-{setting_name(problem)}", f"foresight-{tuning_name(problem)}")
+    files = [file for name in names for file in sorted(weights_path(name).glob("*"))]
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
 
 

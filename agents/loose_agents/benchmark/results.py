@@ -17,7 +17,7 @@ from pydantic import ConfigDict, TypeAdapter
 
 import loose_env
 from loose_agents.base import Agent, EpisodeAgent, Problem, action_of
-from loose_agents.belief import setting_name, usual_estimator, weights_path
+from loose_agents.belief import setting_name, tuning_name, usual_estimator, weights_path
 from loose_agents.benchmark.episodes import (
     HIDDEN,
     ROUNDS,
@@ -54,6 +54,8 @@ def training_of(agent: str, problem: Problem) -> int | None:
     name, records = setting_name(problem), 0
     if estimator == "amortised":
         records = _of_bank(_described(f"posterior-{name}").get("bank"), problem)
+    if estimator == "calibrated":
+        records = int(_described(f"foresight-{tuning_name(problem)}").get("records", 0))
     if plain in LEARNED:
         suffix = f"-{number}" if number not in ("", "1") else ""
         trained = _described(f"{plain}-{name}{suffix}").get("trained", {})

@@ -24,7 +24,7 @@ from loose_agents.policies.choice import BatchPolicy, poses
 from loose_agents.rl.model_files import one_line
 from loose_env.arms import ArmGeometry
 from loose_env.errors import InvalidData
-from loose_env.io import write_bytes
+from loose_env.io import write_bytes, write_text
 from loose_env.typing import Array, IndexArray
 
 FORMAT, FILE = "loose-foresight/1", "foresight.safetensors"
@@ -184,12 +184,12 @@ class Foresight(nn.Module):
         return np.asarray(found.reshape(count, n), dtype=float)
 
     def save(self, folder: Path, described: dict[str, Any]) -> None:
-        """Write the weights atomically."""
+        """Write the weights atomically, and beside them how they were trained."""
         from safetensors.torch import save
 
         tensors = {name: value.contiguous() for name, value in self.state_dict().items()}
-        told = {"format": FORMAT, "training": json.dumps(described)}
-        write_bytes(folder / FILE, save(tensors, metadata=told))
+        write_bytes(folder / FILE, save(tensors, metadata={"format": FORMAT}))
+        write_text(folder / "configuration.json", json.dumps(described, indent=1) + "\n")
 
     @classmethod
     def load(cls, problem: Problem, folder: Path | None = None) -> Foresight:
