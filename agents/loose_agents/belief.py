@@ -308,9 +308,8 @@ def tuned(problem: Problem) -> dict[str, Any]:
     """Settings tuned on training episodes of an arm, difficulty and rules; may be empty.
 
     ``stop`` maps agents to the probability at which they stop, ``constant`` holds the best
-    levels of one joint, ``fixed`` the best sequences of records, ``information`` the factors on
-    expected information. What was not tuned under other rules (`tuning_name`) is that of the
-    usual ones. Written by scripts/agents/tune_agents.py and scripts/agents/train_posterior.py.
+    levels of one joint, ``fixed`` the best sequences of records. What was not tuned under other
+    rules (`tuning_name`) is that of the usual ones. Written by scripts/agents/tune_agents.py.
     """
     usual, own = (
         json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}

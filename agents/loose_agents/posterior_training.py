@@ -1,4 +1,4 @@
-"""Training of the learned posterior on a bank: likelihood, novelty reference, gain factors.
+"""Training of the learned posterior on a bank: likelihood, novelty reference.
 
 The loss is the log score of the hypotheses after each record, and beside it, in small part, of
 direction and friction where the truth is loose: the sums over them stay meaningful, and policies
@@ -15,7 +15,7 @@ from typing import Any, TextIO
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import minimize_scalar
 from torch import Tensor, nn
 
 from loose_agents.base import Problem
@@ -25,10 +25,7 @@ from loose_env.diagnosis import (
     NOVELTY_STATISTICS,
     REFERENCE,
     AmortisedBelief,
-    AmortisedPosterior,
-    InformationFactors,
     NoveltyReference,
-    RecordInformation,
     SeatFeatures,
     SeatNetwork,
     Seen,
@@ -40,7 +37,7 @@ from loose_env.evaluation import expected_calibration_error
 from loose_env.io import written_beside
 from loose_env.statistics import fit_gaussian_mixture
 from loose_env.typing import Array
-from loose_env.wrappers import PROBABILITY_FLOOR, records_from
+from loose_env.wrappers import records_from
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -443,69 +440,4 @@ def _rounded(reference: NoveltyReference) -> dict[str, NDArray[np.float32]]:
     return {name: values.astype(np.float32) for name, values in reference.tensors().items()}
 
 
-_LAST_INFORMATIVE = 0.97
-"""Largest probability [1] before a record whose gain is counted: agents have stopped by then."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Transitions:
-    """Expected and realised information gain of N records of a bank."""
-
-    expected: Array
-    """Information without any factor [nat] (N,)."""
-    gained: Array
-    """Gain in the log-probability of the truth [nat] (N,)."""
-    seconds: Array
-    """Length of the record [s] (N,)."""
-    excited: NDArray[np.bool_]
-    """Joints that were shaken (N, n)."""
-
-
-def transitions_of(
-    problem: Problem,
-    posterior: AmortisedPosterior,
-    bank: RecordBank,
-    rng: np.random.Generator,
-    *,
-    records: int = 3,
-) -> Transitions:
-    """Replay the episodes of a bank and predict the gain of each record."""
-    information = RecordInformation(
-        posterior.features, posterior.frictions, factors=InformationFactors()
-    )
-    rows = []
-    for truth, taken in zip(bank.truth, bank.records(problem.layout), strict=True):
-        belief = posterior.start()
-        for record in taken[:records]:
-            before = belief.probabilities
-            if record is None or before.max() > _LAST_INFORMATIVE:
-                break
-            faults = information.imagine([belief.belief], [rng])
-            own = record.several
-            expected = information.of(faults, own.pose, own.torque, own.duration)
-            belief = posterior.update(belief, record)
-            after = belief.probabilities[truth]
-            gained = np.log(max(after, PROBABILITY_FLOOR)) - np.log(
-                max(before[truth], PROBABILITY_FLOOR)
-            )
-            rows.append((expected.information[0], gained, record.duration, record.excited))
-    forecast, gained, seconds, excited = (np.array(column) for column in zip(*rows, strict=True))
-    return Transitions(expected=forecast, gained=gained, seconds=seconds, excited=excited)
-
-
-def fit_factors(found: Transitions) -> InformationFactors:
-    """Fit the factors by least squares to the mean information gain."""
-    n = found.excited.shape[1]
-
-    def factors(x: Array) -> InformationFactors:
-        return InformationFactors(
-            length=float(x[0]), together=float(x[1]), joints=tuple(float(v) for v in x[2:])
-        )
-
-    def misses(x: Array) -> Array:
-        scale = factors(x).of(found.excited, found.seconds)
-        # The pull towards zero decides where the records say nothing.
-        return np.concatenate([scale * found.expected - found.gained, 0.5 * x])
-
-    fitted = least_squares(misses, np.zeros(2 + n))
-    return factors(fitted.x)
+_LAST

@@ -198,7 +198,6 @@ def write_tuned(
     stop: Mapping[str, float],
     *,
     constant: Sequence[int] | None = None,
-    information: Mapping[str, object] | None = None,
     fixed: Mapping[str, Records] | None = None,
 ) -> None:
     """Write tuned values into a settings file, keeping its other entries."""
@@ -206,8 +205,6 @@ def write_tuned(
     known["stop"] = dict(sorted({**known.get("stop", {}), **stop}.items()))
     if constant is not None:
         known["constant"] = [int(level) for level in constant]
-    if information is not None:
-        known["information"] = dict(information)
     if fixed is not None:
         known["fixed"] = {name: [list(action) for action in own] for name, own in fixed.items()}
     write_text(path, json.dumps(known, indent=1, sort_keys=True) + "\n")

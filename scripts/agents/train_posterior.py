@@ -1,4 +1,4 @@
-"""Train the posterior on a bank of simulated records: likelihood, novelty reference, information.
+"""Train the posterior on a bank of simulated records: likelihood, novelty reference.
 
 Usage: python scripts/agents/train_posterior.py --env loose_env/Planar-v0 --episodes 20000 --out
 banks/planar4
@@ -9,10 +9,6 @@ backend and number of workers, and --bank-only stops there. A tenth of the episo
 half of them set the tempers, the table is of the others. Stopped at any moment, the same command
 goes on. Weights go to agents/loose_agents/weights, or to --weights. With them goes what arms of the
 trained kind leave unexplained, by which an agent knows an arm of another kind.
-
-Then the realised share of the expected information gain is fitted on held-out records of the bank.
-The factors go to agents/loose_agents/weights/<arm>-<difficulty>.json, where the greedy policy reads
-them; weights of your own (--weights) keep those that are there.
 """
 
 from __future__ import annotations
@@ -27,17 +23,13 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np
-from loose_agents.base import Problem
-from loose_agents.belief import WEIGHTS, make_estimator, setting_name, tuning_name
+from loose_agents.belief import WEIGHTS, setting_name
 from loose_agents.jobs import BackendSettings
 from loose_agents.posterior_training import (
     PosteriorTraining,
     TrainingSettings,
-    fit_factors,
     fit_reference,
     seen_episodes,
-    transitions_of,
     with_reference,
 )
 from loose_agents.record_bank import (
@@ -49,7 +41,6 @@ from loose_agents.record_bank import (
     read_features,
     seat_features,
 )
-from loose_agents.tuning import write_tuned
 from numpy.typing import NDArray
 
 from loose_env.cli.command import command
@@ -140,28 +131,6 @@ def train(options: Options) -> None:
             f"{row['records']:>8}{row['episodes']:>10}{100 * row['success']:>8.1f} %"
             f"{row['score']:>11.3f}{row['ece']:>8.3f}"
         )
-    if options.weights is None:
-        fit_information(problem, plan, folder)
-
-
-def fit_information(problem: Problem, plan: BankPlan, folder: Path) -> None:
-    """Fit the realised information, store it, and print what was expected and what came true."""
-    posterior: Any = make_estimator("amortised", problem).posterior
-    bank = read_bank(plan, folder, plan.shards[:HELD_OUT])
-    found = transitions_of(problem, posterior, bank, np.random.default_rng(0))
-    factors = fit_factors(found)
-    path = WEIGHTS / f"{tuning_name(problem)}.json"
-    write_tuned(path, {}, information=asdict(factors))
-    print(f"\n{'joints shaken':<16}{'records':>9}{'expected':>10}{'came true':>11}  [nat]")
-    count = found.excited.sum(1)
-    groups = [
-        (name, found.excited[:, j] & (count == 1)) for j, name in enumerate(problem.arm.joints)
-    ]
-    for name, rows in [*groups, ("all", count == problem.arm.n)]:
-        if rows.any():
-            expected, gained = found.expected[rows].mean(), found.gained[rows].mean()
-            print(f"{name:<16}{rows.sum():>9}{expected:>10.3f}{gained:>11.3f}")
-    print(f"\n{factors}\nStored in {path}")
 
 
 def reference_of(

@@ -25,7 +25,6 @@ from loose_env.diagnosis import (
     Belief,
     FaultPosterior,
     ImaginedFaults,
-    InformationFactors,
     RecordInformation,
     SeatFeatures,
 )
@@ -93,12 +92,8 @@ class ConstantPolicy:
 def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
     """Build the information criterion for the beliefs of an estimator."""
     posterior = getattr(estimator, "posterior", None)
-    fitted = tuned(problem).get("information")
-    factors = None
-    if fitted is not None:
-        factors = InformationFactors(**fitted | {"joints": tuple(fitted["joints"])})
     if isinstance(posterior, AmortisedPosterior):
-        return RecordInformation(posterior.features, posterior.frictions, factors=factors)
+        return RecordInformation(posterior.features, posterior.frictions)
     if isinstance(posterior, FaultPosterior):
         difficulty = difficulty_named(problem.settings.difficulty)
         features = SeatFeatures(
@@ -108,7 +103,7 @@ def information_of(problem: Problem, estimator: Estimator) -> RecordInformation:
             directions=len(posterior.directions),
             over=difficulty.friction_over,
         )
-        return RecordInformation(features, posterior.frictions, factors=factors)
+        return RecordInformation(features, posterior.frictions)
     raise InvalidSetting(
         "choosing records by information needs an estimator with a posterior over places and "
         f"frictions, not {type(estimator).__name__}"
