@@ -438,6 +438,3 @@ def with_reference(
 
 def _rounded(reference: NoveltyReference) -> dict[str, NDArray[np.float32]]:
     return {name: values.astype(np.float32) for name, values in reference.tensors().items()}
-
-
-_LAST
