@@ -34,14 +34,11 @@ def solved(stiffness: ComplexArray, force: ComplexArray) -> ComplexArray:
     zero. Both arrays are overwritten.
     """
     for p in range(len(stiffness)):
-        scale = 1.0 / stiffness[p, p]
+        factor, scale = stiffness[:, p, None], 1.0 / stiffness[p, p]
         ahead = stiffness[p, p + 1 :] * scale
         known = force[p] * scale
-        for v in range(len(stiffness)):
-            if v != p:
-                factor = stiffness[v, p]
-                stiffness[v, p + 1 :] -= factor * ahead
-                force[v] -= factor * known
+        stiffness[:, p + 1 :] -= factor * ahead
+        force -= factor * known
         stiffness[p, p + 1 :] = ahead
         force[p] = known
     return force
@@ -157,7 +154,8 @@ class LinearArm:
         other = copy(self)
         other.arm, other.model, other._cache = arm, self.model if model is None else model, {}
         other.frequency = np.linspace(*arm.band, len(self.frequency))
-        other.__dict__.pop("_joint_stiffness", None)
+        for name in ("_joint_stiffness", "_per_motion"):
+            other.__dict__.pop(name, None)
         return other
 
     def thinned(self) -> LinearArm:
@@ -290,12 +288,18 @@ class LinearArm:
 
     def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
         """Force per motion of joints, then bending modes, over the band (v, v, B, K)."""
-        loose, held = self._joint_stiffness
-        stiffness = mass.transpose(1, 2, 0)[..., None] * (-((2 * np.pi * self.frequency) ** 2) + 0j)
-        for v in range(len(loose)):
-            free = excited[:, v, None] if v < self.arm.n else True  # bending modes are never held
-            stiffness[v, v] += np.where(free, loose[v], held[v])
+        loose, held = (own[:, None] for own in self._joint_stiffness)
+        stiffness = mass.transpose(1, 2, 0)[..., None] * (self._per_motion + 0j)
+        count, n = len(loose), self.arm.n
+        own = stiffness.reshape(count * count, *stiffness.shape[2:])[:: count + 1]
+        own[:n] += np.where(excited.T[..., None], loose[:n], held[:n])
+        own[n:] += loose[n:]  # bending modes are never held
         return np.asarray(stiffness)
+
+    @cached_property
+    def _per_motion(self) -> Array:
+        """Acceleration per motion over the band (K,)."""
+        return np.asarray(-((2 * np.pi * self.frequency) ** 2))
 
     @cached_property
     def _joint_stiffness(self) -> tuple[ComplexArray, ComplexArray]:
@@ -391,13 +395,11 @@ class LinearPoses(_Placed):
         count, m = len(excited), int(excited[0].sum())
         torque = np.zeros((len(move), m, count, len(lin.frequency)), dtype=complex)
         owner, driven = np.nonzero(excited)
-        torque[driven, np.tile(np.arange(m), count), owner] = 1.0
+        torque[driven, np.arange(m * count) % m, owner] = 1.0
         answer = solved(lin.dynamic_stiffness(mass, excited), torque)
-        answer *= -((2 * np.pi * lin.frequency) ** 2)
-        jacobian = self.jacobian[some][:, :, move]
-        tool = np.zeros((jacobian.shape[1], *answer.shape[1:]), dtype=complex)
-        for v in range(len(move)):
-            tool += jacobian[:, :, v].T[:, None, :, None] * answer[v]
+        answer *= lin._per_motion
+        jacobian = self.jacobian[some, :, move].transpose(2, 1, 0)
+        tool = (jacobian[:, :, None, :, None] * answer[:, None]).sum(0)
         # Contiguous for each pose, so that sums over it do not depend on the others.
         return (
             np.ascontiguousarray(answer.transpose(2, 3, 0, 1)),
@@ -432,7 +434,7 @@ class LinearPoses(_Placed):
         push = np.empty((*coupling.shape[1:], len(self), len(lin.frequency)), dtype=complex)
         push[:] = -coupling.transpose(1, 2, 0)[..., None]
         answer = solved(lin.dynamic_stiffness(mass, excited), push)
-        answer *= -((2 * np.pi * lin.frequency) ** 2)
+        answer *= lin._per_motion
         by_seat = np.ascontiguousarray(answer.transpose(2, 1, 0, 3))  # (B, seats, v, K)
         # Contiguous for each pose, so that sums over it do not depend on the others.
         moved = np.ascontiguousarray(self.jacobian[:, :, move])[:, None]
