@@ -29,7 +29,7 @@ from loose_env.diagnosis import (
     link_axes,
     link_readings_of_all,
     predictions,
-    statistics_of_all,
+    statistics_beside,
 )
 from loose_env.envs.faults import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings, difficulty_named, refuse_unknown
@@ -653,16 +653,18 @@ class EnvBatch:
         return failures
 
     def _excite(self, slots: IndexArray, levels: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Torques for levels (A, n), shares of the levels allowed, and predicted elements."""
+        """Torques for levels (A, n), shares of the levels allowed, predicted covariances."""
         linear, arm, wanted = self.nominal, self.arm, self._levels[levels]
         torque, share = np.zeros(wanted.shape), np.ones(wanted.shape)
-        predicted = np.zeros((len(slots), self.observations.predicted_count))
+        counts = np.count_nonzero(levels, axis=1)
+        size = 2 * int(counts.max(initial=0)) + len(arm.axes)
+        nominal = np.zeros((len(slots), size, size))
 
         def predict(rows: IndexArray, answer: tuple[ComplexArray, ComplexArray]) -> None:
-            found = predictions(arm, torque[rows], self.floor, *answer)
-            predicted[rows] = self.observations.predicted(torque[rows], found)
+            full = predictions(arm, torque[rows], self.floor, *answer).full
+            nominal[rows, : full.shape[1], : full.shape[2]] = full
 
-        for rows in _groups(np.count_nonzero(levels, axis=1)):
+        for rows in _groups(counts):
             at, on = linear.at_all(self._poses[slots[rows]]), levels[rows] > 0
             answer = at.responses(on)
             found = torques_at_levels(arm, wanted[rows], at.gravity_torque, *answer)
@@ -674,10 +676,10 @@ class EnvBatch:
             for some in _groups(np.count_nonzero(driven, axis=1)):  # held otherwise than asked for
                 if driven[some[0]].any():
                     predict(rows[some], at.some(some).responses(driven[some]))
-        return torque, share, predicted
+        return torque, share, nominal
 
     def _observed(
-        self, levels: NDArray[np.intp], share: Array, records: Records, predicted: Array
+        self, levels: NDArray[np.intp], share: Array, records: Records, nominal: Array
     ) -> NDArray[np.float32]:
         """Slots of records alike in length and number of excited joints."""
         links = expected = None
@@ -687,8 +689,7 @@ class EnvBatch:
         return self.observations.slots_for(
             levels,
             share,
-            statistics_of_all(records),
-            predicted,
+            *statistics_beside(records, nominal),
             rhythm=() if self._rhythm is None else self._rhythm.of(records),
             links=links,
             nominal_links=expected,

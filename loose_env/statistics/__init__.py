@@ -1,6 +1,6 @@
 """Statistics of one record: pure functions of arrays.
 
-Data flow: _checks -> transmission, correlation, spectra, gaussian_mixture, impacts.
+Data flow: _checks -> spectra -> transmission -> correlation; gaussian_mixture, impacts.
 """
 
 from loose_env.statistics.correlation import (
