@@ -93,10 +93,9 @@ def torque_periods(
     # E|line|² = 2; the expected rms of the sum of all lines is the one asked for.
     scale = levels[owners, joints] * count / (2 * np.sqrt(len(inside)))
     lines = draws[owners, joints].view(complex)[..., 0] * scale[:, None]
-    shapes = [None] * len(levels) if shaping is None else shaping
     for line, owner, joint in zip(lines, owners, joints, strict=True):
-        own_shapes = shapes[int(owner)]
-        shape = None if own_shapes is None else (*own_shapes, None)[joint]
+        own_shapes = shaping and shaping[int(owner)]
+        shape = (*own_shapes, None)[joint] if own_shapes else None
         if shape is not None:
             weight = shape(frequency[inside])
             line *= weight / np.sqrt(np.mean(weight**2))

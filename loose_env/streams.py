@@ -56,6 +56,8 @@ def _words(seed: int) -> tuple[int, ...]:
 
 def seeded(entropy: Words) -> list[np.random.Generator]:
     """Generators seeded by rows of four words or more (B, W), as ``default_rng`` seeds them."""
+    if len(entropy) < _FEW:
+        return [np.random.default_rng(row) for row in entropy]
     states = _states(entropy)
     known: Any = _Hashed  # numpy's stubs know its own seed sequences alone
     return [np.random.Generator(np.random.PCG64(known(state))) for state in states]

@@ -277,14 +277,20 @@ class LinearArm:
     def _placed(self, poses: Array) -> Iterator[int]:
         """Put the model into one pose after the other."""
         model, data = self.model, self._data
-        position = np.tile(model.qpos0, (len(poses), 1))
-        position[:, model.jnt_qposadr[model.dof_jntid[self.joint_dofs]]] = poses
+        position = np.empty((len(poses), model.nq))
+        position[:] = model.qpos0
+        position[:, self._positions] = poses
         qpos = data.qpos
         for k, own in enumerate(position):
             qpos[:] = own
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             yield k
+
+    @cached_property
+    def _positions(self) -> NDArray[np.intp]:
+        """Positions of the driven joints (n,)."""
+        return np.asarray(self.model.jnt_qposadr[self.model.dof_jntid[self.joint_dofs]])
 
     def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
         """Force per motion of joints, then bending modes, over the band (v, v, B, K)."""

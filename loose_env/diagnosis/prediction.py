@@ -38,7 +38,6 @@ from loose_env.statistics import (
     apparent_inertia_from,
     lowest_coherence_direction_from,
     record_covariances,
-    shape_of,
     transmission_by_instrument_from,
     transmission_from,
 )
@@ -191,13 +190,12 @@ def predictions(
     torque = np.take_along_axis(torque_rms, joints, axis=1)
     joint = np.take_along_axis(acceleration, joints[:, None, :, None], axis=2)
     both = np.concatenate([joint, tool], axis=2) * torque[:, None, None]
-    count, m = both.shape[1], both.shape[3]
+    _, count, p, m = both.shape
     # Spectra averaged over the band; the command of joint j drives column j alone.
-    full = np.zeros((len(torque), m + both.shape[2], m + both.shape[2]))
-    full[:, m:, :m] = np.einsum("bkim->bim", both.real) * torque[:, None] / count
+    full = np.zeros((len(torque), m + p, m + p))
+    full[:, m:, :m] = np.einsum("bkim->bim", both).real * torque[:, None] / count
     full[:, :m, m:] = full[:, m:, :m].mT
-    parts = both.view(float)
-    full[:, m:, m:] = np.einsum("bkim,bkjm->bij", parts, parts) / count
+    full[:, m:, m:] = np.einsum("bkim,bkjm->bij", both, both.conj()).real / count
     diagonal = np.arange(full.shape[-1])
     own = [torque**2, channel_noise(floor, arm, joints)]
     full[:, diagonal, diagonal] += np.concatenate(own, axis=1)
@@ -671,15 +669,15 @@ def _shape(tool: Array, direction: Array) -> tuple[Array, Array]:
 
     Along an axis that stands still ideal sensors show rounding only; zero means no impacts there.
     """
-    along = np.einsum("bd,bdn->bn", direction, tool)
-    rows = np.concatenate([tool, along[:, None]], axis=1)
-    power = rows.var(axis=-1)
-    most = power.max(axis=-1, keepdims=True)
-    moving = (power > _STILL * most) & (np.sqrt(power) > _STILL * np.abs(rows.mean(axis=-1)))
-    third, fourth = np.zeros(power.shape), np.zeros(power.shape)
-    if moving.any():
-        third[moving], fourth[moving] = shape_of(rows[moving])
-    return third, fourth
+    rows = np.concatenate([tool, direction[:, None] @ tool], axis=1)
+    means = rows.mean(axis=-1)
+    off, count = rows - means[..., None], rows.shape[-1]
+    square = off * off
+    power = square.mean(axis=-1)
+    still = power <= np.maximum(_STILL * power.max(axis=-1, keepdims=True), (_STILL * means) ** 2)
+    scale = np.where(still, np.inf, power)
+    third = np.vecdot(square, off) / (count * scale**1.5)
+    return third, np.vecdot(square, square) / (count * scale**2) - 3.0 * ~still
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

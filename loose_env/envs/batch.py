@@ -524,8 +524,8 @@ class EnvBatch:
         rows = np.flatnonzero(~(said | over))
         own, act = at[rows], action.some(rows)
         stayed = self._move(own, act.moves)
-        torque, share, nominal = self._excite(own, act.levels)
-        failures = self._measure(own, act, torque, share, nominal)
+        torque, share, nominal, gravity = self._excite(own, act.levels)
+        failures = self._measure(own, act, torque, share, nominal, gravity)
         rewards = np.zeros(len(at))
         rewards[rows] = -self._spend(own, act, (act.moves != self.actions.stay) & ~stayed, torque)
         ends = self._ends(at, action.verdict, said, over, rewards)
@@ -614,7 +614,13 @@ class EnvBatch:
         return ~fits
 
     def _measure(
-        self, slots: IndexArray, act: Action, torque: Array, share: Array, nominal: Array
+        self,
+        slots: IndexArray,
+        act: Action,
+        torque: Array,
+        share: Array,
+        nominal: Array,
+        gravity: Array,
     ) -> dict[int, str]:
         """Measure arms, and enter what they show into the observations.
 
@@ -639,23 +645,25 @@ class EnvBatch:
             own = slots[rows]
             self._slots[own, self.records[own]] = found
 
-        for rows, records in self._simulated(slots, torque, act.duration):
+        for rows, records in self._simulated(slots, torque, act.duration, gravity):
             for k, row in enumerate(rows.tolist()):
                 self._last[slots[row]] = (records, k)
                 failure = records.failures[k]
                 if failure is not None:
                     failures[row] = failure
             good = np.array([failure is None for failure in records.failures])
-            for m in np.unique(excited[rows]).tolist():
+            for m in sorted(set(excited[rows].tolist())):
                 chosen = np.flatnonzero(good & (excited[rows] == m))
                 if len(chosen):
                     enter(rows[chosen], records.some(chosen))
         return failures
 
-    def _excite(self, slots: IndexArray, levels: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Torques for levels (A, n), shares of the levels allowed, predicted covariances."""
+    def _excite(
+        self, slots: IndexArray, levels: NDArray[np.intp]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Torques for levels (A, n), shares allowed, predicted covariances, gravity's torques."""
         linear, arm, wanted = self.nominal, self.arm, self._levels[levels]
-        torque, share = np.zeros(wanted.shape), np.ones(wanted.shape)
+        torque, gravity, share = *np.zeros((2, *wanted.shape)), np.ones(wanted.shape)
         counts = np.count_nonzero(levels, axis=1)
         size = 2 * int(counts.max(initial=0)) + len(arm.axes)
         nominal = np.zeros((len(slots), size, size))
@@ -667,7 +675,8 @@ class EnvBatch:
         for rows in _groups(counts):
             at, on = linear.at_all(self._poses[slots[rows]]), levels[rows] > 0
             answer = at.responses(on)
-            found = torques_at_levels(arm, wanted[rows], at.gravity_torque, *answer)
+            gravity[rows] = at.gravity_torque
+            found = torques_at_levels(arm, wanted[rows], gravity[rows], *answer)
             torque[rows], share[rows] = found
             driven = torque[rows] > 0
             if np.array_equal(driven, on):
@@ -676,7 +685,7 @@ class EnvBatch:
             for some in _groups(np.count_nonzero(driven, axis=1)):  # held otherwise than asked for
                 if driven[some[0]].any():
                     predict(rows[some], at.some(some).responses(driven[some]))
-        return torque, share, nominal
+        return torque, share, nominal, gravity
 
     def _observed(
         self, levels: NDArray[np.intp], share: Array, records: Records, nominal: Array
@@ -710,7 +719,7 @@ class EnvBatch:
         return streams(self._seeds[slots].tolist(), np.column_stack(key))
 
     def _simulated(
-        self, slots: IndexArray, torque: Array, durations: Any
+        self, slots: IndexArray, torque: Array, durations: Any, gravity: Array
     ) -> Iterator[tuple[IndexArray, Records]]:
         """Measure the arms whose drives have torque; yield records of one length with rows."""
         rows = np.flatnonzero(_taken(torque))
@@ -729,6 +738,7 @@ class EnvBatch:
                 duration=float(durations[own[0]]),
                 band=self.arm.band,
                 rngs=[rngs[k] for k in own.tolist()],
+                gravity=gravity[own] if self.true_arm is self.arm else None,
             )
             for own in members
         ]
@@ -766,7 +776,7 @@ def spread(values: NDArray[Any], rows: IndexArray, count: int) -> NDArray[Any]:
 
 def _groups(keys: NDArray[np.intp]) -> Iterator[IndexArray]:
     """Rows of equal keys, few enough for the processor's cache."""
-    for key in np.unique(keys):
+    for key in sorted(set(keys.tolist())):
         rows = np.flatnonzero(keys == key)
         yield from (rows[k : k + _TOGETHER] for k in range(0, len(rows), _TOGETHER))
 

@@ -91,8 +91,9 @@ class JointPose:
     def numbers(self, pose: Array) -> tuple[Array, ...]:
         """Turn poses [rad or m] (..., n) into the numbers of each of the `parts`."""
         first, second, k = np.sin(pose), np.cos(pose), self.slides
-        first[..., k], second[..., k] = self._places(pose, k), 0.0
-        return (first, second, self._places(pose, self.wide))[: len(self.parts)]
+        if len(k):
+            first[..., k], second[..., k] = self._places(pose, k), 0.0
+        return (first, second, *([self._places(pose, self.wide)] if len(self.wide) else ()))
 
     def _places(self, pose: Array, k: IndexArray) -> Array:
         return np.asarray(2 * (pose[..., k] - self.middle[k]) / self.width[k])
@@ -578,7 +579,7 @@ class ObservationLayout(RecordLayout):
         """Scale the global elements of A episodes (A, globals)."""
         most = self.settings.max_records
         spent = [records / most, seconds, levels, (most - records) / most]
-        values = [*self._joint_pose.numbers(poses), np.column_stack(spent)]
+        values = [*self._joint_pose.numbers(poses), np.array(spent).T]
         return self._global_scaling.forward(np.concatenate(values, axis=1))
 
     def slots_for(
@@ -706,18 +707,18 @@ class _Scaling:
     def __init__(self, elements: tuple[Element, ...]) -> None:
         kinds = np.array([e.scaling for e in elements])
         self.log, self.asinh = kinds == "log10", kinds == "asinh"
+        self._logs, self._asinhs = np.flatnonzero(self.log), np.flatnonzero(self.asinh)
         self.scale = np.array([e.scale for e in elements])
         self.low = np.array([e.low for e in elements])
         self.high = np.array([e.high for e in elements])
 
     def forward(self, values: Array) -> NDArray[np.float32]:
         """Scale values (..., elements)."""
-        y = values / self.scale
-        y[..., self.asinh] = np.arcsinh(y[..., self.asinh])
+        y, log, asinh = values / self.scale, self._logs, self._asinhs
+        y[..., asinh] = np.arcsinh(y[..., asinh])
         # Zero stands for "not excited" and goes to the lower bound.
-        with np.errstate(divide="ignore"):
-            y[..., self.log] = np.log10(np.maximum(y[..., self.log], 0.0))
-        return np.asarray(np.clip(y, self.low, self.high), dtype=np.float32)
+        y[..., log] = np.log10(np.maximum(y[..., log], np.finfo(float).tiny))
+        return np.asarray(np.minimum(np.maximum(y, self.low), self.high), dtype=np.float32)
 
     def backward(self, scaled: NDArray[np.float32], span: slice) -> Array:
         y = scaled.astype(float)

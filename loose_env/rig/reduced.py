@@ -340,7 +340,8 @@ class ReducedRig(SlotRig):
         for which, trials in enumerate(asked):
             for first in range(0, len(trials), _TOGETHER):
                 rows = np.arange(first, min(first + _TOGETHER, len(trials)))
-                yield which, rows, self._measured(trials.some(rows))
+                some = trials if len(rows) == len(trials) else trials.some(rows)
+                yield which, rows, self._measured(some)
 
     def _measured(self, trials: Trials) -> Records:
         """Measure arms, few enough for the cache."""
@@ -373,8 +374,8 @@ class ReducedRig(SlotRig):
         count = round(trials.duration * self.sensors.rate)
         motions.insert(0, np.ascontiguousarray(mobility.transpose(1, 2, 0)))
         motion, noise = self._integrated(motions, control, delivered, trials, count)
-        moved = np.concatenate([motion.smooth, motion.position[..., 1:-1]], axis=1)
-        finite = np.asarray(np.isfinite(moved).all(axis=(1, 2)))
+        finite = np.asarray(np.isfinite(motion.smooth).all(axis=(1, 2)))
+        finite = finite & np.isfinite(motion.position[..., 1:-1]).all(axis=(1, 2))
         return read_records(
             motion,
             noise,

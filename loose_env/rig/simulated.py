@@ -90,7 +90,9 @@ def controls(nominal: LinearArm, trials: Trials, *, timestep: float) -> Controls
         rngs=trials.rngs,
         shaping=trials.shaping,
     )
-    gravity = nominal.gravity_torques(trials.poses)
+    gravity = trials.gravity
+    if gravity is None:
+        gravity = nominal.gravity_torques(trials.poses)
     constant = np.clip(gravity, -limits, limits)
     joints = np.flatnonzero(drives < n)  # the others are the shaker's
     constant[records[joints], drives[joints]] = 0.0
@@ -213,7 +215,7 @@ def read_accelerometer(smooth: Array, *, sensor: Accelerometer, rate: float, dra
     """
     # White noise of the given density up to half the sampling rate.
     noise = sensor.noise_density * np.sqrt(rate / 2)
-    return _rounded(smooth + noise * drawn, sensor.resolution)
+    return _rounded(noise * drawn, smooth, sensor.resolution)
 
 
 def read_encoder(
@@ -224,15 +226,22 @@ def read_encoder(
     ``drawn``, of that shape too, are standard normal variates. Rows where ``sliding`` (n,) is true
     are read by a linear scale.
     """
-    readings = _rounded(true + sensor.noise * drawn, sensor.resolution)
+    readings = _rounded(sensor.noise * drawn, true, sensor.resolution)
     if sliding is not None and sliding.any():
-        linear = true[..., sliding, :] + sensor.linear_noise * drawn[..., sliding, :]
-        readings[..., sliding, :] = _rounded(linear, sensor.linear_resolution)
+        noise = sensor.linear_noise * drawn[..., sliding, :]
+        linear = _rounded(noise, true[..., sliding, :], sensor.linear_resolution)
+        readings[..., sliding, :] = linear
     return readings
 
 
-def _rounded(values: Array, step: float) -> Array:
-    return np.round(values / step) * step if step > 0 else values
+def _rounded(noise: Array, true: Array, step: float) -> Array:
+    """Sum rounded to whole steps, where the noise was."""
+    noise += true
+    if step > 0:
+        noise /= step
+        np.rint(noise, out=noise)
+        noise *= step
+    return noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
