@@ -85,7 +85,7 @@ def torque_periods(
     """
     count = round(duration / timestep)
     frequency, inside = _lines(count, timestep, band)
-    levels = np.column_stack([torque_rms, shaker_rms])
+    levels = np.concatenate([torque_rms, shaker_rms[:, None]], axis=1)
     owners, joints = np.nonzero(levels)
     draws = np.empty((*levels.shape, len(inside), 2))
     for own, shaker, rng in zip(draws, shaker_rms, rngs, strict=True):

@@ -186,9 +186,9 @@ def predictions(
     RecordCovariances
         Of all records; arrays have a first axis of length B.
     """
-    joints = joints_on(torque_rms)
-    torque = np.take_along_axis(torque_rms, joints, axis=1)
-    joint = np.take_along_axis(acceleration, joints[:, None, :, None], axis=2)
+    joints, rows = joints_on(torque_rms), np.arange(len(torque_rms))[:, None]
+    torque = torque_rms[rows, joints]
+    joint = acceleration[rows, :, joints].transpose(0, 2, 1, 3)
     both = np.concatenate([joint, tool], axis=2) * torque[:, None, None]
     _, count, p, m = both.shape
     # Spectra averaged over the band; the command of joint j drives column j alone.
@@ -196,9 +196,9 @@ def predictions(
     full[:, m:, :m] = np.einsum("bkim->bim", both).real * torque[:, None] / count
     full[:, :m, m:] = full[:, m:, :m].mT
     full[:, m:, m:] = np.einsum("bkim,bkjm->bij", both, both.conj()).real / count
-    diagonal = np.arange(full.shape[-1])
-    own = [torque**2, channel_noise(floor, arm, joints)]
-    full[:, diagonal, diagonal] += np.concatenate(own, axis=1)
+    diagonal = np.arange(m + p)
+    full[:, diagonal[:m], diagonal[:m]] = torque**2
+    full[:, diagonal[m:], diagonal[m:]] += channel_noise(floor, arm, joints)
     return RecordCovariances(full, m, count)
 
 

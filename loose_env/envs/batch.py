@@ -716,7 +716,7 @@ class EnvBatch:
     def _streams(self, slots: IndexArray, kind: int) -> list[np.random.Generator]:
         """Generators of one kind of draw for the next record of each slot."""
         key = [self._numbers[slots], np.full(len(slots), kind), self.records[slots]]
-        return streams(self._seeds[slots].tolist(), np.column_stack(key))
+        return streams(self._seeds[slots].tolist(), np.array(key).T)
 
     def _simulated(
         self, slots: IndexArray, torque: Array, durations: Any, gravity: Array

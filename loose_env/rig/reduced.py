@@ -186,15 +186,14 @@ class _Seen(NamedTuple):
         count, nv = len(models), models[0].nv
         shapes = [*(each.shape for each in here), (nv, nv)]
         found = cls._make([np.zeros((count, *shape)) for shape in shapes])
-        rows = [list(each) for each in found]
         for k, (model, own) in enumerate(zip(models, positions, strict=True)):
             data.qpos = own
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_makeM(model, data)
-            mujoco.mj_fullM(model, data, rows[5][k])
-            for own_rows, each in zip(rows, here, strict=False):
-                own_rows[k][:] = each
+            mujoco.mj_fullM(model, data, found.inertia[k])
+            for values, each in zip(found, here, strict=False):
+                values[k] = each
         return found
 
 

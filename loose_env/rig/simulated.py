@@ -93,13 +93,13 @@ def controls(nominal: LinearArm, trials: Trials, *, timestep: float) -> Controls
     gravity = trials.gravity
     if gravity is None:
         gravity = nominal.gravity_torques(trials.poses)
-    constant = np.clip(gravity, -limits, limits)
+    constant = np.minimum(np.maximum(gravity, -limits), limits)
     joints = np.flatnonzero(drives < n)  # the others are the shaker's
     constant[records[joints], drives[joints]] = 0.0
     periods[joints] += gravity[records[joints], drives[joints], None]
     force = np.inf if arm.shaker is None else arm.shaker.force_limit
     most = np.append(limits, force)[drives][:, None]
-    np.clip(periods, -most, most, out=periods)
+    np.minimum(np.maximum(periods, -most, out=periods), most, out=periods)
     return Controls(
         periods=periods, records=records, drives=drives, constant=constant, gravity=gravity
     )
@@ -334,8 +334,8 @@ def read_records(
     if shaken is not None:
         on = control.drives == arm.n
         shaken[control.records[on]] = control.periods[on][:, ::factor][:, :count]
-    failed = [failure is not None for failure in failures]
-    smooth[failed], encoder[failed] = 0.0, 0.0
+    if any(failed := [failure is not None for failure in failures]):
+        smooth[failed], encoder[failed] = 0.0, 0.0
     end = axes.tool + len(axes.links) * len(axes.link_axes)
     links = smooth[:, axes.tool : end].reshape(jobs, len(axes.links), len(axes.link_axes), count)
     probes = {site: smooth[:, end + 3 * i :][:, :3] for i, site in enumerate(axes.probes)}
