@@ -130,6 +130,7 @@ class LinearArm:
         self._data = mujoco.MjData(model)
         address = {model.joint(j).name: model.joint(j).dofadr[0] for j in range(model.njnt)}
         self.joint_dofs = np.array([address.pop(j) for j in arm.joints], dtype=np.intp)
+        self._positions = model.jnt_qposadr[model.dof_jntid[self.joint_dofs]]
         places = range(1, arm.n + 1)
         slides = [[address.pop(f"open_slide{i}_{k}") for k in range(len(sliding))] for i in places]
         self.slide_dofs = np.array(slides, dtype=np.intp)
@@ -286,11 +287,6 @@ class LinearArm:
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             yield k
-
-    @cached_property
-    def _positions(self) -> NDArray[np.intp]:
-        """Positions of the driven joints (n,)."""
-        return np.asarray(self.model.jnt_qposadr[self.model.dof_jntid[self.joint_dofs]])
 
     def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
         """Force per motion of joints, then bending modes, over the band (v, v, B, K)."""

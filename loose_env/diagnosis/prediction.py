@@ -36,6 +36,7 @@ from loose_env.statistics import (
     LowestCoherence,
     RecordCovariances,
     apparent_inertia_from,
+    central_moments,
     lowest_coherence_direction_from,
     record_covariances,
     transmission_by_instrument_from,
@@ -158,7 +159,7 @@ def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Pre
     answer = pose.response(torque[0] > 0)
     arm = pose.linear.arm
     found = predictions(arm, torque, floor, answer.acceleration[None], answer.tool[None])
-    return Prediction(covariances=replace(found, full=found.full[0]))
+    return Prediction(covariances=RecordCovariances.of(found.full[0], int((torque > 0).sum()), 0))
 
 
 def predictions(
@@ -199,7 +200,7 @@ def predictions(
     diagonal = np.arange(m + p)
     full[:, diagonal[:m], diagonal[:m]] = torque**2
     full[:, diagonal[m:], diagonal[m:]] += channel_noise(floor, arm, joints)
-    return RecordCovariances(full, m, count)
+    return RecordCovariances.of(full, m, count)
 
 
 def _diagonal(values: Array) -> Array:
@@ -619,7 +620,8 @@ def statistics_beside(
     cov = _covariances(records, joints, raw)
     if nominal is not None:
         size = cov.full.shape[-1]
-        cov = replace(cov, full=np.concatenate([cov.full, nominal[:, :size, :size]]))
+        full = np.concatenate([cov.full, nominal[:, :size, :size]])
+        cov = RecordCovariances.of(full, joints.shape[1], 0)
         joints = np.concatenate([joints, joints])
     x_a, n = cov.x_a, torque.shape[1]
     lowest = lowest_coherence_direction_from(x_a)
@@ -670,14 +672,10 @@ def _shape(tool: Array, direction: Array) -> tuple[Array, Array]:
     Along an axis that stands still ideal sensors show rounding only; zero means no impacts there.
     """
     rows = np.concatenate([tool, direction[:, None] @ tool], axis=1)
-    means = rows.mean(axis=-1)
-    off, count = rows - means[..., None], rows.shape[-1]
-    square = off * off
-    power = square.mean(axis=-1)
+    means, power, third, fourth = central_moments(rows)
     still = power <= np.maximum(_STILL * power.max(axis=-1, keepdims=True), (_STILL * means) ** 2)
     scale = np.where(still, np.inf, power)
-    third = np.vecdot(square, off) / (count * scale**1.5)
-    return third, np.vecdot(square, square) / (count * scale**2) - 3.0 * ~still
+    return third / scale**1.5, fourth / scale**2 - 3.0 * ~still
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -216,7 +216,8 @@ class Beginning:
     @classmethod
     def of(cls, options: Any, arm: Arm) -> Beginning:
         """Check options; a fault may lie outside the hypotheses of the environment."""
-        given = mapping_of(options)
+        if not (given := mapping_of(options)):
+            return cls()
         refuse_unknown("reset options", given, [each.name for each in fields(cls)])
         given = {name: value for name, value in given.items() if value is not None}
         names, fault = (*hypotheses(arm, everywhere=True), SEVERAL_FAULTS), given.get("fault")

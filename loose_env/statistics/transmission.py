@@ -6,6 +6,7 @@ Sums are divided by the number of samples.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,39 +41,26 @@ class Covariances:
     """Number of samples."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordCovariances:
-    """Covariances of a record with the command that excited it, of all signals with each other.
-
-    Of several records, with axes in front.
-    """
+class RecordCovariances(NamedTuple):
+    """Covariances of a record with the command that excited it."""
 
     full: Array
-    """Of the m commands, the m joint accelerations, then the d tool accelerations, shape
-    (2 m + d, 2 m + d)."""
-    joints: int
-    """m."""
-    count: int
-    """Number of samples."""
+    """Of m commands, m joint accelerations, d tool accelerations (..., 2 m + d, 2 m + d)."""
+    x_a: Covariances
+    """Of the joint accelerations with the tool acceleration."""
+    command_x: Covariances
+    """Of the command with the joint accelerations."""
+    command_a: Covariances
+    """Of the command with the tool acceleration."""
 
-    @property
-    def x_a(self) -> Covariances:
-        """Of the joint accelerations with the tool acceleration."""
-        return self._between(slice(self.joints, 2 * self.joints), slice(2 * self.joints, None))
-
-    @property
-    def command_x(self) -> Covariances:
-        """Of the command with the joint accelerations."""
-        return self._between(slice(self.joints), slice(self.joints, 2 * self.joints))
-
-    @property
-    def command_a(self) -> Covariances:
-        """Of the command with the tool acceleration."""
-        return self._between(slice(self.joints), slice(2 * self.joints, None))
-
-    def _between(self, p: slice, q: slice) -> Covariances:
-        full = self.full
-        return Covariances(full[..., p, p], full[..., p, q], full[..., q, q], self.count)
+    @classmethod
+    def of(cls, full: Array, m: int, count: int) -> RecordCovariances:
+        """Take them out of those of all signals."""
+        u, x, a = slice(m), slice(m, 2 * m), slice(2 * m, None)
+        parts = (
+            (full[..., p, p], full[..., p, q], full[..., q, q]) for p, q in ((x, a), (u, x), (u, a))
+        )
+        return cls(full, *(Covariances(*each, count) for each in parts))
 
 
 def covariances(x: ArrayLike, a: ArrayLike) -> Covariances:
@@ -103,10 +91,8 @@ def covariances(x: ArrayLike, a: ArrayLike) -> Covariances:
     [[2.0, 1.5]]
     """
     signals = as_record(x, "x"), as_record(a, "a")
-    rows, count = len(signals[0]), signals[0].shape[-1]
-    if count != signals[1].shape[-1]:
-        lengths = dict(zip("xa", (count, signals[1].shape[-1]), strict=True))
-        raise InvalidData(f"the numbers of samples are {lengths}; they must be equal")
+    rows, count = signals[0].shape
+    _require_alike(x=count, a=signals[1].shape[1])
     joined = np.concatenate(signals)
     with np.errstate(invalid="ignore", over="ignore"):
         means = joined.mean(axis=-1)
@@ -122,7 +108,8 @@ def record_covariances(
 ) -> RecordCovariances:
     """Compute all covariances of a record and its command within a band, in one pass.
 
-    By the lines of the band (Parseval): the same as those of the filtered signals.
+    By the lines of the band (Parseval): those of the filtered signals, angles differentiated as by
+    `acceleration_from_angle`.
 
     Parameters
     ----------
@@ -137,8 +124,7 @@ def record_covariances(
     Returns
     -------
     RecordCovariances
-        The angles are differentiated as by `acceleration_from_angle`. Errors are as of
-        `covariances`.
+        With the errors of `covariances`.
 
     Examples
     --------
@@ -150,9 +136,7 @@ def record_covariances(
     """
     u, q, tool = (as_samples(own, n) for own, n in ((command, "command"), (angle, "x"), (a, "a")))
     m, count = u.shape[-2], u.shape[-1]
-    lengths = {"command": count, "x": q.shape[-1] - 2, "a": tool.shape[-1]}
-    if len(set(lengths.values())) > 1:
-        raise InvalidData(f"the numbers of samples are {lengths}; they must be equal")
+    _require_alike(command=count, x=q.shape[-1] - 2, a=tool.shape[-1])
     kept = band_bins(count, rate, band)
     gain, weight = line_scales(count, rate, kept.start, kept.stop)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -163,7 +147,12 @@ def record_covariances(
         full = np.einsum("...in,...jn->...ij", parts, parts)
     own = {"command": slice(m), "x": slice(m, 2 * m), "a": slice(2 * m, None)}
     _require_moving(full, spectra[..., 0].real / count, own)
-    return RecordCovariances(full, m, count)
+    return RecordCovariances.of(full, m, count)
+
+
+def _require_alike(**lengths: int) -> None:
+    if len(set(lengths.values())) > 1:
+        raise InvalidData(f"the numbers of samples are {lengths}; they must be equal")
 
 
 def _require_moving(full: Array, means: Array, rows: dict[str, slice]) -> None:
@@ -176,11 +165,9 @@ def _require_moving(full: Array, means: Array, rows: dict[str, slice]) -> None:
         return
     for name, own in rows.items():
         still = ~moving[..., own]
-        if name != "a" and still.any():
-            row = int(np.argwhere(still)[0, -1])
-            raise InvalidData(f"{name} is constant in row {row}; it must vary")
-        if still.all(axis=-1).any():
-            raise InvalidData(f"{name} is constant; it must vary in one row at least")
+        if still.all(axis=-1).any() or (name != "a" and still.any()):
+            at = "" if name == "a" else f" in row {int(np.argwhere(still)[0, -1])}"
+            raise InvalidData(f"{name} is constant{at}; it must vary")
 
 
 def whitener(aa: Array) -> Array:
@@ -242,18 +229,21 @@ def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
     """
     record = as_samples(rows, "a")
     with np.errstate(invalid="ignore", over="ignore"):
-        means = record.mean(axis=-1, keepdims=True)
-        off = record - means
-        sd = np.sqrt(np.einsum("...n,...n->...", off, off) / record.shape[-1])[..., None]
-    if not np.isfinite(sd).all():
+        means, power, third, fourth = central_moments(record)
+    if not np.isfinite(fourth).all():
         raise InvalidData("a holds NaN, infinite or too large values")
-    if (sd <= ROUNDING * np.abs(means)).any():
+    if (np.sqrt(power) <= ROUNDING * np.abs(means)).any():
         raise InvalidData("a is constant in a component asked for; it must vary")
-    z = off / sd
-    square = z * z
-    third = np.einsum("...n,...n->...", square, z) / z.shape[-1]
-    fourth = np.einsum("...n,...n->...", square, square) / z.shape[-1] - 3.0
-    return np.asarray(third), np.asarray(fourth)
+    return np.asarray(third / power**1.5), np.asarray(fourth / power**2 - 3.0)
+
+
+def central_moments(rows: Array) -> tuple[Array, Array, Array, Array]:
+    """Mean, and second, third and fourth moment about it, of rows (..., N) each."""
+    means, count = rows.mean(axis=-1), rows.shape[-1]
+    off = rows - means[..., None]
+    square = off * off
+    third, fourth = np.vecdot(square, off) / count, np.vecdot(square, square) / count
+    return means, square.mean(axis=-1), third, fourth
 
 
 def transmission_from(cov: Covariances) -> Array:
