@@ -248,7 +248,7 @@ _STATE = (
 """State of the episodes, but for their latest records."""
 _FAULT, _MISMATCH, _POSE, _RECORD, _DRIFT = range(5)
 """Streams of random draws of an episode."""
-_TOGETHER = 64
+_TOGETHER = 128
 """Records worked out at once: their signals fit the processor's cache."""
 
 

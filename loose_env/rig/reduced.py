@@ -232,7 +232,7 @@ def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
         )
 
 
-_TOGETHER = 64  # arms whose signals are worked on at once: more than fit the cache are slower
+_TOGETHER = 128  # arms whose signals are worked on at once: more than fit the cache are slower
 _DIVERGED = "the simulation diverged: motion not finite"
 _LEAST = 16  # arms in one run of the loop; it takes several in one instruction
 
@@ -398,19 +398,23 @@ class ReducedRig(SlotRig):
     ) -> tuple[Motion, Noise]:
         """Integrate the arms, some on each thread; draw the noise meanwhile."""
         arms, period = len(trials), delivered.shape[1]
-        driven = np.flatnonzero(trials.excited.any(axis=0))
+        rank = np.arange(len(delivered)) - np.searchsorted(control.records, control.records)
         # The loop takes the arms along the last axis.
+        driven = np.zeros((1 + rank.max(), arms), dtype=np.uintp)
         torque = np.zeros((len(driven), period, arms))
-        torque[np.searchsorted(driven, control.drives), :, control.records] = delivered
+        driven[rank, control.records] = control.drives
+        torque[rank, :, control.records] = delivered
         # Contiguous for each record, so that sums over it do not depend on the others.
         smooth = np.empty((arms, len(self._axes.sensor), count))
         position = np.empty((arms, self.arm.n, count + 2))
 
         def some(first: int, last: int) -> None:
-            own = [np.ascontiguousarray(part[..., first:last]) for part in (*motions, torque)]
+            own = [
+                np.ascontiguousarray(part[..., first:last]) for part in (*motions, torque, driven)
+            ]
             found = [np.empty((*each.shape[1:], last - first)) for each in (smooth, position)]
             several = last - first if last - first > 1 else None
-            self._integrate(*own, driven, *self._steps, *found, several)
+            self._integrate(*own, *self._steps, *found, several)
             for each, part in zip((smooth, position), found, strict=True):
                 each[first:last] = part.transpose(2, 0, 1)
 

@@ -232,9 +232,9 @@ def integrate(
                 for k in range(arms):
                     total[k] -= spring[k] * moved[k]
         for e in range(len(driven)):
-            total, drive = f[driven[e]], torque[e, position]
+            own, drive = driven[e], torque[e, position]
             for k in range(arms):
-                total[k] += drive[k]
+                f[own[k], k] += drive[k]
         position += 1
         if position == period:
             position = 0
