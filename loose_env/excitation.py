@@ -238,7 +238,7 @@ def torques_at_levels(
     on = levels > 0
     torque, share = np.zeros(levels.shape), np.ones(levels.shape)
     m = tool.shape[-1]
-    per_torque = np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=2), axis=1))
+    per_torque = np.sqrt((np.abs(tool) ** 2).sum(axis=2).mean(axis=1))
     for joint in arm.unfelt_joints:
         # No torque would give the tool on the joint's axis its level; what is asked for then is
         # the level at a distance from it.

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from copy import copy
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,6 @@ from loose_env.excitation import Excitation, SeatDrive, SeatReference
 from loose_env.rig import Measurement, Records
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import (
-    LowestCoherence,
     RecordCovariances,
     apparent_inertia_from,
     central_moments,
@@ -117,20 +116,6 @@ class Prediction:
         """The same with the command as instrument: free of encoder noise (d, m) [m]."""
         own = self.covariances
         return transmission_by_instrument_from(own.command_x, own.command_a)
-
-    @cached_property
-    def _lowest(self) -> LowestCoherence:
-        return lowest_coherence_direction_from(self.covariances.x_a)
-
-    @property
-    def lowest_direction(self) -> Array:
-        """Direction of lowest coherence with the excitation, tool frame, unit vector (d,)."""
-        return self._lowest.direction
-
-    @property
-    def maximum_correlation(self) -> float:
-        """Highest correlation over directions [1]."""
-        return float(np.sqrt(self._lowest.coherences[-1]))
 
 
 def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Prediction:

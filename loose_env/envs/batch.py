@@ -335,7 +335,7 @@ class EnvBatch:
         )
         self._raw = raw_shapes(arm, settings) if settings.raw else {}
         self.divergences: Counter[str] = Counter()
-        self._levels = np.array([0.0, *arm.levels])
+        self._levels, self._drifts = np.array([0.0, *arm.levels]), settings.drift != Drift()
         # State of the episodes.
         most, n, layout = settings.max_records, arm.n, self.observations
         objects = np.full((5, num), None)  # seeds may have more bits than a whole number of numpy
@@ -608,10 +608,10 @@ class EnvBatch:
     def _move(self, slots: IndexArray, moves: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Move joints; one whose move leaves its range stays. Return which stayed (A, n)."""
         poses, joints = self._poses[slots], np.arange(self.arm.n)
-        fits = np.take_along_axis(self.actions.allowed_moves(poses), moves[..., None], 2)[..., 0]
+        fits = self.actions.allowed_moves(poses)[np.arange(len(poses))[:, None], joints, moves]
         step = np.where(fits, self.actions.steps[joints, moves], 0.0)
         # Rounded to a nanoradian, or nanometre, so that going there and back is the same pose.
-        self._poses[slots] = np.round(self.arm.wrap(poses + step), 9)
+        self._poses[slots] = self.arm.wrap(poses + step).round(9)
         return ~fits
 
     def _measure(
@@ -707,8 +707,8 @@ class EnvBatch:
 
     def _drift(self, slots: IndexArray) -> None:
         """Let true arms drift since the record before, if there was one and they do."""
-        going = slots[self.records[slots] > 0]
-        if self.settings.drift == Drift() or not len(going):
+        going = slots[(self.records[slots] > 0) & self._drifts]
+        if not len(going):
             return
         draws = zip(self._mismatches[going], self._streams(going, _DRIFT), strict=True)
         after = [self.settings.drift.after(mismatch, rng) for mismatch, rng in draws]

@@ -715,9 +715,10 @@ class _Scaling:
     def forward(self, values: Array) -> NDArray[np.float32]:
         """Scale values (..., elements)."""
         y, log, asinh = values / self.scale, self._logs, self._asinhs
-        y[..., asinh] = np.arcsinh(y[..., asinh])
-        # Zero stands for "not excited" and goes to the lower bound.
-        y[..., log] = np.log10(np.maximum(y[..., log], np.finfo(float).tiny))
+        if len(asinh):
+            y[..., asinh] = np.arcsinh(y[..., asinh])
+        if len(log):  # zero stands for "not excited" and goes to the lower bound
+            y[..., log] = np.log10(np.maximum(y[..., log], np.finfo(float).tiny))
         return np.asarray(np.minimum(np.maximum(y, self.low), self.high), dtype=np.float32)
 
     def backward(self, scaled: NDArray[np.float32], span: slice) -> Array:
