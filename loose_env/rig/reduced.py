@@ -59,7 +59,7 @@ class MotionLayout:
         driven = plant.indices.dofs
         others = [d for d in range(model.nv) if d != self.seat and d not in driven]
         self.order = np.array([*driven, *others, self.seat], dtype=np.intp)
-        """Degrees of freedom the driven joints first, then bending modes, then the seat (D,)."""
+        """Degrees of freedom: the driven joints, then bending modes, then the seat (D,)."""
         self.joints = model.dof_jntid[self.order]
         self.positions = model.jnt_qposadr[self.joints]
         self.bodies = model.dof_bodyid[self.order]
@@ -192,7 +192,7 @@ class _Seen(NamedTuple):
             mujoco.mj_comPos(model, data)
             mujoco.mj_makeM(model, data)
             mujoco.mj_fullM(model, data, found.inertia[k])
-            for values, each in zip(found, here, strict=False):
+            for values, each in zip(found[:-1], here, strict=True):
                 values[k] = each
         return found
 
