@@ -124,8 +124,8 @@ def linearise(
             inertia[k, i, i] += 0.0 if free else fixed.held[own, i]
         if shut:
             start[count - 1, k] = 0.0
-            inertia[k, count - 1, :], inertia[k, :, count - 1] = 0.0, 0.0
-            inertia[k, count - 1, count - 1] = 1.0
+            for i in range(count):
+                inertia[k, count - 1, i] = inertia[k, i, count - 1] = 1.0 if i == count - 1 else 0.0
         for i in range(count):
             for j in range(count):
                 pull = -_dot(_cross(turning[j], centres[i]), gravity)
