@@ -85,7 +85,7 @@ def torque_periods(
     """
     count = round(duration / timestep)
     frequency, inside = _lines(count, timestep, band)
-    levels = np.column_stack([torque_rms, shaker_rms])
+    levels = np.concatenate([torque_rms, shaker_rms[:, None]], axis=1)
     owners, joints = np.nonzero(levels)
     draws = np.empty((*levels.shape, len(inside), 2))
     for own, shaker, rng in zip(draws, shaker_rms, rngs, strict=True):
@@ -93,10 +93,9 @@ def torque_periods(
     # E|line|² = 2; the expected rms of the sum of all lines is the one asked for.
     scale = levels[owners, joints] * count / (2 * np.sqrt(len(inside)))
     lines = draws[owners, joints].view(complex)[..., 0] * scale[:, None]
-    shapes = [None] * len(levels) if shaping is None else shaping
     for line, owner, joint in zip(lines, owners, joints, strict=True):
-        own_shapes = shapes[int(owner)]
-        shape = None if own_shapes is None else (*own_shapes, None)[joint]
+        own_shapes = shaping and shaping[int(owner)]
+        shape = (*own_shapes, None)[joint] if own_shapes else None
         if shape is not None:
             weight = shape(frequency[inside])
             line *= weight / np.sqrt(np.mean(weight**2))
@@ -239,7 +238,7 @@ def torques_at_levels(
     on = levels > 0
     torque, share = np.zeros(levels.shape), np.ones(levels.shape)
     m = tool.shape[-1]
-    per_torque = np.sqrt(np.mean(np.sum(np.abs(tool) ** 2, axis=2), axis=1))
+    per_torque = np.sqrt((np.abs(tool) ** 2).sum(axis=2).mean(axis=1))
     for joint in arm.unfelt_joints:
         # No torque would give the tool on the joint's axis its level; what is asked for then is
         # the level at a distance from it.

@@ -16,7 +16,7 @@ Words = NDArray[np.uint32]
 
 _POOL = 4  # words of the entropy pool
 _WORD = 1 << 32
-_FEW = 6  # of fewer streams each is hashed by numpy itself, which is quicker then
+_FEW = 16  # of fewer streams each is hashed by numpy itself, which is quicker then
 
 
 def streams(seeds: Sequence[int], keys: NDArray[np.intp]) -> list[np.random.Generator]:
@@ -38,7 +38,7 @@ def streams(seeds: Sequence[int], keys: NDArray[np.intp]) -> list[np.random.Gene
     True
     """
     words = [_words(seed) for seed in seeds]
-    if len(seeds) < _FEW or max(map(len, words)) > _POOL or keys.max() >= _WORD:
+    if max(map(len, words), default=0) > _POOL or keys.max(initial=0) >= _WORD:
         sequences = (
             np.random.SeedSequence(seed, spawn_key=tuple(key))
             for seed, key in zip(seeds, keys.tolist(), strict=True)
@@ -56,6 +56,8 @@ def _words(seed: int) -> tuple[int, ...]:
 
 def seeded(entropy: Words) -> list[np.random.Generator]:
     """Generators seeded by rows of four words or more (B, W), as ``default_rng`` seeds them."""
+    if len(entropy) < _FEW:
+        return [np.random.default_rng(row) for row in entropy]
     states = _states(entropy)
     known: Any = _Hashed  # numpy's stubs know its own seed sequences alone
     return [np.random.Generator(np.random.PCG64(known(state))) for state in states]

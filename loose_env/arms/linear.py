@@ -34,14 +34,11 @@ def solved(stiffness: ComplexArray, force: ComplexArray) -> ComplexArray:
     zero. Both arrays are overwritten.
     """
     for p in range(len(stiffness)):
-        scale = 1.0 / stiffness[p, p]
+        factor, scale = stiffness[:, p, None], 1.0 / stiffness[p, p]
         ahead = stiffness[p, p + 1 :] * scale
         known = force[p] * scale
-        for v in range(len(stiffness)):
-            if v != p:
-                factor = stiffness[v, p]
-                stiffness[v, p + 1 :] -= factor * ahead
-                force[v] -= factor * known
+        stiffness[:, p + 1 :] -= factor * ahead
+        force -= factor * known
         stiffness[p, p + 1 :] = ahead
         force[p] = known
     return force
@@ -147,6 +144,7 @@ class LinearArm:
         self._data = mujoco.MjData(model)
         address = {model.joint(j).name: model.joint(j).dofadr[0] for j in range(model.njnt)}
         self.joint_dofs = np.array([address.pop(j) for j in arm.joints], dtype=np.intp)
+        self._positions = model.jnt_qposadr[model.dof_jntid[self.joint_dofs]]
         places = range(1, arm.n + 1)
         slides = [[address.pop(f"open_slide{i}_{k}") for k in range(len(sliding))] for i in places]
         self.slide_dofs = np.array(slides, dtype=np.intp)
@@ -171,7 +169,8 @@ class LinearArm:
         other = copy(self)
         other.arm, other.model, other._cache = arm, self.model if model is None else model, {}
         other.frequency = np.linspace(*arm.band, len(self.frequency))
-        other.__dict__.pop("_joint_stiffness", None)
+        for name in ("_joint_stiffness", "_per_motion"):
+            other.__dict__.pop(name, None)
         return other
 
     def thinned(self) -> LinearArm:
@@ -302,8 +301,9 @@ class LinearArm:
     def _placed(self, poses: Array) -> Iterator[int]:
         """Put the model into one pose after the other."""
         model, data = self.model, self._data
-        position = np.tile(model.qpos0, (len(poses), 1))
-        position[:, model.jnt_qposadr[model.dof_jntid[self.joint_dofs]]] = poses
+        position = np.empty((len(poses), model.nq))
+        position[:] = model.qpos0
+        position[:, self._positions] = poses
         qpos = data.qpos
         for k, own in enumerate(position):
             qpos[:] = own
@@ -313,12 +313,18 @@ class LinearArm:
 
     def dynamic_stiffness(self, mass: Array, excited: NDArray[np.bool_]) -> ComplexArray:
         """Force per motion of joints, then bending modes, over the band (v, v, B, K)."""
-        loose, held = self._joint_stiffness
-        stiffness = mass.transpose(1, 2, 0)[..., None] * (-((2 * np.pi * self.frequency) ** 2) + 0j)
-        for v in range(len(loose)):
-            free = excited[:, v, None] if v < self.arm.n else True  # bending modes are never held
-            stiffness[v, v] += np.where(free, loose[v], held[v])
+        loose, held = (own[:, None] for own in self._joint_stiffness)
+        stiffness = mass.transpose(1, 2, 0)[..., None] * (self._per_motion + 0j)
+        count, n = len(loose), self.arm.n
+        own = stiffness.reshape(count * count, *stiffness.shape[2:])[:: count + 1]
+        own[:n] += np.where(excited.T[..., None], loose[:n], held[:n])
+        own[n:] += loose[n:]  # bending modes are never held
         return np.asarray(stiffness)
+
+    @cached_property
+    def _per_motion(self) -> Array:
+        """Acceleration per motion over the band (K,)."""
+        return np.asarray(-((2 * np.pi * self.frequency) ** 2))
 
     @cached_property
     def _joint_stiffness(self) -> tuple[ComplexArray, ComplexArray]:
@@ -414,13 +420,11 @@ class LinearPoses(_Placed):
         count, m = len(excited), int(excited[0].sum())
         torque = np.zeros((len(move), m, count, len(lin.frequency)), dtype=complex)
         owner, driven = np.nonzero(excited)
-        torque[driven, np.tile(np.arange(m), count), owner] = 1.0
+        torque[driven, np.arange(m * count) % m, owner] = 1.0
         answer = solved(lin.dynamic_stiffness(mass, excited), torque)
-        answer *= -((2 * np.pi * lin.frequency) ** 2)
-        jacobian = self.jacobian[some][:, :, move]
-        tool = np.zeros((jacobian.shape[1], *answer.shape[1:]), dtype=complex)
-        for v in range(len(move)):
-            tool += jacobian[:, :, v].T[:, None, :, None] * answer[v]
+        answer *= lin._per_motion
+        jacobian = self.jacobian[some, :, move].transpose(2, 1, 0)
+        tool = (jacobian[:, :, None, :, None] * answer[:, None]).sum(0)
         # Contiguous for each pose, so that sums over it do not depend on the others.
         return (
             np.ascontiguousarray(answer.transpose(2, 3, 0, 1)),
@@ -455,7 +459,7 @@ class LinearPoses(_Placed):
         push = np.empty((*coupling.shape[1:], len(self), len(lin.frequency)), dtype=complex)
         push[:] = -coupling.transpose(1, 2, 0)[..., None]
         answer = solved(lin.dynamic_stiffness(mass, excited), push)
-        answer *= -((2 * np.pi * lin.frequency) ** 2)
+        answer *= lin._per_motion
         by_seat = np.ascontiguousarray(answer.transpose(2, 1, 0, 3))  # (B, seats, v, K)
         # Contiguous for each pose, so that sums over it do not depend on the others.
         moved = np.ascontiguousarray(self.jacobian[:, :, move])[:, None]

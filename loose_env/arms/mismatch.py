@@ -243,35 +243,20 @@ def apply_mismatches(
     Factors act on what each model's template says, whatever the model said before. Call
     ``mj_setConst`` afterwards.
     """
-    each_one = np.arange(len(models))[:, None]
-
-    def factors(name: str, at: str) -> None:
-        """Multiply a template's array, at some of its rows, by the factors of the draws."""
-        found = np.array([getattr(template, name) for template in templates])
-        rows = np.array([getattr(each, at) for each in indices])
-        found[each_one, rows] *= np.expand_dims(shares[name], tuple(range(2, found.ndim)))
-        for model, values in zip(models, found, strict=True):
-            getattr(model, name)[:] = values
-
-    def drawn(name: str) -> Array:
-        return np.array([getattr(draw, name) for draw in draws])
-
-    length, mass = drawn("length")[:, 1:], drawn("mass")[:, 1:]
-    shares = {
-        "body_pos": length,
-        "body_mass": mass,
-        "body_inertia": mass * drawn("inertia")[:, 1:],
-        "jnt_stiffness": drawn("stiffness"),
-        "dof_damping": drawn("damping"),
-        "dof_armature": drawn("rotor"),
-    }
-    for name in ("body_pos", "body_mass", "body_inertia"):
-        factors(name, "bodies")
-    factors("jnt_stiffness", "joints")
-    factors("dof_damping", "dofs")
-    factors("dof_armature", "drives")
     rotation, quaternion, tilt = np.zeros(9), np.zeros(4), np.zeros(3)
     for model, template, draw, at in zip(models, templates, draws, indices, strict=True):
+        mass = draw.mass[1:]
+        for name, rows, share in (
+            ("body_pos", at.bodies, draw.length[1:, None]),
+            ("body_mass", at.bodies, mass),
+            ("body_inertia", at.bodies, (mass * draw.inertia[1:])[:, None]),
+            ("jnt_stiffness", at.joints, draw.stiffness),
+            ("dof_damping", at.dofs, draw.damping),
+            ("dof_armature", at.drives, draw.rotor),
+        ):
+            values = getattr(template, name).copy()
+            values[rows] *= share
+            getattr(model, name)[:] = values
         model.site_pos[:] = template.site_pos
         model.site_pos[at.tool] *= draw.length[at.tool_body]
         tilt[:2] = draw.tilt

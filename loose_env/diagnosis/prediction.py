@@ -10,10 +10,9 @@ that opens in part moves ``s`` times as far, in step with the force; what it doe
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,15 +33,11 @@ from loose_env.excitation import Excitation, SeatDrive, SeatReference
 from loose_env.rig import Measurement, Records
 from loose_env.sensors import LinkAccelerometers, SensorSuite
 from loose_env.statistics import (
-    Covariances,
-    LowestCoherence,
     RecordCovariances,
-    acceleration_from_angle,
     apparent_inertia_from,
-    bandpass,
+    central_moments,
     lowest_coherence_direction_from,
     record_covariances,
-    shape_of,
     transmission_by_instrument_from,
     transmission_from,
 )
@@ -86,70 +81,41 @@ class SensorFloor:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
     """Second-order statistics of one record; m joints are excited.
 
-    The command is scaled to its rms; all covariances are in-band. Of B records together, as
-    `predictions` gives them, every number is an array (B,) and every array has an axis more in
-    front.
+    The command is scaled to its rms; all covariances are in-band.
     """
 
-    joint: Array
-    """Covariance of the excited joints' accelerations (m, m) [rad²/s⁴]."""
-    joint_tool: Array
-    """Covariance of joint and tool acceleration (m, d) [rad/s² m/s²]."""
-    tool: Array
-    """Covariance of the tool acceleration (d, d) [m²/s⁴]."""
-    command_joint: Array
-    """Covariance of command and joint acceleration (m, m) [N·m rad/s²]."""
-    command_tool: Array
-    """Covariance of command and tool acceleration (m, d) [N·m m/s²]."""
+    covariances: RecordCovariances
+    """Of the command, the accelerations of the excited joints and that of the tool."""
 
-    command: Array
-    """Covariance of the command, diagonal (m, m) [N²·m²]."""
+    @property
+    def joint(self) -> Array:
+        """Covariance of the excited joints' accelerations (m, m) [rad²/s⁴]."""
+        return self.covariances.x_a.xx
+
+    @property
+    def joint_tool(self) -> Array:
+        """Covariance of joint and tool acceleration (m, d) [rad/s² m/s²]."""
+        return self.covariances.x_a.xa
+
+    @property
+    def tool(self) -> Array:
+        """Covariance of the tool acceleration (d, d) [m²/s⁴]."""
+        return self.covariances.x_a.aa
 
     @property
     def transmission(self) -> Array:
         """Regression of the tool on the measured joint accelerations (d, m) [m]."""
-        return np.asarray(np.linalg.solve(self.joint, self.joint_tool).mT)
+        return transmission_from(self.covariances.x_a)
 
     @property
     def transmission_by_instrument(self) -> Array:
         """The same with the command as instrument: free of encoder noise (d, m) [m]."""
-        return np.asarray(np.linalg.solve(self.command_joint, self.command_tool).mT)
-
-    @property
-    def inertia(self) -> Array:
-        """Apparent inertia of each excited joint (m,) [kg·m²]."""
-        found = np.linalg.solve(self.command_joint, self.command)
-        return np.asarray(np.diagonal(found, axis1=-2, axis2=-1))
-
-    @cached_property
-    def _lowest(self) -> LowestCoherence:
-        return lowest_coherence_direction_from(
-            Covariances(xx=self.joint, xa=self.joint_tool, aa=self.tool, count=0)
-        )
-
-    @property
-    def lowest_direction(self) -> Array:
-        """Direction of lowest coherence with the excitation, tool frame, unit vector (d,)."""
-        return self._lowest.direction
-
-    @property
-    def lowest_coherence(self) -> float:
-        """Squared correlation along that direction [1]."""
-        return self._lowest.coherence
-
-    @property
-    def maximum_correlation(self) -> float:
-        """Highest correlation over directions [1]."""
-        highest: Any = np.sqrt(self._lowest.coherences[..., -1])
-        return highest  # type: ignore[no-any-return]
-
-    def __getitem__(self, k: int) -> Prediction:
-        """Prediction of one record of several."""
-        return Prediction(**{each.name: getattr(self, each.name)[k] for each in fields(self)})
+        own = self.covariances
+        return transmission_by_instrument_from(own.command_x, own.command_a)
 
 
 def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Prediction:
@@ -177,7 +143,8 @@ def predict(pose: LinearPose, excitation: Excitation, floor: SensorFloor) -> Pre
     torque = np.array([excitation.torque_rms])
     answer = pose.response(torque[0] > 0)
     arm = pose.linear.arm
-    return predictions(arm, torque, floor, answer.acceleration[None], answer.tool[None])[0]
+    found = predictions(arm, torque, floor, answer.acceleration[None], answer.tool[None])
+    return Prediction(covariances=RecordCovariances.of(found.full[0], int((torque > 0).sum()), 0))
 
 
 def predictions(
@@ -186,7 +153,7 @@ def predictions(
     floor: SensorFloor,
     acceleration: ComplexArray,
     tool: ComplexArray,
-) -> Prediction:
+) -> RecordCovariances:
     """Predict several records of the nominal, healthy arm, in which equally many joints are on.
 
     Parameters
@@ -202,25 +169,23 @@ def predictions(
 
     Returns
     -------
-    Prediction
+    RecordCovariances
         Of all records; arrays have a first axis of length B.
     """
-    joints = joints_on(torque_rms)
-    torque = np.take_along_axis(torque_rms, joints, axis=1)
-    noise = floor.joints(arm)[joints]
-    joint = np.take_along_axis(acceleration, joints[:, None, :, None], axis=2)
-    # Spectra averaged over the band: joint (B, K, m, m), tool (B, K, d, m).
-    count, axes = tool.shape[1:3]
-    x, a = joint * torque[:, None, None], tool * torque[:, None, None]
-    return Prediction(
-        joint=np.einsum("bkim,bkjm->bij", x, x.conj()).real / count + _diagonal(noise**2),
-        joint_tool=np.einsum("bkim,bkdm->bid", x, a.conj()).real / count,
-        tool=np.einsum("bkim,bkjm->bij", a, a.conj()).real / count + floor.tool**2 * np.eye(axes),
-        # The command of joint j drives column j alone.
-        command_joint=np.einsum("bkim,bm->bmi", x, torque).real / count,
-        command=_diagonal(torque**2),
-        command_tool=np.einsum("bkdm,bm->bmd", a, torque).real / count,
-    )
+    joints, rows = joints_on(torque_rms), np.arange(len(torque_rms))[:, None]
+    torque = torque_rms[rows, joints]
+    joint = acceleration[rows, :, joints].transpose(0, 2, 1, 3)
+    both = np.concatenate([joint, tool], axis=2) * torque[:, None, None]
+    _, count, p, m = both.shape
+    # Spectra averaged over the band; the command of joint j drives column j alone.
+    full = np.zeros((len(torque), m + p, m + p))
+    full[:, m:, :m] = np.einsum("bkim->bim", both).real * torque[:, None] / count
+    full[:, :m, m:] = full[:, m:, :m].mT
+    full[:, m:, m:] = np.einsum("bkim,bkjm->bij", both, both.conj()).real / count
+    diagonal = np.arange(m + p)
+    full[:, diagonal[:m], diagonal[:m]] = torque**2
+    full[:, diagonal[m:], diagonal[m:]] += channel_noise(floor, arm, joints)
+    return RecordCovariances.of(full, m, count)
 
 
 def _diagonal(values: Array) -> Array:
@@ -521,13 +486,35 @@ _STILL = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RecordStatistics:
-    """Second- and higher-order statistics of one record.
+class SecondOrder:
+    """Second-order statistics of one record in the band, measured or predicted.
 
     Arrays over joints have n entries; those of joints that were not excited are zero. Of B
     records together, as `statistics_of_all` gives them, every number is an array (B,) and every
     array has an axis more in front.
     """
+
+    transmission: Array
+    """Tool acceleration per measured joint acceleration [m] (d, n)."""
+    transmission_by_instrument: Array
+    """The same with the command as instrument [m] (d, n)."""
+    joint_rms: Array
+    """Rms joint acceleration [rad/s²] (n,)."""
+    inertia: Array
+    """Apparent inertia: torque per joint acceleration [kg·m²] (n,)."""
+    tool_covariance: Array
+    """Covariance of the tool acceleration [m²/s⁴] (d, d)."""
+    lowest_direction: Array
+    """Direction of lowest coherence with the excitation, tool frame, unit vector (d,)."""
+    lowest_coherence: float
+    """Squared correlation along that direction [1]; zero by construction for one joint."""
+    maximum_correlation: float
+    """Highest correlation over directions [1]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordStatistics(SecondOrder):
+    """Second- and higher-order statistics of one record; of B records as `SecondOrder`."""
 
     pose: Array
     """Commanded pose [rad] (n,)."""
@@ -535,22 +522,6 @@ class RecordStatistics:
     """Rms random torque commanded [N·m] (n,)."""
     duration: float
     """Length of the record [s]."""
-    transmission: Array
-    """Tool acceleration per measured joint acceleration, in the band [m] (d, n)."""
-    transmission_by_instrument: Array
-    """The same with the command as instrument [m] (d, n)."""
-    joint_rms: Array
-    """Rms joint acceleration in the band [rad/s²] (n,)."""
-    inertia: Array
-    """Apparent inertia: torque per joint acceleration [kg·m²] (n,)."""
-    tool_covariance: Array
-    """Covariance of the tool acceleration in the band [m²/s⁴] (d, d)."""
-    lowest_direction: Array
-    """Direction of lowest coherence with the excitation, tool frame, unit vector (d,)."""
-    lowest_coherence: float
-    """Squared correlation along that direction [1]; zero by construction for one joint."""
-    maximum_correlation: float
-    """Highest correlation over directions [1]."""
     skewness: Array
     """Skewness along the tool axes, whole bandwidth; 0 along one that stands still [1] (d,)."""
     kurtosis: Array
@@ -618,51 +589,66 @@ def statistics_of_all(records: Records) -> RecordStatistics:
     InvalidData
         If nothing moves in one of the records.
     """
-    raw, count = np.ascontiguousarray(records.tool), len(records)
-    cov, spread = _covariances(records, bandpass(raw, records.rate, records.band))
-    lowest = lowest_coherence_direction_from(cov.x_a)
+    return statistics_beside(records)[0]
+
+
+def statistics_beside(
+    records: Records, nominal: Array | None = None
+) -> tuple[RecordStatistics, SecondOrder]:
+    """As `statistics_of_all`; also of second order alone, of the records and what is predicted.
+
+    ``nominal`` (B, P, P) has the covariances of each record that `predictions` gives, and more
+    rows and columns behind. The second result is that of all records, then of all predictions.
+    """
+    torque, count = records.torque_rms, len(records)
+    joints, raw = joints_on(torque), np.ascontiguousarray(records.tool)
+    cov = _covariances(records, joints, raw)
+    if nominal is not None:
+        size = cov.full.shape[-1]
+        full = np.concatenate([cov.full, nominal[:, :size, :size]])
+        cov = RecordCovariances.of(full, joints.shape[1], 0)
+        joints = np.concatenate([joints, joints])
+    x_a, n = cov.x_a, torque.shape[1]
+    lowest = lowest_coherence_direction_from(x_a)
     instrument = transmission_by_instrument_from(cov.command_x, cov.command_a)
     inertia = apparent_inertia_from(cov.command_x)
-    third, fourth = _shape(raw, lowest.direction)
-    several: dict[str, Any] = {
-        "pose": records.pose,
-        "torque": records.torque_rms,
-        "duration": np.full(count, records.duration),
-        "transmission": spread(transmission_from(cov.x_a)),
-        "transmission_by_instrument": spread(instrument),
-        "joint_rms": spread(np.sqrt(np.diagonal(cov.x_a.xx, axis1=-2, axis2=-1))),
-        "inertia": spread(np.diagonal(inertia, axis1=-2, axis2=-1)),
-        "tool_covariance": cov.x_a.aa,
+    both: dict[str, Any] = {
+        "transmission": _spread(transmission_from(x_a), joints, n),
+        "transmission_by_instrument": _spread(instrument, joints, n),
+        "joint_rms": _spread(np.sqrt(np.diagonal(x_a.xx, axis1=-2, axis2=-1)), joints, n),
+        "inertia": _spread(np.diagonal(inertia, axis1=-2, axis2=-1), joints, n),
+        "tool_covariance": x_a.aa,
         "lowest_direction": lowest.direction,
         "lowest_coherence": lowest.coherence,
         "maximum_correlation": np.sqrt(lowest.coherences[:, -1]),
+    }
+    third, fourth = _shape(raw, lowest.direction[:count])
+    measured: dict[str, Any] = {
+        "pose": records.pose,
+        "torque": torque,
+        "duration": np.full(count, records.duration),
         "skewness": third[:, :-1],
         "kurtosis": fourth[:, :-1],
         "lowest_skewness": third[:, -1],
         "lowest_kurtosis": fourth[:, -1],
     }
-    return RecordStatistics(**several)
+    own = {name: values[:count] for name, values in both.items()}
+    return RecordStatistics(**measured, **own), SecondOrder(**both)
 
 
-def _covariances(
-    records: Records, motion: Array
-) -> tuple[RecordCovariances, Callable[[Array], Array]]:
-    """Covariances of records in the band with a motion (B, k, N), and `spread`.
+def _covariances(records: Records, joints: IndexArray, motion: Array) -> RecordCovariances:
+    """Covariances of records in the band with a motion (B, k, N)."""
+    rows, rate, band = np.arange(len(joints))[:, None], records.rate, records.band
+    command, encoder = records.command[rows, joints], records.encoder[rows, joints]
+    return record_covariances(command, encoder, motion, rate=rate, band=band)
 
-    That puts the values of the excited joints (B, ..., m) among those of all (B, ..., n).
-    """
-    rate, band, torque = records.rate, records.band, records.torque_rms
-    joints = joints_on(torque)
-    rows = np.arange(len(torque))[:, None]
 
-    def spread(values: Array) -> Array:
-        wide = np.zeros((*torque.shape, *values.shape[1:-1]))
-        wide[rows, joints] = values if values.ndim == 2 else values.mT
-        return wide if values.ndim == 2 else wide.mT
-
-    x = acceleration_from_angle(records.encoder[rows, joints], rate, band)
-    played = bandpass(records.command[rows, joints], rate, band)
-    return record_covariances(played, x, motion), spread
+def _spread(values: Array, joints: IndexArray, n: int) -> Array:
+    """Values of the excited joints (B, ..., m) among those of all (B, ..., n)."""
+    last = values.ndim - 1
+    wide = np.zeros((len(values), n, *values.shape[1:last]))
+    wide[np.arange(len(values))[:, None], joints] = values if last == 1 else values.mT
+    return wide if last == 1 else wide.mT
 
 
 def _shape(tool: Array, direction: Array) -> tuple[Array, Array]:
@@ -670,15 +656,11 @@ def _shape(tool: Array, direction: Array) -> tuple[Array, Array]:
 
     Along an axis that stands still ideal sensors show rounding only; zero means no impacts there.
     """
-    along = np.einsum("bd,bdn->bn", direction, tool)
-    rows = np.concatenate([tool, along[:, None]], axis=1)
-    power = rows.var(axis=-1)
-    most = power.max(axis=-1, keepdims=True)
-    moving = (power > _STILL * most) & (np.sqrt(power) > _STILL * np.abs(rows.mean(axis=-1)))
-    third, fourth = np.zeros(power.shape), np.zeros(power.shape)
-    if moving.any():
-        third[moving], fourth[moving] = shape_of(rows[moving])
-    return third, fourth
+    rows = np.concatenate([tool, direction[:, None] @ tool], axis=1)
+    means, power, third, fourth = central_moments(rows)
+    still = power <= np.maximum(_STILL * power.max(axis=-1, keepdims=True), (_STILL * means) ** 2)
+    scale = np.where(still, np.inf, power)
+    return third / scale**1.5, fourth / scale**2 - 3.0 * ~still
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -722,12 +704,13 @@ def link_readings_of_all(records: Records) -> LinkReadings:
         )
     count, links, axes, _ = records.links.shape
     signals = records.links.reshape(count, links * axes, -1)
-    motion = bandpass(signals, records.rate, records.band)
-    cov, spread = _covariances(records, motion)
-    found = spread(transmission_by_instrument_from(cov.command_x, cov.command_a))
+    joints = joints_on(records.torque_rms)
+    cov = _covariances(records, joints, signals)
+    found = transmission_by_instrument_from(cov.command_x, cov.command_a)
+    own = _spread(found, joints, records.torque_rms.shape[1])
     return LinkReadings(
-        transmission_by_instrument=found.reshape(count, links, axes, -1),
-        rms=motion.std(axis=-1).reshape(count, links, axes),
+        transmission_by_instrument=own.reshape(count, links, axes, -1),
+        rms=np.sqrt(np.diagonal(cov.x_a.aa, axis1=-2, axis2=-1)).reshape(count, links, axes),
     )
 
 

@@ -29,7 +29,7 @@ from loose_env.diagnosis import (
     link_axes,
     link_readings_of_all,
     predictions,
-    statistics_of_all,
+    statistics_beside,
 )
 from loose_env.envs.faults import FaultSampler
 from loose_env.envs.settings import DiagnosisSettings, difficulty_named, refuse_unknown
@@ -216,7 +216,8 @@ class Beginning:
     @classmethod
     def of(cls, options: Any, arm: Arm) -> Beginning:
         """Check options; a fault may lie outside the hypotheses of the environment."""
-        given = mapping_of(options)
+        if not (given := mapping_of(options)):
+            return cls()
         refuse_unknown("reset options", given, [each.name for each in fields(cls)])
         given = {name: value for name, value in given.items() if value is not None}
         names, fault = (*hypotheses(arm, everywhere=True), SEVERAL_FAULTS), given.get("fault")
@@ -247,7 +248,7 @@ _STATE = (
 """State of the episodes, but for their latest records."""
 _FAULT, _MISMATCH, _POSE, _RECORD, _DRIFT = range(5)
 """Streams of random draws of an episode."""
-_TOGETHER = 64
+_TOGETHER = 128
 """Records worked out at once: their signals fit the processor's cache."""
 
 
@@ -334,7 +335,7 @@ class EnvBatch:
         )
         self._raw = raw_shapes(arm, settings) if settings.raw else {}
         self.divergences: Counter[str] = Counter()
-        self._levels = np.array([0.0, *arm.levels])
+        self._levels, self._drifts = np.array([0.0, *arm.levels]), settings.drift != Drift()
         # State of the episodes.
         most, n, layout = settings.max_records, arm.n, self.observations
         objects = np.full((5, num), None)  # seeds may have more bits than a whole number of numpy
@@ -524,8 +525,8 @@ class EnvBatch:
         rows = np.flatnonzero(~(said | over))
         own, act = at[rows], action.some(rows)
         stayed = self._move(own, act.moves)
-        torque, share, nominal = self._excite(own, act.levels)
-        failures = self._measure(own, act, torque, share, nominal)
+        torque, share, nominal, gravity = self._excite(own, act.levels)
+        failures = self._measure(own, act, torque, share, nominal, gravity)
         rewards = np.zeros(len(at))
         rewards[rows] = -self._spend(own, act, (act.moves != self.actions.stay) & ~stayed, torque)
         ends = self._ends(at, action.verdict, said, over, rewards)
@@ -607,14 +608,20 @@ class EnvBatch:
     def _move(self, slots: IndexArray, moves: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Move joints; one whose move leaves its range stays. Return which stayed (A, n)."""
         poses, joints = self._poses[slots], np.arange(self.arm.n)
-        fits = np.take_along_axis(self.actions.allowed_moves(poses), moves[..., None], 2)[..., 0]
+        fits = self.actions.allowed_moves(poses)[np.arange(len(poses))[:, None], joints, moves]
         step = np.where(fits, self.actions.steps[joints, moves], 0.0)
         # Rounded to a nanoradian, or nanometre, so that going there and back is the same pose.
-        self._poses[slots] = np.round(self.arm.wrap(poses + step), 9)
+        self._poses[slots] = self.arm.wrap(poses + step).round(9)
         return ~fits
 
     def _measure(
-        self, slots: IndexArray, act: Action, torque: Array, share: Array, nominal: Array
+        self,
+        slots: IndexArray,
+        act: Action,
+        torque: Array,
+        share: Array,
+        nominal: Array,
+        gravity: Array,
     ) -> dict[int, str]:
         """Measure arms, and enter what they show into the observations.
 
@@ -639,33 +646,38 @@ class EnvBatch:
             own = slots[rows]
             self._slots[own, self.records[own]] = found
 
-        for rows, records in self._simulated(slots, torque, act.duration):
+        for rows, records in self._simulated(slots, torque, act.duration, gravity):
             for k, row in enumerate(rows.tolist()):
                 self._last[slots[row]] = (records, k)
                 failure = records.failures[k]
                 if failure is not None:
                     failures[row] = failure
             good = np.array([failure is None for failure in records.failures])
-            for m in np.unique(excited[rows]).tolist():
+            for m in sorted(set(excited[rows].tolist())):
                 chosen = np.flatnonzero(good & (excited[rows] == m))
                 if len(chosen):
                     enter(rows[chosen], records.some(chosen))
         return failures
 
-    def _excite(self, slots: IndexArray, levels: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Torques for levels (A, n), shares of the levels allowed, and predicted elements."""
+    def _excite(
+        self, slots: IndexArray, levels: NDArray[np.intp]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Torques for levels (A, n), shares allowed, predicted covariances, gravity's torques."""
         linear, arm, wanted = self.nominal, self.arm, self._levels[levels]
-        torque, share = np.zeros(wanted.shape), np.ones(wanted.shape)
-        predicted = np.zeros((len(slots), self.observations.predicted_count))
+        torque, gravity, share = *np.zeros((2, *wanted.shape)), np.ones(wanted.shape)
+        counts = np.count_nonzero(levels, axis=1)
+        size = 2 * int(counts.max(initial=0)) + len(arm.axes)
+        nominal = np.zeros((len(slots), size, size))
 
         def predict(rows: IndexArray, answer: tuple[ComplexArray, ComplexArray]) -> None:
-            found = predictions(arm, torque[rows], self.floor, *answer)
-            predicted[rows] = self.observations.predicted(torque[rows], found)
+            full = predictions(arm, torque[rows], self.floor, *answer).full
+            nominal[rows, : full.shape[1], : full.shape[2]] = full
 
-        for rows in _groups(np.count_nonzero(levels, axis=1)):
+        for rows in _groups(counts):
             at, on = linear.at_all(self._poses[slots[rows]]), levels[rows] > 0
             answer = at.responses(on)
-            found = torques_at_levels(arm, wanted[rows], at.gravity_torque, *answer)
+            gravity[rows] = at.gravity_torque
+            found = torques_at_levels(arm, wanted[rows], gravity[rows], *answer)
             torque[rows], share[rows] = found
             driven = torque[rows] > 0
             if np.array_equal(driven, on):
@@ -674,10 +686,10 @@ class EnvBatch:
             for some in _groups(np.count_nonzero(driven, axis=1)):  # held otherwise than asked for
                 if driven[some[0]].any():
                     predict(rows[some], at.some(some).responses(driven[some]))
-        return torque, share, predicted
+        return torque, share, nominal, gravity
 
     def _observed(
-        self, levels: NDArray[np.intp], share: Array, records: Records, predicted: Array
+        self, levels: NDArray[np.intp], share: Array, records: Records, nominal: Array
     ) -> NDArray[np.float32]:
         """Slots of records alike in length and number of excited joints."""
         links = expected = None
@@ -687,8 +699,7 @@ class EnvBatch:
         return self.observations.slots_for(
             levels,
             share,
-            statistics_of_all(records),
-            predicted,
+            *statistics_beside(records, nominal),
             rhythm=() if self._rhythm is None else self._rhythm.of(records),
             links=links,
             nominal_links=expected,
@@ -696,8 +707,8 @@ class EnvBatch:
 
     def _drift(self, slots: IndexArray) -> None:
         """Let true arms drift since the record before, if there was one and they do."""
-        going = slots[self.records[slots] > 0]
-        if self.settings.drift == Drift() or not len(going):
+        going = slots[(self.records[slots] > 0) & self._drifts]
+        if not len(going):
             return
         draws = zip(self._mismatches[going], self._streams(going, _DRIFT), strict=True)
         after = [self.settings.drift.after(mismatch, rng) for mismatch, rng in draws]
@@ -706,10 +717,10 @@ class EnvBatch:
     def _streams(self, slots: IndexArray, kind: int) -> list[np.random.Generator]:
         """Generators of one kind of draw for the next record of each slot."""
         key = [self._numbers[slots], np.full(len(slots), kind), self.records[slots]]
-        return streams(self._seeds[slots].tolist(), np.column_stack(key))
+        return streams(self._seeds[slots].tolist(), np.array(key).T)
 
     def _simulated(
-        self, slots: IndexArray, torque: Array, durations: Any
+        self, slots: IndexArray, torque: Array, durations: Any, gravity: Array
     ) -> Iterator[tuple[IndexArray, Records]]:
         """Measure the arms whose drives have torque; yield records of one length with rows."""
         rows = np.flatnonzero(_taken(torque))
@@ -728,6 +739,7 @@ class EnvBatch:
                 duration=float(durations[own[0]]),
                 band=self.arm.band,
                 rngs=[rngs[k] for k in own.tolist()],
+                gravity=gravity[own] if self.true_arm is self.arm else None,
             )
             for own in members
         ]
@@ -765,7 +777,7 @@ def spread(values: NDArray[Any], rows: IndexArray, count: int) -> NDArray[Any]:
 
 def _groups(keys: NDArray[np.intp]) -> Iterator[IndexArray]:
     """Rows of equal keys, few enough for the processor's cache."""
-    for key in np.unique(keys):
+    for key in sorted(set(keys.tolist())):
         rows = np.flatnonzero(keys == key)
         yield from (rows[k : k + _TOGETHER] for k in range(0, len(rows), _TOGETHER))
 

@@ -9,14 +9,14 @@ from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from loose_env.arms import Arm, held_inertia, limits_of
 from loose_env.diagnosis import (
     SEAT_AXES,
     LinkReadings,
-    Prediction,
     RecordStatistics,
+    SecondOrder,
     link_axes,
 )
 from loose_env.envs.settings import DiagnosisSettings
@@ -91,8 +91,9 @@ class JointPose:
     def numbers(self, pose: Array) -> tuple[Array, ...]:
         """Turn poses [rad or m] (..., n) into the numbers of each of the `parts`."""
         first, second, k = np.sin(pose), np.cos(pose), self.slides
-        first[..., k], second[..., k] = self._places(pose, k), 0.0
-        return (first, second, self._places(pose, self.wide))[: len(self.parts)]
+        if len(k):
+            first[..., k], second[..., k] = self._places(pose, k), 0.0
+        return (first, second, *([self._places(pose, self.wide)] if len(self.wide) else ()))
 
     def _places(self, pose: Array, k: IndexArray) -> Array:
         return np.asarray(2 * (pose[..., k] - self.middle[k]) / self.width[k])
@@ -560,9 +561,6 @@ class ObservationLayout(RecordLayout):
         self._global_scaling = _Scaling(self.global_elements)
         self._slot_scaling = _Scaling(self.slot_elements)
         self._slot_index = _spans(self.slot_elements)
-        predicted = [e for e in self.slot_elements if e.name.startswith("nominal_")]
-        self.predicted_count = sum(not e.name.startswith("nominal_link_") for e in predicted)
-        """Elements of a slot that `predicted` gives."""
         self._global_index = _spans(self.global_elements)
 
     @property
@@ -581,41 +579,15 @@ class ObservationLayout(RecordLayout):
         """Scale the global elements of A episodes (A, globals)."""
         most = self.settings.max_records
         spent = [records / most, seconds, levels, (most - records) / most]
-        values = [*self._joint_pose.numbers(poses), np.column_stack(spent)]
+        values = [*self._joint_pose.numbers(poses), np.array(spent).T]
         return self._global_scaling.forward(np.concatenate(values, axis=1))
-
-    def predicted(self, torque_rms: Array, nominal: Prediction) -> Array:
-        """Elements that tell what the nominal arm would show, not yet scaled (B, elements).
-
-        From the rms torques of B records (B, n) and the prediction.
-        """
-        count = len(torque_rms)
-        rows, joints = np.nonzero(torque_rms)
-
-        def spread(values: Array) -> Array:
-            """Values of the excited joints (B, ..., m) among those of all (B, n, ...)."""
-            wide = np.zeros((*torque_rms.shape, *values.shape[1:-1]))
-            own = values if values.ndim == 2 else values.mT
-            wide[rows, joints] = own.reshape(-1, *values.shape[1:-1])
-            return wide
-
-        values = [
-            spread(nominal.transmission),
-            spread(nominal.transmission_by_instrument),
-            spread(np.sqrt(np.diagonal(nominal.joint, axis1=-2, axis2=-1))),
-            spread(nominal.inertia),
-            *_covariance_numbers(nominal.tool),
-            _axial_numbers(nominal.lowest_direction),
-            np.column_stack([nominal.lowest_coherence, nominal.maximum_correlation]),
-        ]
-        return np.concatenate([np.reshape(each, (count, -1)) for each in values], axis=1)
 
     def slots_for(
         self,
         levels: NDArray[np.intp],
         share: Array,
         record: RecordStatistics,
-        predicted: Array,
+        both: SecondOrder,
         *,
         rhythm: Sequence[Array] = (),
         links: LinkReadings | None = None,
@@ -623,40 +595,32 @@ class ObservationLayout(RecordLayout):
     ) -> NDArray[np.float32]:
         """Scale the elements of B records (B, slot size).
 
-        From their levels (B, n), the shares of these that torque limits allow (B, n), statistics
-        and the elements that are `predicted`; where the settings ask, loudness (B,) and rhythm
-        (B, seats); where accelerometers stand on links, also what these
-        measured and would show on the nominal arm (B, L, a, n).
+        From their levels (B, n), the shares of these that torque limits allow (B, n), statistics,
+        and those of second order of the records, then of the nominal arm's; where the settings
+        ask, loudness (B,) and rhythm (B, seats); where accelerometers stand on links, also what
+        these measured and would show on the nominal arm (B, L, a, n).
         """
         count = len(levels)
 
-        def numbers(*values: ArrayLike) -> Array:
-            return np.column_stack(values)
-
+        second = _second_order_numbers(both)
         values = [
             np.ones((count, 1)),
             *self._joint_pose.numbers(record.pose),
             levels,
             record.torque / np.array(self.arm.torque_limits),
             share,
-            numbers(record.duration),
-            record.transmission.mT,
-            record.transmission_by_instrument.mT,
-            record.joint_rms,
-            record.inertia,
-            *_covariance_numbers(record.tool_covariance),
-            _axial_numbers(record.lowest_direction),
-            numbers(record.lowest_coherence, record.maximum_correlation),
+            record.duration,
+            second[:count],
             record.skewness,
             record.kurtosis,
-            numbers(record.lowest_skewness, record.lowest_kurtosis),
-            predicted,
+            record.lowest_skewness,
+            record.lowest_kurtosis,
+            second[count:],
             *rhythm,
         ]
         if links is not None and nominal_links is not None:
             values += [links.transmission_by_instrument, nominal_links, links.rms]
-        rows = [np.reshape(each, (count, -1)) for each in values]
-        return self._slot_scaling.forward(np.concatenate(rows, axis=1))
+        return self._slot_scaling.forward(_joined(values))
 
     def table(self) -> str:
         """One line for each element of the globals and of one slot, for people to read."""
@@ -743,18 +707,19 @@ class _Scaling:
     def __init__(self, elements: tuple[Element, ...]) -> None:
         kinds = np.array([e.scaling for e in elements])
         self.log, self.asinh = kinds == "log10", kinds == "asinh"
+        self._logs, self._asinhs = np.flatnonzero(self.log), np.flatnonzero(self.asinh)
         self.scale = np.array([e.scale for e in elements])
         self.low = np.array([e.low for e in elements])
         self.high = np.array([e.high for e in elements])
 
     def forward(self, values: Array) -> NDArray[np.float32]:
         """Scale values (..., elements)."""
-        y = values / self.scale
-        y[..., self.asinh] = np.arcsinh(y[..., self.asinh])
-        # Zero stands for "not excited" and goes to the lower bound.
-        with np.errstate(divide="ignore"):
-            y[..., self.log] = np.log10(np.maximum(y[..., self.log], 0.0))
-        return np.asarray(np.clip(y, self.low, self.high), dtype=np.float32)
+        y, log, asinh = values / self.scale, self._logs, self._asinhs
+        if len(asinh):
+            y[..., asinh] = np.arcsinh(y[..., asinh])
+        if len(log):  # zero stands for "not excited" and goes to the lower bound
+            y[..., log] = np.log10(np.maximum(y[..., log], np.finfo(float).tiny))
+        return np.asarray(np.minimum(np.maximum(y, self.low), self.high), dtype=np.float32)
 
     def backward(self, scaled: NDArray[np.float32], span: slice) -> Array:
         y = scaled.astype(float)
@@ -763,6 +728,27 @@ class _Scaling:
         at_bottom = y[..., log] <= self.low[span][log]
         y[..., log] = np.where(at_bottom, 0.0, 10.0 ** y[..., log])
         return np.asarray(y * self.scale[span])
+
+
+def _joined(values: Sequence[Array]) -> Array:
+    """Arrays of B records beside each other (B, elements)."""
+    return np.concatenate([each.reshape(len(each), -1) for each in values], axis=1)
+
+
+def _second_order_numbers(found: SecondOrder) -> Array:
+    """Elements that tell the second-order statistics of B records, not yet scaled (B, elements)."""
+    return _joined(
+        [
+            found.transmission.mT,
+            found.transmission_by_instrument.mT,
+            found.joint_rms,
+            found.inertia,
+            *_covariance_numbers(found.tool_covariance),
+            _axial_numbers(found.lowest_direction),
+            np.asarray(found.lowest_coherence),
+            np.asarray(found.maximum_correlation),
+        ]
+    )
 
 
 def _covariance_numbers(covariance: Array) -> tuple[Array, Array]:

@@ -145,6 +145,8 @@ class Trials:
     """Source of each one's excitation, sensor noise and places of the seat in its gap."""
     shaping: Sequence[tuple[Shaping | None, ...] | None] | None = None
     """Spectra of each one's torques; flat ones by default."""
+    gravity: Array | None = None
+    """Torque that holds each joint of the nominal arm against gravity, where it is known (J, n)."""
 
     def __len__(self) -> int:
         return len(self.slots)
@@ -162,5 +164,6 @@ class Trials:
             shaker_rms=self.shaker_rms[rows],
             rngs=[self.rngs[k] for k in rows],
             shaping=None if self.shaping is None else [self.shaping[k] for k in rows],
+            gravity=None if self.gravity is None else self.gravity[rows],
             **own,
         )

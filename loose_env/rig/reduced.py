@@ -23,7 +23,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -48,44 +48,6 @@ from loose_env.sensors import SensorSuite
 from loose_env.typing import Array, IndexArray
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SmallMotion:
-    """Linearised motion of J true arms of D degrees of freedom and S accelerometer axes.
-
-    The driven joints come first, then bending modes, then the seat. Where the seat is shut, its
-    mobility is zero.
-    """
-
-    mobility: Array
-    """Inverse of the inertia matrix with the holdings' inertances (J, D, D)."""
-    stiffness: Array
-    """Springs, holdings and gravity's linear part (J, D, D)."""
-    damping: Array
-    """Dampers and holdings (J, D)."""
-    force: Array
-    """Constant force, gravity above all (J, D)."""
-    start: Array
-    """Position at the start less that at which springs rest (J, D)."""
-    readings: Array
-    """Sensor acceleration per acceleration of each degree of freedom (J, S, D)."""
-    tilting: Array
-    """Sensor reading per displacement: gravity seen from a turned sensor (J, S, D)."""
-    still: Array
-    """Sensor readings at rest (J, S)."""
-    zero: Array
-    """Joint positions where springs rest (J, n)."""
-    law: Array
-    """Forces of the seat (J, 11): positions of the lower and the upper stop; stiffness of each,
-    damping of each, and force per acceleration that each adds when touched; largest friction
-    force; friction force per acceleration while the seat sticks; deceleration per velocity that
-    sticking friction aims at [N and m, N·m and rad for a hinge]."""
-
-    @property
-    def parts(self) -> tuple[Array, ...]:
-        """All arrays, in the order in which the compiled loop takes them."""
-        return tuple(getattr(self, each.name) for each in fields(self))
-
-
 class MotionLayout:
     """Order and ancestry of a model's degrees of freedom: the same for all of one template."""
 
@@ -97,7 +59,7 @@ class MotionLayout:
         driven = plant.indices.dofs
         others = [d for d in range(model.nv) if d != self.seat and d not in driven]
         self.order = np.array([*driven, *others, self.seat], dtype=np.intp)
-        """Degrees of freedom in the order of `SmallMotion` (D,)."""
+        """Degrees of freedom: the driven joints, then bending modes, then the seat (D,)."""
         self.joints = model.dof_jntid[self.order]
         self.positions = model.jnt_qposadr[self.joints]
         self.bodies = model.dof_bodyid[self.order]
@@ -132,78 +94,14 @@ def _last_dof(model: mujoco.MjModel, body: int) -> int:
     return int(model.body_dofadr[body] + model.body_dofnum[body] - 1) if body > 0 else -1
 
 
-def small_motions(
-    fixed: _Fixed,
-    models: Sequence[mujoco.MjModel],
-    data: mujoco.MjData,
-    *,
-    poses: Array,
-    excited: NDArray[np.bool_],
-    places: Array,
-    torque: Array,
-    mixed: NDArray[np.intp],
-) -> SmallMotion:
-    """Linearise true arms about their initial poses; ``places`` are those of the seats."""
-    found = _Placed(fixed, models, data, poses, places)
-    n = excited.shape[1]
-    diagonal = np.arange(found.inertia.shape[1])
-    # Gravity, from the arms' geometry; angular velocity and motion of centres of mass.
-    turning = np.where(fixed.hinges[..., None], found.axis, 0.0)
-    centres = _motion(found, found.centres) * fixed.mass[..., None]
-    gravity = fixed.gravity[:, None]
-    stiffness = -_dot(_cross(turning[:, None], centres[:, :, None]), gravity[:, None])
-    stiffness = np.where(fixed.carried, stiffness, 0.0)
-    one_way = fixed.carried & ~fixed.carried.transpose(0, 2, 1)
-    stiffness = stiffness + np.where(one_way, stiffness, 0.0).transpose(0, 2, 1)
-    linear = stiffness.copy()
-    # What holds the joints.
-    held = np.where(excited, 0.0, fixed.held)
-    inertia = found.inertia
-    inertia[:, diagonal[:n], diagonal[:n]] += held
-    springs, damping = fixed.springs.copy(), fixed.damping.copy()
-    springs[:, :n] += np.where(excited, 0.0, fixed.holding[:, 0])
-    damping[:, :n] += np.where(excited, 0.0, fixed.holding[:, 1])
-    stiffness[:, diagonal, diagonal] += springs
-    # A seat that is shut does not move.
-    shut = fixed.shut
-    inertia[shut, -1, :] = inertia[shut, :, -1] = 0.0
-    inertia[shut, -1, -1] = 1.0
-    mobility = np.linalg.inv(inertia)
-    mobility[shut, -1, -1] = 0.0
-    start = found.position - found.rest
-    start[shut, -1] = 0.0
-    # Gravity's linear part is taken about the start, springs about where they rest.
-    force = _dot(centres, gravity) + _row_sums(linear * start[:, None])
-    force[:, :n] += torque
-    # Accelerometers: direction of each axis read, in the world.
-    along = _dot(fixed.mixing[:, :, None], found.frames[:, mixed])
-    reached = fixed.reached[:, mixed]
-    moved = _motion(found, found.sites[:, :, None])[:, mixed]
-    readings = np.where(reached, _dot(along[:, :, None], moved), 0.0)
-    falling = _cross(turning, gravity)[:, None]
-    tilting = np.where(reached, _dot(along[:, :, None], falling), 0.0)
-    law = fixed.law.copy()
-    law[:, :2] -= found.rest[:, -1:]
-    return SmallMotion(
-        mobility=np.asarray(mobility, dtype=np.float64),
-        stiffness=stiffness,
-        damping=damping,
-        force=force,
-        start=start,
-        readings=readings,
-        tilting=tilting,
-        still=-_dot(along, gravity) - _row_sums(tilting * start[:, None]),
-        zero=found.rest[:, :n],
-        law=law,
-    )
-
-
-@dataclass(kw_only=True, eq=False)
-class _Fixed:
+class _Fixed(NamedTuple):
     """What stays as it is while J arms are measured, degrees of freedom in the layouts' order."""
 
-    at: Array
-    """Layout of each (J,), of objects."""
+    order: IndexArray
+    """Degrees of freedom in the model's order, their joints, positions and bodies (J, D) each."""
+    joints: IndexArray
+    positions: IndexArray
+    bodies: IndexArray
     gravity: Array
     springs: Array
     damping: Array
@@ -216,7 +114,10 @@ class _Fixed:
     holding: Array
     """Its stiffness and its damping (J, 2, n)."""
     law: Array
-    """As `SmallMotion.law`, positions of the stops from the joint's zero (J, 11)."""
+    """Forces of the seat (J, 11): positions of the lower and the upper stop from the joint's zero;
+    stiffness of each, damping of each, and force per acceleration that each adds when touched;
+    largest friction force; friction force per acceleration while the seat sticks; deceleration per
+    velocity that sticking friction aims at [N and m, N·m and rad for a hinge]."""
     shut: NDArray[np.bool_]
     hinges: NDArray[np.bool_]
     carried: NDArray[np.bool_]
@@ -238,8 +139,9 @@ class _Fixed:
         reference = np.array([m.eq_solref[held].T for m, held in brakes])
         inertance = impedance / ((1 - impedance) * weight[:, :n])
         draws = [plant.mismatch for plant in plants]
+        laid = ("order", "joints", "positions", "bodies", "hinges", "carried", "reached")
         return cls(
-            at=np.array([*layouts, None], dtype=object)[:-1],
+            **{name: np.array([getattr(at, name) for at in layouts]) for name in laid},
             gravity=np.array([m.opt.gravity for m in models]),
             springs=np.array([m.jnt_stiffness[at.joints] for m, at in both]),
             damping=np.array([m.dof_damping[at.order] for m, at in both]),
@@ -251,73 +153,52 @@ class _Fixed:
                 [_law(m, at, float(w[-1])) for (m, at), w in zip(both, weight, strict=True)]
             ),
             shut=np.array([m.eq_active0[at.lock] for m, at in both], dtype=bool),
-            hinges=np.array([at.hinges for at in layouts]),
-            carried=np.array([at.carried for at in layouts]),
-            reached=np.array([at.reached for at in layouts]),
             mixing=mixing,
             gain=np.array([draw.drive_gain for draw in draws]),
             joint_zero=np.array([draw.joint_zero for draw in draws]),
             gap=np.array([plant.gaps[0] for plant in plants]),
         )
 
-    def some(self, rows: IndexArray) -> _Fixed:
-        """Those of some arms."""
-        return _Fixed(**{each.name: getattr(self, each.name)[rows] for each in fields(self)})
-
     def put(self, rows: IndexArray, other: _Fixed) -> None:
         """Write those of other arms over some."""
-        for each in fields(self):
-            getattr(self, each.name)[rows] = getattr(other, each.name)
+        for own, values in zip(self, other, strict=True):
+            own[rows] = values
 
 
-class _Placed:
-    """What MuJoCo's models say about J arms at rest in their poses."""
+class _Seen(NamedTuple):
+    """What MuJoCo says about J arms in their poses."""
 
-    def __init__(
-        self,
-        fixed: _Fixed,
-        models: Sequence[mujoco.MjModel],
-        data: mujoco.MjData,
-        poses: Array,
-        places: Array,
-    ) -> None:
-        first, n = fixed.at[0], poses.shape[1]
-        jobs, sensors = len(models), len(first.sites)
-        self.hinges = fixed.hinges
-        true = poses + fixed.joint_zero
-        self.rest = fixed.rest.copy()
-        self.rest[:, :n] = true
-        self.position = np.zeros(self.rest.shape)
-        self.position[:, :n], self.position[:, -1] = true, places
-        count = len(first.order)
-        joints = np.array([at.joints for at in fixed.at])
-        bodies = np.array([at.bodies for at in fixed.at])
-        order = np.array([at.order for at in fixed.at])
-        start = np.zeros((jobs, len(data.qpos)))
-        rows = np.arange(jobs)[:, None]
-        start[rows, np.array([at.positions for at in fixed.at])] = self.position
-        inertia = np.zeros((jobs, count, count))
-        axis, anchor = np.empty((2, jobs, *data.xaxis.shape))
-        centres, sites = np.empty((jobs, *data.subtree_com.shape)), np.empty((jobs, sensors, 3))
-        frames = np.empty((jobs, sensors, 9))
-        qpos, own_axis, own_anchor = data.qpos, data.xaxis, data.xanchor
-        com, site, frame, seen = data.subtree_com, data.site_xpos, data.site_xmat, first.sites
-        for k, model in enumerate(models):
-            qpos[:] = start[k]
+    axes: Array
+    """Axis and anchor of each joint of the model (J, joints, 3) each."""
+    anchors: Array
+    centres: Array
+    """Centre of mass of what each body carries, itself included (J, bodies, 3)."""
+    sites: Array
+    """Place and axes of each site (J, sites, 3), (J, sites, 9)."""
+    frames: Array
+    inertia: Array
+    """In the model's order (J, nv, nv)."""
+
+    @classmethod
+    def of(cls, models: Sequence[mujoco.MjModel], data: mujoco.MjData, positions: Array) -> _Seen:
+        """Put models into positions (J, nq)."""
+        here = (data.xaxis, data.xanchor, data.subtree_com, data.site_xpos, data.site_xmat)
+        count, nv = len(models), models[0].nv
+        shapes = [*(each.shape for each in here), (nv, nv)]
+        found = cls._make([np.zeros((count, *shape)) for shape in shapes])
+        for k, (model, own) in enumerate(zip(models, positions, strict=True)):
+            data.qpos = own
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_makeM(model, data)
-            mujoco.mj_fullM(model, data, inertia[k])
-            axis[k], anchor[k], centres[k] = own_axis, own_anchor, com
-            sites[k], frames[k] = site[seen], frame[seen]
-        self.inertia = inertia[rows[..., None], order[:, :, None], order[:, None]]
-        self.axis, self.anchor = axis[rows, joints], anchor[rows, joints]
-        self.centres, self.sites = centres[rows, bodies], sites
-        self.frames = frames.reshape(jobs, sensors, 3, 3)
+            mujoco.mj_fullM(model, data, found.inertia[k])
+            for values, each in zip(found[:-1], here, strict=True):
+                values[k] = each
+        return found
 
 
 def _law(model: mujoco.MjModel, at: MotionLayout, weight: float) -> tuple[float, ...]:
-    """Extract the constraint law of the seat from the model, as `SmallMotion.law`."""
+    """Extract the constraint law of the seat from the model, as `_Fixed.law`."""
     low, high = at.stops
     soft, inverse = model.tendon_solimp_lim, model.tendon_invweight0
     reference, limits = model.tendon_solref_lim, model.tendon_range
@@ -339,33 +220,6 @@ def _law(model: mujoco.MjModel, at: MotionLayout, weight: float) -> tuple[float,
     )
 
 
-def _motion(found: _Placed, points: Array) -> Array:
-    """Velocity of points (J, ..., D or 1, 3) per velocity of each degree of freedom, D, there."""
-    axis, anchor, hinges = found.axis, found.anchor, found.hinges
-    if points.ndim > axis.ndim:
-        axis, anchor, hinges = axis[:, None], anchor[:, None], hinges[:, None]
-    return np.where(hinges[..., None], _cross(axis, points - anchor), axis)
-
-
-# Written out, so that the order of a sum never depends on the number of arms.
-def _dot(a: Array, b: Array) -> Array:
-    product = a * b
-    return np.asarray(product[..., 0] + product[..., 1] + product[..., 2])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
-
-
-def _row_sums(a: Array) -> Array:
-    total = a[..., 0].copy()
-    for k in range(1, a.shape[-1]):
-        total += a[..., k]
-    return total
-
-
 def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
     if plant.shaker is not None:
         raise InvalidSetting("the reduced engine knows no shaker; take the engine 'mujoco'")
@@ -378,7 +232,7 @@ def _require_linear(model: mujoco.MjModel, plant: Plant) -> None:
         )
 
 
-_TOGETHER = 64  # arms whose signals are worked on at once: more than fit the cache are slower
+_TOGETHER = 128  # arms whose signals are worked on at once: more than fit the cache are slower
 _DIVERGED = "the simulation diverged: motion not finite"
 _LEAST = 16  # arms in one run of the loop; it takes several in one instruction
 
@@ -440,6 +294,7 @@ class ReducedRig(SlotRig):
         super().__init__(arm, slots, sensors, timestep, threads)
         # numba's stubs know no signature.
         self._integrate: Callable[..., None] = small_motion_loop.integrate
+        self._linearise: Callable[..., tuple[Array, ...]] = small_motion_loop.linearise
         self._threads = threads or os.cpu_count() or 1
         rate, bandwidth = self.sensors.rate, self.sensors.accelerometer.bandwidth
         self._steps = (
@@ -452,6 +307,7 @@ class ReducedRig(SlotRig):
         self.plants = [spare] * slots
         self._fixed = self._fixed_of([spare] * slots)
         self._data = mujoco.MjData(spare.model)
+        self._sensors = self._layout(spare).sites[self._axes.sensor], self._axes.sensor
 
     def _fixed_of(self, plants: Sequence[Plant]) -> _Fixed:
         mixing = self._axes.mixing([plant.mismatch for plant in plants])
@@ -483,33 +339,42 @@ class ReducedRig(SlotRig):
         for which, trials in enumerate(asked):
             for first in range(0, len(trials), _TOGETHER):
                 rows = np.arange(first, min(first + _TOGETHER, len(trials)))
-                yield which, rows, self._measured(trials.some(rows))
+                some = trials if len(rows) == len(trials) else trials.some(rows)
+                yield which, rows, self._measured(some)
 
     def _measured(self, trials: Trials) -> Records:
         """Measure arms, few enough for the cache."""
-        fixed, plants = self._fixed.some(trials.slots), [self.plants[k] for k in trials.slots]
+        fixed, slots = self._fixed, trials.slots
+        models = [self.plants[k].model for k in slots]
         if self.arm.gear_joints:
-            for plant, pose in zip(plants, trials.poses, strict=True):
-                plant.hold_at(pose)  # winds up the gears' springs
-            at = [(plant.model, own.positions) for plant, own in zip(plants, fixed.at, strict=True)]
-            fixed.rest = np.array([model.qpos_spring[own] for model, own in at])
+            for slot, pose, model in zip(slots, trials.poses, models, strict=True):
+                self.plants[slot].hold_at(pose)  # winds up the gears' springs
+                fixed.rest[slot] = model.qpos_spring[fixed.positions[slot]]
         control = controls(self.nominal, trials, timestep=self.timestep)
+        joint_zero, gain = fixed.joint_zero[slots], fixed.gain[slots]
         drawn = np.array([rng.random() for rng in trials.rngs])
-        motions = small_motions(
+        start = np.zeros(fixed.rest[slots].shape)
+        start[:, : self.arm.n] = trials.poses + joint_zero
+        start[:, -1] = fixed.gap[slots] * (drawn - 0.5)
+        positions = np.zeros((len(slots), len(self._data.qpos)))
+        positions[np.arange(len(slots))[:, None], fixed.positions[slots]] = start
+        inertia, *motions = self._linearise(
             fixed,
-            [plant.model for plant in plants],
-            self._data,
-            poses=trials.poses,
-            excited=trials.excited,
-            places=fixed.gap * (drawn - 0.5),
-            torque=control.constant * fixed.gain,
-            mixed=self._axes.sensor,
+            slots,
+            _Seen.of(models, self._data, positions),
+            start,
+            trials.excited,
+            control.constant * gain,
+            self._sensors,
         )
-        delivered = control.periods * fixed.gain[control.records, control.drives][:, None]
+        mobility = np.asarray(np.linalg.inv(inertia), dtype=np.float64)
+        mobility[fixed.shut[slots], -1, -1] = 0.0
+        delivered = control.periods * gain[control.records, control.drives][:, None]
         count = round(trials.duration * self.sensors.rate)
+        motions.insert(0, np.ascontiguousarray(mobility.transpose(1, 2, 0)))
         motion, noise = self._integrated(motions, control, delivered, trials, count)
-        moved = np.concatenate([motion.smooth, motion.position[..., 1:-1]], axis=1)
-        finite = np.asarray(np.isfinite(moved).all(axis=(1, 2)))
+        finite = np.asarray(np.isfinite(motion.smooth).all(axis=(1, 2)))
+        finite = finite & np.isfinite(motion.position[..., 1:-1]).all(axis=(1, 2))
         return read_records(
             motion,
             noise,
@@ -519,13 +384,13 @@ class ReducedRig(SlotRig):
             arm=self.arm,
             sensors=self.sensors,
             factor=self.factor,
-            joint_zero=fixed.joint_zero,
+            joint_zero=joint_zero,
             failures=[None if fine else _DIVERGED for fine in finite.tolist()],
         )
 
     def _integrated(
         self,
-        motions: SmallMotion,
+        motions: Sequence[Array],
         control: Controls,
         delivered: Array,
         trials: Trials,
@@ -533,21 +398,25 @@ class ReducedRig(SlotRig):
     ) -> tuple[Motion, Noise]:
         """Integrate the arms, some on each thread; draw the noise meanwhile."""
         arms, period = len(trials), delivered.shape[1]
-        driven, at = np.unique(control.drives, return_inverse=True)
-        torque = np.zeros((len(driven), period, arms))
-        torque[at, :, control.records] = delivered
+        rank = np.arange(len(delivered)) - np.searchsorted(control.records, control.records)
         # The loop takes the arms along the last axis.
-        parts = [
-            np.ascontiguousarray(part.transpose(*range(1, part.ndim), 0)) for part in motions.parts
-        ]
-        smooth = np.empty((motions.still.shape[1], count, arms))
-        position = np.empty((self.arm.n, count + 2, arms))
+        driven = np.zeros((1 + rank.max(), arms), dtype=np.uintp)
+        torque = np.zeros((len(driven), period, arms))
+        driven[rank, control.records] = control.drives
+        torque[rank, :, control.records] = delivered
+        # Contiguous for each record, so that sums over it do not depend on the others.
+        smooth = np.empty((arms, len(self._axes.sensor), count))
+        position = np.empty((arms, self.arm.n, count + 2))
 
         def some(first: int, last: int) -> None:
-            own = [np.ascontiguousarray(part[..., first:last]) for part in (*parts, torque)]
-            seen, turned = smooth[..., first:last].copy(), position[..., first:last].copy()
-            self._integrate(*own, driven, *self._steps, seen, turned)
-            smooth[..., first:last], position[..., first:last] = seen, turned
+            own = [
+                np.ascontiguousarray(part[..., first:last]) for part in (*motions, torque, driven)
+            ]
+            found = [np.empty((*each.shape[1:], last - first)) for each in (smooth, position)]
+            several = last - first if last - first > 1 else None
+            self._integrate(*own, *self._steps, *found, several)
+            for each, part in zip((smooth, position), found, strict=True):
+                each[first:last] = part.transpose(2, 0, 1)
 
         share = max(_LEAST, -(-arms // self._threads))
         spans = [(first, min(first + share, arms)) for first in range(0, arms, share)]
@@ -562,11 +431,7 @@ class ReducedRig(SlotRig):
         if not waiting:
             for span in spans:
                 some(*span)
-        # Contiguous for each record, so that sums over it do not depend on the others.
-        return Motion(
-            smooth=np.ascontiguousarray(smooth.transpose(2, 0, 1)),
-            position=np.ascontiguousarray(position.transpose(2, 0, 1)),
-        ), noise
+        return Motion(smooth=smooth, position=position), noise
 
     def _layout(self, plant: Plant) -> MotionLayout:
         found = self._layouts.get(plant.indices)

@@ -90,14 +90,16 @@ def controls(nominal: LinearArm, trials: Trials, *, timestep: float) -> Controls
         rngs=trials.rngs,
         shaping=trials.shaping,
     )
-    gravity = nominal.gravity_torques(trials.poses)
-    constant = np.clip(gravity, -limits, limits)
+    gravity = trials.gravity
+    if gravity is None:
+        gravity = nominal.gravity_torques(trials.poses)
+    constant = np.minimum(np.maximum(gravity, -limits), limits)
     joints = np.flatnonzero(drives < n)  # the others are the shaker's
     constant[records[joints], drives[joints]] = 0.0
     periods[joints] += gravity[records[joints], drives[joints], None]
     force = np.inf if arm.shaker is None else arm.shaker.force_limit
     most = np.append(limits, force)[drives][:, None]
-    np.clip(periods, -most, most, out=periods)
+    np.minimum(np.maximum(periods, -most, out=periods), most, out=periods)
     return Controls(
         periods=periods, records=records, drives=drives, constant=constant, gravity=gravity
     )
@@ -213,7 +215,7 @@ def read_accelerometer(smooth: Array, *, sensor: Accelerometer, rate: float, dra
     """
     # White noise of the given density up to half the sampling rate.
     noise = sensor.noise_density * np.sqrt(rate / 2)
-    return _rounded(smooth + noise * drawn, sensor.resolution)
+    return _rounded(noise * drawn, smooth, sensor.resolution)
 
 
 def read_encoder(
@@ -224,15 +226,22 @@ def read_encoder(
     ``drawn``, of that shape too, are standard normal variates. Rows where ``sliding`` (n,) is true
     are read by a linear scale.
     """
-    readings = _rounded(true + sensor.noise * drawn, sensor.resolution)
+    readings = _rounded(sensor.noise * drawn, true, sensor.resolution)
     if sliding is not None and sliding.any():
-        linear = true[..., sliding, :] + sensor.linear_noise * drawn[..., sliding, :]
-        readings[..., sliding, :] = _rounded(linear, sensor.linear_resolution)
+        noise = sensor.linear_noise * drawn[..., sliding, :]
+        linear = _rounded(noise, true[..., sliding, :], sensor.linear_resolution)
+        readings[..., sliding, :] = linear
     return readings
 
 
-def _rounded(values: Array, step: float) -> Array:
-    return np.round(values / step) * step if step > 0 else values
+def _rounded(noise: Array, true: Array, step: float) -> Array:
+    """Sum rounded to whole steps, where the noise was."""
+    noise += true
+    if step > 0:
+        noise /= step
+        np.rint(noise, out=noise)
+        noise *= step
+    return noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -325,8 +334,8 @@ def read_records(
     if shaken is not None:
         on = control.drives == arm.n
         shaken[control.records[on]] = control.periods[on][:, ::factor][:, :count]
-    failed = [failure is not None for failure in failures]
-    smooth[failed], encoder[failed] = 0.0, 0.0
+    if any(failed := [failure is not None for failure in failures]):
+        smooth[failed], encoder[failed] = 0.0, 0.0
     end = axes.tool + len(axes.links) * len(axes.link_axes)
     links = smooth[:, axes.tool : end].reshape(jobs, len(axes.links), len(axes.link_axes), count)
     probes = {site: smooth[:, end + 3 * i :][:, :3] for i, site in enumerate(axes.probes)}

@@ -16,12 +16,12 @@ from numba import njit
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _add_seat_force(
-    a: Any, mobility: Any, x: Any, v: Any, law: Any, shares: Any, push: Any
+    a: Any, mobility: Any, x: Any, v: Any, law: Any, shares: Any, push: Any, arms: int
 ) -> None:
     """Add the accelerations (D, J) by friction and stops of the seat, the last coordinate."""
     seat = len(a) - 1
     own, free, at, speed = mobility[seat, seat], a[seat], x[seat], v[seat]
-    for k in range(len(push)):
+    for k in range(arms):
         # Everything is read first: a load behind a condition would keep arms from going together.
         m, free_k, at_k, speed_k = own[k], free[k], at[k], speed[k]
         low, high, most, grip = law[0, k], law[1, k], law[8, k], law[9, k]
@@ -55,8 +55,116 @@ def _add_seat_force(
         push[k] = total if (base - slope * after) * side > 0.0 else off
     for i in range(len(a)):
         total, row = a[i], mobility[i, seat]
-        for k in range(len(push)):
+        for k in range(arms):
             total[k] += row[k] * push[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _dot(a: Any, b: Any) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cross(a: Any, b: Any) -> Any:
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return x, y, z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _motion(hinge: Any, axis: Any, anchor: Any, at: Any) -> Any:
+    """Velocity of a point per velocity of a degree of freedom."""
+    arm = at[0] - anchor[0], at[1] - anchor[1], at[2] - anchor[2]
+    return _cross(axis, arm) if hinge else (axis[0], axis[1], axis[2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def linearise(
+    fixed: Any, slots: Any, seen: Any, position: Any, excited: Any, torque: Any, sensors: Any
+) -> Any:
+    """Linearise J true arms of D degrees of freedom and S accelerometer axes about their positions.
+
+    Gravity's linear part is taken about the start, springs about where they rest. Returns the
+    inertia matrix with the holdings' inertances (J, D, D), in which a seat that is shut is apart
+    from all else; and with the arms last the stiffness of springs, holdings and gravity (D, D, J),
+    damping, constant force, start less where springs rest (D, J) each; sensor acceleration per
+    acceleration and sensor reading per displacement (S, D, J) each, readings at rest (S, J); where
+    springs of driven joints rest (n, J), and the forces of the seat (11, J).
+    """
+    (arms, count), n, (sites, owners) = position.shape, excited.shape[1], sensors
+    axes = len(sites)
+    inertia, stiffness = np.empty((arms, count, count)), np.empty((count, count, arms))
+    damping, force, start = (
+        np.empty((count, arms)),
+        np.empty((count, arms)),
+        np.empty((count, arms)),
+    )
+    readings, tilting = np.empty((axes, count, arms)), np.empty((axes, count, arms))
+    still, zero, law = np.empty((axes, arms)), np.empty((n, arms)), np.empty((11, arms))
+    turning, centres, falling = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
+    linear, along = np.empty((count, count)), np.empty(3)
+    for k in range(arms):
+        own = slots[k]
+        gravity, hinges, carried = fixed.gravity[own], fixed.hinges[own], fixed.carried[own]
+        joints, order, shut = fixed.joints[own], fixed.order[own], fixed.shut[own]
+        for i in range(count):
+            axis, anchor = seen.axes[k, joints[i]], seen.anchors[k, joints[i]]
+            moved = _motion(hinges[i], axis, anchor, seen.centres[k, fixed.bodies[own, i]])
+            for c in range(3):
+                turning[i, c] = axis[c] if hinges[i] else 0.0
+                centres[i, c] = moved[c] * fixed.mass[own, i]
+            fallen = _cross(turning[i], gravity)
+            for c in range(3):
+                falling[i, c] = fallen[c]
+            free = i >= n or excited[k, i]
+            rest = fixed.rest[own, i] if i >= n else position[k, i]
+            start[i, k] = position[k, i] - rest
+            damping[i, k] = fixed.damping[own, i] + (0.0 if free else fixed.holding[own, 1, i])
+            for j in range(count):
+                inertia[k, i, j] = seen.inertia[k, order[i], order[j]]
+            inertia[k, i, i] += 0.0 if free else fixed.held[own, i]
+        if shut:
+            start[count - 1, k] = 0.0
+            for i in range(count):
+                inertia[k, count - 1, i] = inertia[k, i, count - 1] = 1.0 if i == count - 1 else 0.0
+        for i in range(count):
+            for j in range(count):
+                pull = -_dot(_cross(turning[j], centres[i]), gravity)
+                linear[i, j] = pull if carried[i, j] else 0.0
+        for i in range(count):
+            total = 0.0
+            for j in range(count):
+                one_way = carried[j, i] and not carried[i, j]
+                own_pull = linear[i, j] + (linear[j, i] if one_way else 0.0)
+                stiffness[i, j, k] = own_pull
+                part = own_pull * start[j, k]
+                total = part if j == 0 else total + part
+            force[i, k] = _dot(centres[i], gravity) + total
+            springs = fixed.springs[own, i]
+            if i < n:
+                springs += 0.0 if excited[k, i] else fixed.holding[own, 0, i]
+                force[i, k] += torque[k, i]
+                zero[i, k] = position[k, i]
+            stiffness[i, i, k] += springs
+        for s in range(axes):
+            frame, mixing = seen.frames[k, sites[s]], fixed.mixing[own, s]
+            for r in range(3):
+                along[r] = _dot(mixing, frame[3 * r : 3 * r + 3])
+            total = 0.0
+            for i in range(count):
+                reached = fixed.reached[own, owners[s], i]
+                axis, anchor = seen.axes[k, joints[i]], seen.anchors[k, joints[i]]
+                moved = _motion(hinges[i], axis, anchor, seen.sites[k, sites[s]])
+                readings[s, i, k] = _dot(along, moved) if reached else 0.0
+                tilting[s, i, k] = _dot(along, falling[i]) if reached else 0.0
+                part = tilting[s, i, k] * start[i, k]
+                total = part if i == 0 else total + part
+            still[s, k] = -_dot(along, gravity) - total
+        for c in range(11):
+            law[c, k] = fixed.law[own, c]
+        last = fixed.rest[own, count - 1]
+        law[0, k] -= last
+        law[1, k] -= last
+    return inertia, stiffness, damping, force, start, readings, tilting, still, zero, law
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -95,9 +203,14 @@ def integrate(
     taps: Any,
     smooth: Any,
     encoder: Any,
+    several: Any,
 ) -> None:
-    """Integrate J arms, the last axis of all arrays, and write what their sensors see."""
-    (count, arms), sensors, joints = start.shape, len(still), len(zero)
+    """Integrate J arms, the last axis of all arrays, and write what their sensors see.
+
+    ``several`` is J, or None where it is 1: a single arm has a loop of its own compiled.
+    """
+    count, sensors, joints = len(start), len(still), len(zero)
+    arms = 1 if several is None else several
     period, samples = torque.shape[1], smooth.shape[1]
     length = len(taps)
     half = length // 2
@@ -119,9 +232,9 @@ def integrate(
                 for k in range(arms):
                     total[k] -= spring[k] * moved[k]
         for e in range(len(driven)):
-            total, drive = f[driven[e]], torque[e, position]
+            own, drive = driven[e], torque[e, position]
             for k in range(arms):
-                total[k] += drive[k]
+                f[own[k], k] += drive[k]
         position += 1
         if position == period:
             position = 0
@@ -133,7 +246,7 @@ def integrate(
                 row, load = mobility[i, j], f[j]
                 for k in range(arms):
                     total[k] += row[k] * load[k]
-        _add_seat_force(a, mobility, x, v, law, shares, push)
+        _add_seat_force(a, mobility, x, v, law, shares, push, arms)
         if t >= before - half:
             for s in range(sensors):
                 total, rest = window[newest, s], still[s]

@@ -1,6 +1,6 @@
 """Statistics of one record: pure functions of arrays.
 
-Data flow: _checks -> transmission, correlation, spectra, gaussian_mixture, impacts.
+Data flow: _checks -> spectra -> transmission -> correlation; gaussian_mixture, impacts.
 """
 
 from loose_env.statistics.correlation import (
@@ -33,6 +33,7 @@ from loose_env.statistics.transmission import (
     Covariances,
     RecordCovariances,
     apparent_inertia_from,
+    central_moments,
     covariances,
     record_covariances,
     shape_of,
@@ -54,6 +55,7 @@ __all__ = [
     "axial_mean",
     "axial_vector",
     "bandpass",
+    "central_moments",
     "channel_floor",
     "comparative_index",
     "covariances",

@@ -45,17 +45,11 @@ def as_record(values: ArrayLike, name: str) -> Array:
     return samples.reshape(-1, samples.shape[-1])
 
 
-def as_records(values: ArrayLike, name: str) -> Array:
-    """Return `values`, of shape (N,) or (..., k, N), as samples of shape (..., k, N)."""
-    samples = as_samples(values, name)
-    return samples[None] if samples.ndim == 1 else samples
-
-
 def as_directions(directions: ArrayLike, name: str = "direction") -> Array:
     """Return `directions`, of shape (..., d), as unit vectors."""
     vectors = np.atleast_1d(as_floats(directions, name))
-    length = np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
-    if not (np.isfinite(length) & (length > 0.0)).all():
+    length = np.sqrt(np.vecdot(vectors, vectors))[..., None]
+    if not ((length > 0.0) & (length < np.inf)).all():
         raise InvalidData(f"{name} is {vectors}; it needs a length above zero")
     return np.asarray(vectors / length)
 

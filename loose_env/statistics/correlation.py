@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from loose_env.errors import InvalidData, InvalidSetting
 from loose_env.statistics._checks import as_directions, as_floats, require_finite
-from loose_env.statistics.transmission import Covariances, excitation_factor, whitener
+from loose_env.statistics.transmission import Covariances, excitation_factor, solved, whitener
 from loose_env.typing import Array
 
 Angles = NDArray[np.floating[Any]]
@@ -239,7 +239,7 @@ def lowest_coherence_direction_from(cov: Covariances) -> LowestCoherence:
     ([0.0, 1.0], 0.5)
     """
     w = whitener(cov.aa)
-    whitened = np.linalg.solve(excitation_factor(cov.xx), cov.xa @ w).mT
+    whitened = solved(excitation_factor(cov.xx), cov.xa @ w).mT
     # Singular values of the whitened covariance are the canonical correlations rho. They come
     # falling, and the left vectors beyond them (m < d) follow no joint.
     vectors, rho, _ = np.linalg.svd(whitened)

@@ -6,6 +6,7 @@ Frequencies and rates are in Hz.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -99,14 +100,29 @@ def acceleration_from_angle(angle: ArrayLike, rate: float, band: tuple[float, fl
             f"angle has {count + 2} samples; two are lost at the ends and {MIN_SAMPLES} must remain"
         )
     kept = band_bins(count, rate, band)
-    difference = samples[..., 2:] - 2.0 * samples[..., 1:-1] + samples[..., :-2]
-    spectrum = np.fft.rfft(difference)
-    # w dt from 0 to pi; sin(w dt / 2) / (w dt / 2) is the root of the gain, exact at w = 0.
-    half = np.pi * np.arange(kept.start, kept.stop) / count
-    spectrum[..., kept] *= (rate / np.sinc(half / np.pi)) ** 2
+    spectrum = np.fft.rfft(differenced(samples))
+    spectrum[..., kept] *= line_scales(count, rate, kept.start, kept.stop)[0]
     spectrum[..., : kept.start] = 0.0
     spectrum[..., kept.stop :] = 0.0
     return np.fft.irfft(spectrum, count)
+
+
+def differenced(samples: Array) -> Array:
+    """Second central difference (..., N - 2)."""
+    return samples[..., 2:] - 2.0 * samples[..., 1:-1] + samples[..., :-2]
+
+
+@lru_cache(maxsize=64)
+def line_scales(count: int, rate: float, first: int, last: int) -> tuple[Array, Array]:
+    """Of lines of the FFT of so many samples: gain of `differenced`, weight for the variance.
+
+    Acceleration per second difference; and what makes the squares of lines add up to the variance.
+    """
+    line = np.arange(first, last)
+    # w dt from 0 to pi; sin(w dt / 2) / (w dt / 2) is the root of the gain, exact at w = 0.
+    gain = (rate / np.sinc(line / count)) ** 2
+    # All but the mean and the highest line stand for two of opposite frequency.
+    return gain, np.sqrt((line > 0) * (2.0 - (2 * line == count))) / count
 
 
 _PER_PERIOD = 24

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loose_env.errors import InvalidData
-from loose_env.statistics._checks import as_record, as_records, as_samples
+from loose_env.statistics._checks import as_record, as_samples, band_bins
+from loose_env.statistics.spectra import differenced, line_scales
 from loose_env.typing import Array
 
 # Below this share of the largest variance a direction counts as not moving: rounding of the
@@ -43,12 +44,23 @@ class Covariances:
 class RecordCovariances(NamedTuple):
     """Covariances of a record with the command that excited it."""
 
+    full: Array
+    """Of m commands, m joint accelerations, d tool accelerations (..., 2 m + d, 2 m + d)."""
     x_a: Covariances
     """Of the joint accelerations with the tool acceleration."""
     command_x: Covariances
     """Of the command with the joint accelerations."""
     command_a: Covariances
     """Of the command with the tool acceleration."""
+
+    @classmethod
+    def of(cls, full: Array, m: int, count: int) -> RecordCovariances:
+        """Take them out of those of all signals."""
+        u, x, a = slice(m), slice(m, 2 * m), slice(2 * m, None)
+        parts = (
+            (full[..., p, p], full[..., p, q], full[..., q, q]) for p, q in ((x, a), (u, x), (u, a))
+        )
+        return cls(full, *(Covariances(*each, count) for each in parts))
 
 
 def covariances(x: ArrayLike, a: ArrayLike) -> Covariances:
@@ -78,42 +90,84 @@ def covariances(x: ArrayLike, a: ArrayLike) -> Covariances:
     >>> cov.xa.tolist()
     [[2.0, 1.5]]
     """
-    joint = _Joint(x=as_record(x, "x"), a=as_record(a, "a"))
-    joint.require_every_row("x")
-    joint.require_one_row("a")
-    return joint.between("x", "a")
+    signals = as_record(x, "x"), as_record(a, "a")
+    rows, count = signals[0].shape
+    _require_alike(x=count, a=signals[1].shape[1])
+    joined = np.concatenate(signals)
+    with np.errstate(invalid="ignore", over="ignore"):
+        means = joined.mean(axis=-1)
+        joined -= means[:, None]
+        # einsum sums in one fixed order, whatever the number of threads.
+        full = np.einsum("in,jn->ij", joined, joined) / count
+    _require_moving(full, means, {"x": slice(rows), "a": slice(rows, None)})
+    return Covariances(full[:rows, :rows], full[:rows, rows:], full[rows:, rows:], count)
 
 
-def record_covariances(command: ArrayLike, x: ArrayLike, a: ArrayLike) -> RecordCovariances:
-    """Compute all covariances of a record and its command, in one pass.
+def record_covariances(
+    command: ArrayLike, angle: ArrayLike, a: ArrayLike, *, rate: float, band: tuple[float, float]
+) -> RecordCovariances:
+    """Compute all covariances of a record and its command within a band, in one pass.
+
+    By the lines of the band (Parseval): those of the filtered signals, angles differentiated as by
+    `acceleration_from_angle`.
 
     Parameters
     ----------
-    command, x, a : array, shape (N,) or (..., k, N)
-        Commanded torques of the excited joints, N m; their accelerations, rad/s^2; tool
-        acceleration in the tool frame, m/s^2. Axes in front are those of several records.
+    command, angle, a : array, shape (..., m, N), (..., m, N + 2), (..., d, N)
+        Commanded torques of the excited joints, N m; their angles, rad; tool acceleration in the
+        tool frame, m/s^2. Axes in front are those of several records.
+    rate : float
+        Sampling rate, Hz.
+    band : tuple of float
+        Lowest and highest frequency kept, Hz.
 
     Returns
     -------
     RecordCovariances
-        The same as `covariances` of each pair, of every record, with the same errors.
+        With the errors of `covariances`.
 
     Examples
     --------
-    >>> u = [1.0, -1.0, 1.0, -1.0]
-    >>> cov = record_covariances(u, [3.0, -3.0, 3.0, -3.0], [u, u])
-    >>> cov.command_x.xa.tolist(), cov.command_a.xa.tolist(), cov.x_a.xa.tolist()
-    ([[3.0]], [[1.0, 1.0]], [[3.0, 3.0]])
+    >>> wave = np.sin(2 * np.pi * 20 * np.arange(102) / 100)
+    >>> signals = wave[None, 1:-1], wave[None], wave[None, 1:-1]
+    >>> cov = record_covariances(*signals, rate=100.0, band=(10.0, 30.0))
+    >>> cov.command_a.xa.round(6).tolist(), (cov.x_a.xa / (40 * np.pi) ** 2).round(6).tolist()
+    ([[0.5]], [[-0.5]])
     """
-    joint = _Joint(command=command, x=x, a=a)
-    joint.require_every_row("command")
-    joint.require_every_row("x")
-    joint.require_one_row("a")
-    return RecordCovariances(
-        x_a=joint.between("x", "a"),
-        command_x=joint.between("command", "x"),
-        command_a=joint.between("command", "a"),
-    )
+    u, q, tool = (as_samples(own, n) for own, n in ((command, "command"), (angle, "x"), (a, "a")))
+    m, count = u.shape[-2], u.shape[-1]
+    _require_alike(command=count, x=q.shape[-1] - 2, a=tool.shape[-1])
+    kept = band_bins(count, rate, band)
+    gain, weight = line_scales(count, rate, kept.start, kept.stop)
+    with np.errstate(invalid="ignore", over="ignore"):
+        spectra = np.fft.rfft(np.concatenate([u, differenced(q), tool], axis=-2))
+        lines = spectra[..., kept] * weight
+        lines[..., m : 2 * m, :] *= gain
+        parts = lines.view(float)
+        full = np.einsum("...in,...jn->...ij", parts, parts)
+    own = {"command": slice(m), "x": slice(m, 2 * m), "a": slice(2 * m, None)}
+    _require_moving(full, spectra[..., 0].real / count, own)
+    return RecordCovariances.of(full, m, count)
+
+
+def _require_alike(**lengths: int) -> None:
+    if len(set(lengths.values())) > 1:
+        raise InvalidData(f"the numbers of samples are {lengths}; they must be equal")
+
+
+def _require_moving(full: Array, means: Array, rows: dict[str, slice]) -> None:
+    """Raise unless all is finite, every row of an excitation varies, and one of the tool's."""
+    if not np.isfinite(full).all():
+        raise InvalidData(f"{' or '.join(rows)} holds NaN, infinite or too large values")
+    # What is left of a constant after its mean is removed is rounding.
+    moving = _diagonals(full) > (1e-15 * means) ** 2
+    if moving.all():
+        return
+    for name, own in rows.items():
+        still = ~moving[..., own]
+        if still.all(axis=-1).any() or (name != "a" and still.any()):
+            at = "" if name == "a" else f" in row {int(np.argwhere(still)[0, -1])}"
+            raise InvalidData(f"{name} is constant{at}; it must vary")
 
 
 def whitener(aa: Array) -> Array:
@@ -129,6 +183,8 @@ def whitener(aa: Array) -> Array:
 
 def excitation_factor(xx: Array) -> Array:
     """Return the lower Cholesky factor of cov(x, x), shape (..., m, m)."""
+    if xx.shape[-1] == 1:
+        return np.sqrt(xx)
     dependent = "the rows of x depend on each other; each joint needs an excitation of its own"
     try:
         factor = np.asarray(np.linalg.cholesky(xx), dtype=np.float64)
@@ -140,49 +196,14 @@ def excitation_factor(xx: Array) -> Array:
     return factor
 
 
+def solved(a: Array, b: Array) -> Array:
+    """Solve a x = b, of one unknown by a division."""
+    return np.asarray(b / a if a.shape[-1] == 1 else np.linalg.solve(a, b), dtype=np.float64)
+
+
 def _diagonals(matrices: Array) -> Array:
     """Diagonals (..., k) of matrices (..., k, k)."""
     return np.asarray(np.diagonal(matrices, axis1=-2, axis2=-1))
-
-
-class _Joint:
-    """Covariance of all signals of a record with each other, or of each of several records."""
-
-    def __init__(self, **signals: ArrayLike) -> None:
-        records = {name: as_records(signal, name) for name, signal in signals.items()}
-        lengths = {name: record.shape[-1] for name, record in records.items()}
-        if len(set(lengths.values())) > 1:
-            raise InvalidData(f"the numbers of samples are {lengths}; they must be equal")
-        joined = np.concatenate(list(records.values()), axis=-2)
-        self.count = joined.shape[-1]
-        with np.errstate(invalid="ignore", over="ignore"):
-            means = joined.mean(axis=-1, keepdims=True)
-            joined -= means
-            # einsum sums in one fixed order, whatever the number of threads or records.
-            self.full = np.einsum("...in,...jn->...ij", joined, joined) / self.count
-        if not np.isfinite(self.full).all():
-            raise InvalidData(f"{' or '.join(records)} holds NaN, infinite or too large values")
-        # What is left of a constant after its mean is removed is rounding.
-        self.moving = _diagonals(self.full) > (1e-15 * means[..., 0]) ** 2
-        self.rows: dict[str, slice] = {}
-        start = 0
-        for name, record in records.items():
-            self.rows[name] = slice(start, start + record.shape[-2])
-            start += record.shape[-2]
-
-    def require_every_row(self, name: str) -> None:
-        moving = self.moving[..., self.rows[name]]
-        if not moving.all():
-            row = int(np.argwhere(~moving)[0, -1])
-            raise InvalidData(f"{name} is constant in row {row}; it must vary")
-
-    def require_one_row(self, name: str) -> None:
-        if not self.moving[..., self.rows[name]].any(axis=-1).all():
-            raise InvalidData(f"{name} is constant; it must vary in one row at least")
-
-    def between(self, x: str, a: str) -> Covariances:
-        p, q, full = self.rows[x], self.rows[a], self.full
-        return Covariances(full[..., p, p], full[..., p, q], full[..., q, q], self.count)
 
 
 # Standard deviation relative to the mean, or of one component to the other, taken as rounding.
@@ -208,18 +229,21 @@ def shape_of(rows: ArrayLike) -> tuple[Array, Array]:
     """
     record = as_samples(rows, "a")
     with np.errstate(invalid="ignore", over="ignore"):
-        means = record.mean(axis=-1, keepdims=True)
-        off = record - means
-        sd = np.sqrt(np.einsum("...n,...n->...", off, off) / record.shape[-1])[..., None]
-    if not np.isfinite(sd).all():
+        means, power, third, fourth = central_moments(record)
+    if not np.isfinite(fourth).all():
         raise InvalidData("a holds NaN, infinite or too large values")
-    if (sd <= ROUNDING * np.abs(means)).any():
+    if (np.sqrt(power) <= ROUNDING * np.abs(means)).any():
         raise InvalidData("a is constant in a component asked for; it must vary")
-    z = off / sd
-    square = z * z
-    third = np.einsum("...n,...n->...", square, z) / z.shape[-1]
-    fourth = np.einsum("...n,...n->...", square, square) / z.shape[-1] - 3.0
-    return np.asarray(third), np.asarray(fourth)
+    return np.asarray(third / power**1.5), np.asarray(fourth / power**2 - 3.0)
+
+
+def central_moments(rows: Array) -> tuple[Array, Array, Array, Array]:
+    """Mean, and second, third and fourth moment about it, of rows (..., N) each."""
+    means, count = rows.mean(axis=-1), rows.shape[-1]
+    off = rows - means[..., None]
+    square = off * off
+    third, fourth = np.vecdot(square, off) / count, np.vecdot(square, square) / count
+    return means, square.mean(axis=-1), third, fourth
 
 
 def transmission_from(cov: Covariances) -> Array:
@@ -249,11 +273,8 @@ def transmission_from(cov: Covariances) -> Array:
     >>> transmission_from(covariances(x, [[0.5, -0.5, 0.5, -0.5], [1, 1, -1, -1]])).tolist()
     [[0.5], [0.0]]
     """
-    if cov.xx.shape[-1] == 1:
-        return (cov.xa / cov.xx).mT
     factor = excitation_factor(cov.xx)
-    b = np.linalg.solve(factor.mT, np.linalg.solve(factor, cov.xa)).mT
-    return np.asarray(b, dtype=np.float64)
+    return solved(factor.mT, solved(factor, cov.xa)).mT
 
 
 def transmission_by_instrument_from(command_x: Covariances, command_a: Covariances) -> Array:
@@ -285,7 +306,7 @@ def transmission_by_instrument_from(command_x: Covariances, command_a: Covarianc
     [[0.5], [0.5]]
     """
     _require_related(command_x)
-    return np.asarray(np.linalg.solve(command_x.xa, command_a.xa).mT, dtype=np.float64)
+    return solved(command_x.xa, command_a.xa).mT
 
 
 def apparent_inertia_from(command_x: Covariances) -> Array:
@@ -315,7 +336,7 @@ def apparent_inertia_from(command_x: Covariances) -> Array:
     [[2.0]]
     """
     _require_related(command_x)
-    return np.asarray(np.linalg.solve(command_x.xa, command_x.xx).mT, dtype=np.float64)
+    return solved(command_x.xa, command_x.xx).mT
 
 
 def _require_related(command_x: Covariances) -> None:
