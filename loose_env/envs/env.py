@@ -127,12 +127,6 @@ class BatchShell:
             self._picture = Picture(self.batch.nominal, sensors=self.settings.sensors)
         return [self._picture.draw(each, verdict=each.verdict) for each in episodes]
 
-    def _let_go(self) -> None:
-        """Close the picture."""
-        if self._picture is not None:
-            self._picture.close()
-            self._picture = None
-
     @property
     def divergences(self) -> dict[str, int]:
         """Number of diverged simulations by fault kind."""
@@ -317,10 +311,6 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     def render(self) -> Any:
         """Draw the arm in its pose with the latest record."""
         return self._drawn()[0]
-
-    def close(self) -> None:
-        """Close the picture."""
-        self._let_go()
 
 
 _SEEDED: WeakValueDictionary[int, DiagnosisEnv] = WeakValueDictionary()

@@ -1,11 +1,8 @@
-"""Pictures of an episode: arm drawn by MuJoCo or as lines, and tool correlation by direction."""
+"""Pictures of an episode: the arm in its pose, and the tool's correlation by direction."""
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
-import os
-import sys
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -16,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
+from scipy.spatial import ConvexHull
 
 from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.diagnosis import Prediction, SensorFloor, predict
@@ -150,9 +148,7 @@ def predicted_correlation(prediction: Prediction) -> CorrelationByDirection:
     return CorrelationByDirection.of(Covariances(xx=p.joint, xa=p.joint_tool, aa=p.tool, count=0))
 
 
-def draw_section(
-    axes: Axes, measured: Section | None, healthy: Section | None, names: tuple[str, str]
-) -> None:
+def draw_section(axes: Axes, measured: Section, healthy: Section, names: tuple[str, str]) -> None:
     """Draw the correlation along the directions of a plane; the circle is a correlation of 1."""
     from matplotlib.patches import Circle, Polygon
 
@@ -163,15 +159,12 @@ def draw_section(
         axes.plot([-end[0], end[0]], [-end[1], end[1]], color=FAINT, linewidth=0.9, zorder=1)
         look: dict[str, Any] = {"fontsize": 9.5, "fontstyle": "italic", "ha": "center"}
         axes.text(1.12 * end[0], 1.12 * end[1], name, color=INK, va="center", **look)
-    if healthy is not None:
-        axes.plot(*healthy.points.T, color=MUTED, linewidth=1.4, dashes=(4, 2.5), zorder=4)
-    if measured is not None:
-        loop = Polygon(measured.points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2)
-        axes.add_patch(loop)
-        axes.plot(*measured.points.T, color=MEASURED, linewidth=2.0, zorder=3)
-        if measured.lowest is not None:
-            line = np.outer([-1.0, 1.0], measured.lowest)
-            axes.plot(*line.T, color=MEASURED, linewidth=2.4, zorder=3)
+    axes.plot(*healthy.points.T, color=MUTED, linewidth=1.4, dashes=(4, 2.5), zorder=4)
+    axes.add_patch(Polygon(measured.points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2))
+    axes.plot(*measured.points.T, color=MEASURED, linewidth=2.0, zorder=3)
+    if measured.lowest is not None:
+        line = np.outer([-1.0, 1.0], measured.lowest)
+        axes.plot(*line.T, color=MEASURED, linewidth=2.4, zorder=3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +179,7 @@ class _Mark:
 
 
 class ArmDrawing:
-    """An arm in any pose, seen from one side: lit by MuJoCo, or of lines and dots.
+    """An arm in any pose, seen from one side.
 
     An arm whose joint axes are parallel and whose tool measures two axes is seen along its joint
     axes, any other one from aside and a little above. Gravity points down.
@@ -289,71 +282,62 @@ class ArmDrawing:
             found.append(_Mark(kind="arrow", start=middle - half, end=middle + half, color=INK))
         return found
 
-    def draw(
-        self, axes: Axes, marks: Collection[_Mark], renderer: mujoco.Renderer | None = None
-    ) -> None:
-        """Draw marks: links and joints lit by a renderer, or as lines and dots without one."""
+    def draw(self, axes: Axes, marks: Collection[_Mark]) -> None:
+        """Draw marks, those nearer to the eye over those behind them."""
+        from matplotlib.colors import to_rgb
+        from matplotlib.patches import Polygon
+
         figure = axes.get_figure(root=True)
         assert figure is not None
         inches = axes.get_position().size * figure.get_size_inches()
         wide = float(inches[0] / inches[1])
-        ends = np.array([self.camera @ at for mark in marks for at in (mark.start, mark.end)])
+        seen = [(m, self.camera @ m.start, self.camera @ m.end) for m in marks]
+        ends = np.array([end for _, *both in seen for end in both])[:, :2]
         low, high = ends.min(axis=0), ends.max(axis=0)
-        across, tall = (high - low)[:2] + 6 * self.thickness
-        height = max(tall, across / min(wide, _WIDE), 0.8 * self.arm.reach)
-        middle = 0.5 * (low + high)
-        x, y = middle[:2]
-        half = 0.5 * height
+        across, tall = high - low + 6 * self.thickness
+        half = 0.5 * max(tall, across / wide, 0.8 * self.arm.reach)
+        x, y = 0.5 * (low + high)
         axes.set_axis_off()
-        if renderer is not None:
-            lit = self._lit(renderer, marks, self.camera.T @ middle, height)
-            axes.imshow(lit, extent=(x - _WIDE * half, x + _WIDE * half, y - half, y + half))
         axes.set(xlim=(x - wide * half, x + wide * half), ylim=(y - half, y + half), aspect="auto")
-        r = 72 * self.thickness * inches[1] / height  # points
-        for mark in marks:
-            start, end = (self.camera[:2] @ at for at in (mark.start, mark.end))
+        r = 36 * self.thickness * inches[1] / half  # points
+
+        def depth(own: tuple[_Mark, Array, Array]) -> float:
+            first, last = own[1][2], own[2][2]
+            # A link ends in its joints: it lies behind the farther one of them.
+            far = min(first, last) - self.thickness
+            return float(far if own[0].kind == "link" else 0.5 * (first + last))
+
+        for k, (mark, start, end) in enumerate(sorted(seen, key=depth)):
+            over = 3.0 + k / len(seen)
             text: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
             if mark.kind in ("axis", "arrow"):
                 draw_arrow(axes, start, end, color=mark.color, both=mark.kind == "arrow")
-                beyond = end + 0.25 * (end - start)
-                axes.text(beyond[0], beyond[1], mark.label, color=INK, **text)
-                continue
-            if mark.kind == "link" and renderer is None:
+                at = 1.25 * end - 0.25 * start
+                axes.text(at[0], at[1], mark.label, color=INK, **text)
+            elif mark.kind == "link":
                 for color, width in ((EDGE, 1.5 * r + 2.0), (mark.color, 1.5 * r)):
-                    line = axes.plot(*np.array([start, end]).T, color=color, linewidth=width)
-                    line[0].set(solid_capstyle="round", zorder=3)
-            elif mark.kind != "link":
+                    line = axes.plot(*np.array([start, end]).T[:2], color=color, linewidth=width)
+                    line[0].set(solid_capstyle="round", zorder=over)
+            else:
+                dark = mark.color in (EDGE, TRUTH)
+                outline, cap = _cylinder(start, end, 1.3 * self.thickness)
+                rim: Any = {"edgecolor": PAPER if dark else EDGE, "linewidth": 0.8, "zorder": over}
+                side = [0.8 * part for part in to_rgb(mark.color)]
+                axes.add_patch(Polygon(outline, facecolor=side, **rim))
+                axes.add_patch(Polygon(cap, facecolor=mark.color, linewidth=0, zorder=over))
+                text |= {"fontsize": float(np.clip(2 * r, 5.5, 11))}
+                ink = PAPER if dark else INK
                 at = 0.5 * (start + end)
-                if renderer is None:
-                    dot = axes.plot(*at, "s" if mark.kind == "slide" else "o", color=mark.color)
-                    dot[0].set(markersize=2.7 * r, markeredgecolor=EDGE, zorder=5)
-                ink = PAPER if mark.color in (EDGE, TRUTH) else INK
-                text["fontsize"] = float(np.clip(2 * r, 5.5, 11))
                 axes.text(at[0], at[1], mark.label, color=ink, **text)
 
-    def _lit(
-        self, renderer: mujoco.Renderer, marks: Collection[_Mark], middle: Array, height: float
-    ) -> NDArray[np.uint8]:
-        """Render links and joints as solids, in a view ``height`` [m] high."""
-        shapes, r = mujoco.mjtGeom, self.thickness
-        solids = {"link": (shapes.mjGEOM_CAPSULE, 0.8), "hinge": (shapes.mjGEOM_CYLINDER, 1.3)}
-        solids["slide"] = (shapes.mjGEOM_CAPSULE, 1.2)
-        camera = mujoco.MjvCamera()
-        camera.type, camera.orthographic = mujoco.mjtCamera.mjCAMERA_FREE, 1
-        camera.azimuth, camera.elevation, camera.distance = self.azimuth, self.elevation, 10.0
-        camera.lookat, renderer.model.vis.global_.fovy = middle, height
-        renderer.update_scene(mujoco.MjData(renderer.model), camera)
-        scene = renderer.scene
-        for mark in marks:
-            if mark.kind not in solids:
-                continue
-            solid, (shape, width) = scene.geoms[scene.ngeom], solids[mark.kind]
-            rgba = np.array([*(int(mark.color[k : k + 2], 16) / 255 for k in (1, 3, 5)), 1.0])
-            zeros, eye = np.zeros(3), np.eye(3).ravel()
-            mujoco.mjv_initGeom(solid, shape, zeros, zeros, eye, rgba.astype(np.float32))
-            mujoco.mjv_connector(solid, shape, width * r, mark.start, mark.end)
-            scene.ngeom += 1
-        return np.asarray(renderer.render())
+
+def _cylinder(start: Array, end: Array, radius: float) -> tuple[Array, Array]:
+    """Outline (K, 2) of a cylinder seen along the third axis, and of its end near the eye."""
+    across, turn = np.linalg.svd((end - start)[None])[2][1:], np.linspace(0, 2 * np.pi, 60)
+    rim = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) @ across
+    both = np.concatenate([start + rim, end + rim])[:, :2]
+    near = end if end[2] > start[2] else start
+    return both[ConvexHull(both).vertices], (near + rim)[:, :2]
 
 
 def _apart(anchors: Array, axes: Array, tool: Array, near: float) -> Array:
@@ -378,36 +362,9 @@ def draw_arrow(axes: Axes, start: Array, end: Array, *, color: str, both: bool =
 
     style = {"arrowstyle": "<|-|>" if both else "-|>", "color": color, "linewidth": 1.7}
     style |= {"shrinkA": 0, "shrinkB": 0}
-    note = axes.annotate("", xy=tuple(end), xytext=tuple(start), arrowprops=style, zorder=7)
+    note = axes.annotate("", xy=tuple(end[:2]), xytext=tuple(start[:2]), arrowprops=style, zorder=7)
     if note.arrow_patch is not None:
         note.arrow_patch.set_path_effects([withStroke(linewidth=3.9, foreground=PAPER)])
-
-
-_PIXELS = (1120, 640)
-"""Width and height of the lit arm [pixels]."""
-_WIDE = _PIXELS[0] / _PIXELS[1]
-_STAGE = """<mujoco>
-  <visual>
-    <global offwidth="2048" offheight="2048" orthographic="true"/>
-    <quality shadowsize="0"/>
-    <headlight ambient=".5 .5 .5" diffuse=".5 .5 .5" specular="0 0 0"/>
-  </visual>
-  <asset>
-    <texture type="skybox" builtin="flat" rgb1="1 1 1" rgb2="1 1 1" width="8" height="8"/>
-  </asset>
-</mujoco>"""
-"""Empty white room in which the strokes of an arm are lit."""
-
-
-def stage() -> mujoco.Renderer | None:
-    """Make MuJoCo's renderer of an empty room; None where there is no OpenGL."""
-    with contextlib.suppress(AttributeError, ImportError, OSError, RuntimeError, mujoco.FatalError):
-        if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL"):
-            # MuJoCo chooses its platform when it is imported, GLFW by default: that needs a screen.
-            context: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
-            context.GLContext = vars(importlib.import_module("mujoco.egl"))["GLContext"]
-        return mujoco.Renderer(mujoco.MjModel.from_xml_string(_STAGE), *_PIXELS[::-1])
-    return None
 
 
 class Picture:
@@ -415,7 +372,7 @@ class Picture:
 
     Above, the arm in its pose; below, the correlation of its latest record along the directions
     of each plane of the tool frame, measured and as the healthy arm would show it. The true fault
-    shows once the episode has ended, never before. Without OpenGL the arm is a sketch.
+    shows once the episode has ended, never before.
 
     Parameters
     ----------
@@ -441,7 +398,6 @@ class Picture:
         self.linear = linear
         self._floor = SensorFloor.of(sensors or SensorSuite(), linear.arm.band)
         self._drawing = ArmDrawing(linear.arm)
-        self._stage: mujoco.Renderer | None = None
 
     def draw(self, episode: Episode, *, verdict: str | None = None) -> NDArray[np.uint8]:
         """Draw an episode as it stands; the verdict shows once it has ended.
@@ -453,16 +409,13 @@ class Picture:
         """
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-        if self._stage is None:
-            self._stage = stage()
-        figure = self.figure(episode, verdict=verdict, lit=True)
-        canvas = FigureCanvasAgg(figure)
+        canvas = FigureCanvasAgg(self.figure(episode, verdict=verdict))
         canvas.draw()  # type: ignore[no-untyped-call]
         pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
         return np.array(pixels[..., :3], dtype=np.uint8)
 
-    def figure(self, episode: Episode, *, verdict: str | None = None, lit: bool = False) -> Figure:
-        """Return the picture as a figure of matplotlib, by default of lines alone."""
+    def figure(self, episode: Episode, *, verdict: str | None = None) -> Figure:
+        """Return the picture as a figure of matplotlib."""
         from matplotlib.figure import Figure
 
         figure, drawing, height = Figure(figsize=self.size, dpi=160), self._drawing, self.size[1]
@@ -486,7 +439,7 @@ class Picture:
         axes = figure.add_axes((0.0, bottom / height, 1.0, 1 - (top + bottom) / height))
         excited = None if record is None else record.excited
         marks = drawing.marks(episode.pose, excited=excited, fault=truth)
-        drawing.draw(axes, marks, self._stage if lit else None)
+        drawing.draw(axes, marks)
         figure.text(
             0.96, bottom / height, drawing.seen, color=MUTED, fontsize=9, ha="right", va="bottom"
         )
@@ -499,12 +452,6 @@ class Picture:
                 draw_section(panel, found, expected, (names[found.axes[0]], names[found.axes[1]]))
             self._legend(figure, record, truth)
         return figure
-
-    def close(self) -> None:
-        """Close the renderer, if there is one."""
-        if self._stage is not None:
-            self._stage.close()
-            self._stage = None
 
     def _correlations(
         self, record: Measurement

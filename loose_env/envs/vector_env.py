@@ -270,10 +270,6 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         """Picture of every environment, each (height, width, 3) of uint8."""
         return tuple(self._drawn())
 
-    def close_extras(self, **kwargs: Any) -> None:
-        """Let go of the picture."""
-        self._let_go()
-
 
 def _row(observations: Any, k: int) -> Any:
     """One of several observations, flat or raw."""
