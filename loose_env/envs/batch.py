@@ -241,7 +241,7 @@ def checked_pose(arm: Arm, given: Any) -> Array:
 
 
 _STATE = (
-    *("_seeds", "_numbers", "_faults", "_mismatches", "_verdicts", "begun", "_ended"),
+    *("seeds", "numbers", "_faults", "_mismatches", "_verdicts", "begun", "ended"),
     *("records", "_spent_levels", "_seconds", "_poses", "_visited", "_visits", "_flat"),
 )
 """State of the episodes, but for their latest records."""
@@ -275,7 +275,7 @@ class EnvBatch:
     ----------
     arm : Arm
         The nominal arm: what is predicted, commanded and observed rests on it.
-    settings : DiagnosisSettings
+    settings : DiagnosisSettings, optional
         Settings of the environment.
     num : int
         Number of arms.
@@ -296,13 +296,14 @@ class EnvBatch:
     def __init__(
         self,
         arm: Arm,
-        settings: DiagnosisSettings,
+        settings: DiagnosisSettings | None = None,
         *,
         num: int = 1,
         threads: int = 0,
         rig: BatchRig | None = None,
         true_arm: Arm | None = None,
     ) -> None:
+        settings = settings or DiagnosisSettings()
         self.arm, self.settings, self.num, self.threads = arm, settings, num, threads
         self.true_arm = checked_true_arm(true_arm, arm)
         if rig is not None and not (hasattr(rig, "mount_all") and hasattr(rig, "record")):
@@ -338,10 +339,12 @@ class EnvBatch:
         # State of the episodes.
         most, n, layout = settings.max_records, arm.n, self.observations
         objects = np.full((5, num), None)  # seeds may have more bits than a whole number of numpy
-        self._seeds, self._faults, self._mismatches, self._last, self._verdicts = objects
-        self._numbers = np.zeros(num, dtype=np.intp)
-        self.begun, self._ended = np.zeros((2, num), dtype=bool)
-        """Whether an episode was started in each slot (num,)."""
+        self.seeds, self._faults, self._mismatches, self._last, self._verdicts = objects
+        """Root seed of each slot's run of episodes (num,)."""
+        self.numbers = np.full(num, -1, dtype=np.intp)
+        """Number of each slot's episode under it (num,)."""
+        self.begun, self.ended = np.zeros((2, num), dtype=bool)
+        """Whether an episode was started in each slot, and whether it has ended (num,)."""
         self.records, self._spent_levels = np.zeros((2, num), dtype=np.intp)
         """Records taken so far in each slot's episode (num,)."""
         self._seconds, self._poses = np.zeros(num), np.zeros((num, n))
@@ -372,8 +375,8 @@ class EnvBatch:
         self._require_begun([slot])
         last = self._last[slot]
         return Episode(
-            seed=self._seeds[slot],
-            number=int(self._numbers[slot]),
+            seed=self.seeds[slot],
+            number=int(self.numbers[slot]),
             fault=self._faults[slot],
             mismatch=self._mismatches[slot],
             pose=self._poses[slot].copy(),
@@ -383,7 +386,7 @@ class EnvBatch:
             levels=int(self._spent_levels[slot]),
             visited=self._visited[slot, : self._visits[slot]].copy(),
             last=None if last is None else last[0].measurement(last[1]),
-            ended=bool(self._ended[slot]),
+            ended=bool(self.ended[slot]),
             verdict=self._verdicts[slot],
         )
 
@@ -423,12 +426,12 @@ class EnvBatch:
             mismatches[own] = scaled.draw_all(arm, [of_mismatch[k] for k in own])
         self._mount(at, self._hidden(beginnings, of_fault), mismatches)
         for k, slot in enumerate(at):
-            self._seeds[slot] = seeds[k]
+            self.seeds[slot] = seeds[k]
         self._last[at] = self._verdicts[at] = None
-        self._numbers[at], self._poses[at] = numbers, poses
+        self.numbers[at], self._poses[at] = numbers, poses
         self.records[at] = self._spent_levels[at] = self._visits[at] = 0
         self._seconds[at], self._slots[at] = 0.0, 0.0
-        self.begun[at], self._ended[at] = True, False
+        self.begun[at], self.ended[at] = True, False
         self._show_globals(at)
 
     def _hidden(
@@ -534,7 +537,7 @@ class EnvBatch:
         truncated = np.zeros(len(at), dtype=bool)
         for k, failure in failures.items():
             row = int(rows[k])
-            truncated[row] = self._ended[own[k]] = True
+            truncated[row] = self.ended[own[k]] = True
             self.divergences[self._faults[own[k]].kind] += 1
             end = {"failure": failure} | self._truth(int(own[k]), None)
             ends[row] = _of_row(told, row) | end
@@ -546,7 +549,7 @@ class EnvBatch:
         """Slots whose episodes go on."""
         at = np.asarray(slots, dtype=np.intp)
         self._require_begun(at)
-        if self._ended[at].any():
+        if self.ended[at].any():
             raise ResetNeeded("the episode has ended: call reset() before step()")
         return at
 
@@ -565,7 +568,7 @@ class EnvBatch:
         ends, prices = {}, self.settings.prices
         for k in np.flatnonzero(said | over).tolist():
             slot, named = int(at[k]), self.verdicts[verdicts[k] - 1] if said[k] else None
-            self._ended[slot], self._verdicts[slot] = True, named
+            self.ended[slot], self._verdicts[slot] = True, named
             ends[k] = ({"out_of_records": True} if named is None else {}) | self._truth(slot, named)
             truth = self._faults[slot].hypothesis
             rewards[k] = prices.wrong if named is None else prices.verdict(named, truth)
@@ -705,8 +708,8 @@ class EnvBatch:
 
     def _streams(self, slots: IndexArray, kind: int) -> list[np.random.Generator]:
         """Generators of one kind of draw for the next record of each slot."""
-        key = [self._numbers[slots], np.full(len(slots), kind), self.records[slots]]
-        return streams(self._seeds[slots].tolist(), np.column_stack(key))
+        key = [self.numbers[slots], np.full(len(slots), kind), self.records[slots]]
+        return streams(self.seeds[slots].tolist(), np.column_stack(key))
 
     def _simulated(
         self, slots: IndexArray, torque: Array, durations: Any

@@ -127,16 +127,13 @@ class PosteriorObservation(Change):
         inner = self.diagnosis
         return self._given or analytic_posterior(inner.batch.nominal, inner.settings)
 
-    def begun(self, at: IndexArray) -> None:
-        """Begin from the prior."""
-        for i in at:
-            self._beliefs[i] = self.posterior.start()
-        self._records[at] = 0
-
     def shown(self, observations: NDArray[np.float32], at: IndexArray) -> NDArray[np.float32]:
         """Update the posteriors of some arms and show them."""
-        layout, before = self.diagnosis.layout, [self._beliefs[i] for i in at]
-        after, taken = taken_in(self.posterior, layout, observations, before, self._records[at])
+        layout = self.diagnosis.layout
+        for i in at[layout.records_of(observations) == 0]:  # an episode begins
+            self._beliefs[i], self._records[i] = self.posterior.start(), 0
+        before, known = [self._beliefs[i] for i in at], self._records[at]
+        after, taken = taken_in(self.posterior, layout, observations, before, known)
         self._records[at] = taken
         for i, belief in zip(at, after, strict=True):
             self._beliefs[i] = belief
