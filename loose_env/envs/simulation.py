@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -73,12 +74,8 @@ _LOG = 2
 """Log-uniform parameters, the first ones after the hypothesis."""
 
 
-class Simulate(Protocol):
-    """Simulator of records, as `simulator` makes it."""
-
-    def __call__(self, theta: Array, design: Array, rng: np.random.Generator) -> Array:
-        """Records of arms with given faults, in given poses and excitations."""
-        ...
+Simulate = Callable[[Array, Array, np.random.Generator], Array]
+"""Simulator of records, as `simulator` makes it."""
 
 
 def simulator(
