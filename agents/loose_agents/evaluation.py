@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -71,25 +70,24 @@ def diagnosis_env(
     3
     """
     drawn = {} if render_mode is None else {"render_mode": render_mode}
-    with refused_in_words(env_id, arguments):
-        env = gymnasium.make(env_id, **drawn, **arguments).unwrapped  # type: ignore[arg-type]
-    if not isinstance(env, DiagnosisEnv):
-        known = ", ".join((*IDS, *TIERS))
-        raise UnknownName(f"{env_id} is no diagnosis environment; those are {known}")
-    return env
+    found: DiagnosisEnv = _made(gymnasium.make, env_id, {**drawn, **arguments})
+    return found
 
 
-@contextmanager
-def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None]:
-    """Name the arguments that an environment does not accept, in a readable error."""
+def _made(make: Callable[..., Any], env_id: str, arguments: Mapping[str, Any]) -> Any:
+    """A diagnosis environment or a batch; arguments that it does not take are named."""
     try:
-        yield
+        env = make(env_id, **arguments).unwrapped
     except (TypeError, OverflowError) as error:
         # Gymnasium adds the arguments once more.
         reason = " ".join(str(error).split()).partition(" was raised from the environment")[0]
         raise InvalidSetting(
             f"{env_id} does not take {dict(arguments)!s:.300}: {reason}"
         ) from error
+    if not isinstance(env, (DiagnosisEnv, DiagnosisVectorEnv)):
+        known = ", ".join((*IDS, *TIERS))
+        raise UnknownName(f"{env_id} is no diagnosis environment; those are {known}")
+    return env
 
 
 def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
@@ -100,12 +98,7 @@ def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
 
 def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> DiagnosisVectorEnv:
     """Make the environments side by side."""
-    if env_id not in gymnasium.registry:
-        raise UnknownName(f"unknown environment {env_id!r}; environments are {', '.join(IDS)}")
-    with refused_in_words(env_id, arguments):
-        env = gymnasium.make_vec(env_id, num_envs=num_envs, **arguments)
-    if not isinstance(env, DiagnosisVectorEnv):
-        raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
+    env: DiagnosisVectorEnv = _made(gymnasium.make_vec, env_id, {"num_envs": num_envs, **arguments})
     if env.settings.raw:
         raise InvalidSetting("a policy learns on statistics, not on raw signals: leave raw out")
     return env

@@ -166,16 +166,6 @@ def halved(
         share = min(2 * share, episodes)
 
 
-def best_constant(
-    candidates: Sequence[tuple[int, ...]],
-    play: Callable[[tuple[int, ...], int], Trails],
-    *,
-    episodes: int,
-) -> tuple[int, ...]:
-    """Find the constant excitation with the highest return."""
-    return halved(candidates, play, episodes=episodes, keep=2, least=1)[0][0]
-
-
 def best_sequences(
     candidates: Sequence[Records],
     play: Callable[[Records, int], Trails],
