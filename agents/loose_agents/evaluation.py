@@ -24,7 +24,7 @@ from loose_env.envs import (
     EnvBatch,
 )
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.evaluation import FaultParameters, fault_parameters
+from loose_env.evaluation import fault_parameters
 from loose_env.registration import IDS, TIERS
 
 
@@ -157,8 +157,8 @@ class EpisodeRow:
     truth_probability: float | None
     """Probability that the agent gave to the truth at the end."""
     actions: str = ""
-    """Actions, the last one the verdict, in the form of `loose_env.envs.ActionLayout.code`, with
-    spaces between."""
+    """Actions, the last one the verdict, in the form of `loose_agents.base.code_of`, with spaces
+    between."""
     trail_best: tuple[str, ...] = ()
     """Most probable hypothesis after each record."""
     trail_confidence: tuple[float, ...] = ()
@@ -322,7 +322,8 @@ def _row(
     """Summarise an episode as a row."""
     names = batch.hypotheses
     episode = batch.episode(slot)
-    hidden: FaultParameters = fault_parameters(batch.sampler, episode.fault)
+    trails = {f"trail_{name}": tuple(values) for name, values in run.trails.items()}
+    found: dict[str, Any] = {**vars(fault_parameters(batch.sampler, episode.fault)), **trails}
     truth, verdict, p = info["fault"], info["verdict"], run.probabilities
     level = batch.settings.difficulty
     return EpisodeRow(
@@ -341,15 +342,10 @@ def _row(
         price=run.price,
         reward=run.verdict_reward - run.price,
         truncated="failure" in info,
-        gap=hidden.gap,
-        friction=hidden.friction,
-        friction_ratio=hidden.friction_ratio,
-        opening_ratio=hidden.opening_ratio,
-        direction=hidden.direction,
         confidence=_at(p, names, verdict),
         truth_probability=_at(p, names, truth),
         actions=" ".join(run.actions),
-        **{f"trail_{name}": tuple(values) for name, values in run.trails.items()},
+        **found,
     )
 
 
