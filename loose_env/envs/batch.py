@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
@@ -46,7 +46,7 @@ from loose_env.faults import (
     place_of,
     preloaded,
 )
-from loose_env.io import is_finite
+from loose_env.io import Checked, NonNegative, Rule
 from loose_env.rig import Measurement, Records, ReducedRig, SimulatedRig, Trials
 from loose_env.streams import streams
 from loose_env.typing import Array, ComplexArray, IndexArray
@@ -65,8 +65,6 @@ class Episode:
     records: int
     seconds: float
     levels: int
-    visited: Array
-    """Poses in which a record was taken (records, n)."""
     last: Measurement | None
     """The latest record."""
     ended: bool
@@ -201,16 +199,16 @@ def mapping_of(options: Any, what: str = "options of reset() are") -> dict[str, 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Beginning:
+class Beginning(Checked):
     """How an episode begins: options of `reset`, checked."""
 
     fault: Fault | str | None = None
     """Fault, or the hypothesis under which one is drawn; None draws one."""
-    pose: Array | None = None
+    pose: Any = None
     """First pose [rad or m] (n,); None draws one."""
-    mismatch_scale: float = 1.0
+    mismatch_scale: NonNegative = 1.0
     """Factor on the deviations of the true arm from the nominal one."""
-    preload_g: float = 0.0
+    preload_g: Annotated[float, Rule("a finite number")] = 0.0
     """Weight carried that presses a loose seat towards its upper stop [1]."""
 
     @classmethod
@@ -224,12 +222,6 @@ class Beginning:
             raise UnknownName(
                 f"unknown fault {fault!r}; give a fault of loose_env.faults or one of {list(names)}"
             )
-        for name in ("mismatch_scale", "preload_g"):
-            if name in given and not is_finite(given[name]):
-                raise InvalidSetting(f"{name} must be a finite number, got {given[name]!r}")
-        if given.get("mismatch_scale", 1.0) < 0:
-            scale = given["mismatch_scale"]
-            raise InvalidSetting(f"mismatch_scale is a factor, zero or more; got {scale:g}")
         if "pose" in given:
             given["pose"] = checked_pose(arm, given["pose"])
         return cls(**given)
@@ -384,7 +376,6 @@ class EnvBatch:
             records=int(self.records[slot]),
             seconds=float(self._seconds[slot]),
             levels=int(self._spent_levels[slot]),
-            visited=self._visited[slot, : self._visits[slot]].copy(),
             last=None if last is None else last[0].measurement(last[1]),
             ended=bool(self.ended[slot]),
             verdict=self._verdicts[slot],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -198,9 +198,6 @@ class MachineDraw(Checked):
         return found
 
 
-_KINDS = Rule("kinds of the catalogue, none for all")
-
-
 @dataclass(frozen=True, kw_only=True)
 class GapPrices(Checked):
     """Rewards of verdicts and prices of machine time.
@@ -231,10 +228,8 @@ class GapPrices(Checked):
         self, named: tuple[str, ...], truth: tuple[str, ...], *, parameter_error: float
     ) -> float:
         """Reward of a verdict."""
-        reward = self.named(named, truth)
-        if set(named) == set(truth):
-            return reward - self.parameter * min(parameter_error, 1.0) * bool(truth)
-        return reward
+        right = bool(truth) and set(named) == set(truth)
+        return self.named(named, truth) - right * self.parameter * min(parameter_error, 1.0)
 
     def named(self, named: tuple[str, ...], truth: tuple[str, ...]) -> float:
         """Reward of the names alone."""
@@ -259,7 +254,7 @@ class ModelGapSettings(Checked):
     """Distribution of the hidden machines."""
     prices: GapPrices = field(default_factory=GapPrices)
     """Rewards and prices."""
-    kinds: Annotated[tuple[str, ...], _KINDS] = ()
+    kinds: Annotated[tuple[str, ...], Rule("kinds of the catalogue, none for all")] = ()
     """Kinds of effect that are hidden and considered; none for the whole catalogue but those that
     the sensors cannot show."""
     library: Library = "battery"
@@ -588,8 +583,5 @@ def _bank(
 ) -> MotionBank:
     """Evidence of the motions of an arm, shared by the environments of a process."""
     arm = read_servo_arm(path, tolerance=tolerance, max_speed=max_speed)
-    return motion_bank(arm, motion_library(arm, library), kinds, say=_say)
-
-
-def _say(words: str) -> None:
-    print(f"loose_env/Gap-v0: {words}", file=sys.stderr, flush=True)
+    say = partial(print, "loose_env/Gap-v0:", file=sys.stderr, flush=True)
+    return motion_bank(arm, motion_library(arm, library), kinds, say=say)
