@@ -46,7 +46,7 @@ from loose_env.faults import (
     place_of,
     preloaded,
 )
-from loose_env.io import Checked, NonNegative, Rule
+from loose_env.io import Checked, NonNegative, Rule, plain
 from loose_env.rig import Measurement, Records, ReducedRig, SimulatedRig, Trials
 from loose_env.streams import streams
 from loose_env.typing import Array, ComplexArray, IndexArray
@@ -167,7 +167,7 @@ def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
         raise InvalidSetting(f"true_arm is an Arm, as `arm_from_file` makes it; got {true_arm!r}")
     for name in ("joints", "sliding", "joint_ranges", "axes", "band"):
         own, other = getattr(true_arm, name), getattr(arm, name)
-        if not _alike(own, other):
+        if plain([*own], digits=9) != plain([*other], digits=9):
             raise InvalidSetting(
                 f"the true arm {true_arm.name!r} differs from the nominal arm {arm.name!r} in "
                 f"{name}: {own} and {other}; both are to be moved and read alike"
@@ -178,17 +178,6 @@ def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
             f"arm {arm.name!r}; both are to be moved and read alike"
         )
     return true_arm
-
-
-def _alike(own: object, other: object) -> bool:
-    """Return whether values are equal, numbers to rounding."""
-    if isinstance(own, np.ndarray):
-        return bool(np.array_equal(own, np.asarray(other)))
-    if isinstance(own, (tuple, list)) and isinstance(other, (tuple, list)):
-        return len(own) == len(other) and all(map(_alike, own, other))
-    if isinstance(own, float) and isinstance(other, float):
-        return bool(np.isclose(own, other, rtol=1e-9, atol=1e-12))
-    return own == other
 
 
 def mapping_of(options: Any, what: str = "options of reset() are") -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from textwrap import fill
@@ -43,19 +43,6 @@ _STILL = 1e-12
 """Share of the largest variance below which the tool counts as still along a direction."""
 _FAINT_SECTION = 0.05
 """Correlation below which a section shows no direction of its own."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Section:
-    """Correlation along the directions of one plane of the tool frame."""
-
-    axes: tuple[int, int]
-    """Measured axes that span the plane."""
-    points: Array
-    """r(u) u for directions u in the plane [1] (K, 2)."""
-    lowest: Array | None
-    """Direction in the plane without correlation, unit vector (2,); None where all of it is
-    all but zero."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,12 +92,12 @@ class CorrelationByDirection:
         spread = np.sqrt(np.where(moving, power, 1.0))
         return np.where(moving, directions @ self.peak / spread, 0.0)
 
-    @property
-    def sections(self) -> tuple[Section, ...]:
-        """The planes of two measured axes: one of two axes, x-y, x-z and y-z of three."""
-        return tuple(self._section(i, j) for i, j in combinations(range(len(self.peak)), 2))
+    def section(self, first: int, second: int) -> tuple[Array, Array | None]:
+        """Correlation along the directions of the plane of two measured axes.
 
-    def _section(self, first: int, second: int) -> Section:
+        Points r(u) u for directions u in it [1] (K, 2), and the direction in it without
+        correlation (2,); None where all of it is all but zero.
+        """
         across = np.array([-self.peak[second], self.peak[first]])
         start = float(np.arctan2(across[1], across[0])) if across.any() else 0.0
         near = np.geomspace(1e-5, 0.1, 60)  # dense where the correlation passes zero
@@ -120,9 +107,7 @@ class CorrelationByDirection:
         directions[:, [first, second]] = flat
         radius = self.along(directions)
         clear = np.abs(radius).max() > _FAINT_SECTION
-        return Section(
-            axes=(first, second), points=radius[:, None] * flat, lowest=flat[0] if clear else None
-        )
+        return radius[:, None] * flat, flat[0] if clear else None
 
     def facing(self, other: CorrelationByDirection) -> CorrelationByDirection:
         """Turn it to the same side as another one."""
@@ -148,22 +133,28 @@ def predicted_correlation(prediction: Prediction) -> CorrelationByDirection:
     return CorrelationByDirection.of(Covariances(xx=p.joint, xa=p.joint_tool, aa=p.tool, count=0))
 
 
-def draw_section(axes: Axes, measured: Section, healthy: Section, names: tuple[str, str]) -> None:
-    """Draw the correlation along the directions of a plane; the circle is a correlation of 1."""
+def draw_section(
+    axes: Axes,
+    measured: CorrelationByDirection,
+    healthy: CorrelationByDirection,
+    names: Mapping[int, str],
+) -> None:
+    """Draw the correlation along the directions of a plane of two named axes, of a circle of 1."""
     from matplotlib.patches import Circle, Polygon
 
     axes.set_axis_off()
     axes.set(aspect="equal", xlim=(-1.35, 1.35), ylim=(-1.35, 1.35))
     axes.add_patch(Circle((0, 0), 1.0, facecolor="none", edgecolor=FAINT, linewidth=1.2))
-    for end, name in zip(((1.08, 0.0), (0.0, 1.08)), names, strict=True):
+    for end, name in zip(((1.08, 0.0), (0.0, 1.08)), names.values(), strict=True):
         axes.plot([-end[0], end[0]], [-end[1], end[1]], color=FAINT, linewidth=0.9, zorder=1)
         look: dict[str, Any] = {"fontsize": 9.5, "fontstyle": "italic", "ha": "center"}
         axes.text(1.12 * end[0], 1.12 * end[1], name, color=INK, va="center", **look)
-    axes.plot(*healthy.points.T, color=MUTED, linewidth=1.4, dashes=(4, 2.5), zorder=4)
-    axes.add_patch(Polygon(measured.points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2))
-    axes.plot(*measured.points.T, color=MEASURED, linewidth=2.0, zorder=3)
-    if measured.lowest is not None:
-        line = np.outer([-1.0, 1.0], measured.lowest)
+    expected, (points, lowest) = healthy.section(*names)[0], measured.section(*names)
+    axes.plot(*expected.T, color=MUTED, linewidth=1.4, dashes=(4, 2.5), zorder=4)
+    axes.add_patch(Polygon(points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2))
+    axes.plot(*points.T, color=MEASURED, linewidth=2.0, zorder=3)
+    if lowest is not None:
+        line = np.outer([-1.0, 1.0], lowest)
         axes.plot(*line.T, color=MEASURED, linewidth=2.4, zorder=3)
 
 
@@ -444,12 +435,11 @@ class Picture:
             0.96, bottom / height, drawing.seen, color=MUTED, fontsize=9, ha="right", va="bottom"
         )
         if both is not None and record is not None:
-            names = ["xyz"[a] for a in self.linear.arm.axes]
-            pairs = list(zip(both[0].sections, both[1].sections, strict=True))
+            pairs = list(combinations([*enumerate("xyz"[a] for a in self.linear.arm.axes)], 2))
             left = 0.5 - len(pairs) / 6
-            for k, (found, expected) in enumerate(pairs):
+            for k, pair in enumerate(pairs):
                 panel = figure.add_axes((left + k / 3, 0.36 / height, 1 / 3, 1.86 / height))
-                draw_section(panel, found, expected, (names[found.axes[0]], names[found.axes[1]]))
+                draw_section(panel, *both, dict(pair))
             self._legend(figure, record, truth)
         return figure
 

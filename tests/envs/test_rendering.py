@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import gymnasium
@@ -194,14 +195,15 @@ def test_the_correlation_of_one_shaken_joint_is_that_of_the_statistics(name: str
     directions = np.random.default_rng(0).standard_normal((30, len(tool)))
     for direction, r in zip(directions, found.along(directions), strict=True):
         assert r == pytest.approx(correlation_along(joint, tool, direction), abs=1e-9)
-    for section in found.sections:
+    for axes in combinations(range(len(tool)), 2):
+        points, lowest = found.section(*axes)
         direction = np.zeros(len(tool))
-        for point in section.points[60:-60:40]:
-            direction[list(section.axes)] = point
+        for point in points[60:-60:40]:
+            direction[list(axes)] = point
             r = correlation_along(joint, tool, direction)
             assert r == pytest.approx(np.linalg.norm(point), abs=1e-9)
-        assert section.lowest is not None
-        direction[list(section.axes)] = section.lowest
+        assert lowest is not None
+        direction[list(axes)] = lowest
         assert found.along(direction[None])[0] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -211,8 +213,8 @@ def test_a_tool_axis_that_stands_still_leaves_the_planes_finite() -> None:
     )
     found = CorrelationByDirection.of(still)
     assert found.maximum == pytest.approx(1.0)
-    assert all(np.isfinite(section.points).all() for section in found.sections)
-    assert found.sections[2].lowest is None
+    assert all(np.isfinite(found.section(*axes)[0]).all() for axes in ((0, 1), (0, 2), (1, 2)))
+    assert found.section(1, 2)[1] is None
 
 
 @pytest.mark.parametrize(
