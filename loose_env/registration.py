@@ -132,15 +132,12 @@ def _nominal(arm: str, arguments: dict[str, Any], of_arm: tuple[str, ...]) -> An
     if arm != "arm":
         return _varied(getattr(arms, arm), own)
 
-    def made(*, path: Any, **how: Any) -> Any:
-        return arms.arm_from_file(path, **how)
-
     model, true_model = own.pop("model", None), own.pop("true_model", None)
     if true_model is not None:
         if arguments.get("true_arm") is not None:
             raise InvalidSetting("give the true arm as true_model or as true_arm, not as both")
-        arguments["true_arm"] = _varied(made, {"path": true_model, **own})
-    return _varied(made, {"path": arms.DESK_ARM if model is None else model, **own})
+        arguments["true_arm"] = _varied(arms.arm_from_file, {"path": true_model, **own})
+    return _varied(arms.arm_from_file, {"path": arms.DESK_ARM if model is None else model, **own})
 
 
 def _varied(make: Callable[..., Any], own: dict[str, Any]) -> Any:

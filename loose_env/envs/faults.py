@@ -326,21 +326,17 @@ def hypothesis_words(hypothesis: str | None, *, past: bool = False) -> str:
     >>> hypothesis_words(None), hypothesis_words("unsure")
     ('no verdict', 'unsure')
     """
-    if hypothesis is None:
-        return "no verdict"
-    if hypothesis == UNSURE:
-        return "unsure"
+    if hypothesis is None or hypothesis == UNSURE:
+        return hypothesis or "no verdict"
+    is_, has, rocks = ("was", "had", "rocked") if past else ("is", "has", "rocks")
     if hypothesis == SEVERAL_FAULTS:
         return f"there {'were' if past else 'are'} several faults"
     place = place_of(hypothesis)
     if place is None:
-        return f"nothing {'was' if past else 'is'} loose"
+        return f"nothing {is_} loose"
     if hypothesis.startswith("backlash"):
-        return f"joint {place} {'had' if past else 'has'} play"
-    verb = "was" if past else "is"
-    if hypothesis.startswith("rotational"):
-        return f"link {place} {verb} loose and {'rocked' if past else 'rocks'}"
-    return f"link {place} {verb} loose"
+        return f"joint {place} {has} play"
+    return f"link {place} {is_} loose" + f" and {rocks}" * hypothesis.startswith("rotational")
 
 
 def fault_words(fault: Fault, arm: Arm | None = None) -> str:

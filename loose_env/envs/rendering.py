@@ -414,11 +414,15 @@ class Picture:
         record = episode.last if valid else None
         truth = episode.fault if episode.ended else None
         figure.set_facecolor(PAPER)
-        both = None if record is None else self._correlations(record)
+        both = None
+        if record is not None:
+            measured, at = measured_correlation(record), self.linear.at(record.pose)
+            healthy = predicted_correlation(predict(at, record.excitation, self._floor))
+            both = measured, healthy.facing(measured)
         title, lines = self._words(episode, record, verdict)
         if both is not None:
-            measured, healthy = (each.maximum for each in both)
-            lines.append(f"Highest correlation {measured:.3f}, {healthy:.3f} on a healthy arm")
+            own, usual = (each.maximum for each in both)
+            lines.append(f"Highest correlation {own:.3f}, {usual:.3f} on a healthy arm")
         head, body = fill(title, 44), "\n".join(fill(line, 70) for line in lines)
         look: dict[str, Any] = {"ha": "left", "va": "top"}
         color = TRUTH if truth is not None else INK
@@ -442,15 +446,6 @@ class Picture:
                 draw_section(panel, *both, dict(pair))
             self._legend(figure, record, truth)
         return figure
-
-    def _correlations(
-        self, record: Measurement
-    ) -> tuple[CorrelationByDirection, CorrelationByDirection]:
-        """Correlation by direction, as measured and as the healthy arm would show it."""
-        measured = measured_correlation(record)
-        at = self.linear.at(record.pose)
-        healthy = predicted_correlation(predict(at, record.excitation, self._floor))
-        return measured, healthy.facing(measured)
 
     def _words(
         self, episode: Episode, record: Measurement | None, verdict: str | None

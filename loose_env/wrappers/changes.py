@@ -38,14 +38,12 @@ class _Records(Change):
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)
-        found: RecordLayout = self.of_inner("layout")
-        elements = found.slot_elements
-        self.inner = RecordLayout(
-            global_elements=found.global_elements, slot_elements=elements, slots=found.slots
-        )
+        self.inner = inner = self.of_inner("layout")
+        elements = inner.slot_elements
         self._kept = [k for k, each in enumerate(elements) if self._keeps(each.name)]
-        shown = self._changed([elements[k] for k in self._kept])
-        self.layout = replace(self.inner, slot_elements=tuple(shown))
+        shown = tuple(self._changed([elements[k] for k in self._kept]))
+        start = inner.global_elements
+        self.layout = RecordLayout(global_elements=start, slot_elements=shown, slots=inner.slots)
         self.set_space("observation", self.layout.space)
 
     def _keeps(self, name: str) -> bool:

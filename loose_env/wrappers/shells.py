@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
@@ -28,17 +28,13 @@ class Change:
     """The environment within all wrappers."""
     num: int
     """Number of arms, B."""
+    of_inner: Callable[[str], Any]
+    """Attribute of what is wrapped."""
+    set_space: Callable[[str, spaces.Space[Any]], None]
+    """Says what one arm shows or takes: "observation" or "action"."""
 
     def __init__(self, env: Any, **arguments: Any) -> None:
         super().__init__(env, **arguments)  # type: ignore[call-arg]
-
-    def of_inner(self, name: str) -> Any:
-        """Attribute of what is wrapped."""
-        raise NotImplementedError
-
-    def set_space(self, name: str, space: spaces.Space[Any]) -> None:
-        """Say what one arm shows or takes: "observation" or "action"."""
-        raise NotImplementedError
 
     def shown(self, observations: NDArray[np.float32], at: IndexArray) -> NDArray[np.float32]:
         """Observations of some arms as they are shown (A, ...)."""
@@ -150,6 +146,7 @@ class DiagnosisVectorWrapper(Change, VectorWrapper[Any, Any, Any, Any, Any]):
         _checked(self, inner, DiagnosisVectorEnv, "For one environment take loose_env.wrappers")
         VectorWrapper.__init__(self, env)
         self.diagnosis, self.num = inner, inner.num_envs
+        self._all = np.arange(self.num)
 
     def of_inner(self, name: str) -> Any:
         """Attribute of what is wrapped."""
@@ -171,7 +168,7 @@ class DiagnosisVectorWrapper(Change, VectorWrapper[Any, Any, Any, Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode in every environment, or in those of `options["reset_mask"]`."""
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
-        return self._all_shown(observations), self._informed(infos)
+        return self.shown(observations, self._all), self._informed(infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment; those that end begin anew as the batch's mode says."""
@@ -183,20 +180,23 @@ class DiagnosisVectorWrapper(Change, VectorWrapper[Any, Any, Any, Any, Any]):
             for i, own in zip(at, finals, strict=True):
                 shown[i] = own
             infos |= {"final_obs": shown, "final_info": self._informed(infos["final_info"])}
-        return self._all_shown(observations), rewards, terminated, truncated, self._informed(infos)
+        return (
+            self.shown(observations, self._all),
+            rewards,
+            terminated,
+            truncated,
+            self._informed(infos),
+        )
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next actions (num_envs, choices)."""
         return self.masks(self.of_inner("action_masks")())
-
-    def _all_shown(self, observations: Any) -> Any:
-        return self.shown(observations, np.arange(self.num))
 
     def _informed(self, infos: dict[str, Any]) -> dict[str, Any]:
         """Infos with this wrapper's masks, and its entries where there are masks."""
         there = infos["_action_mask"]
         masks = np.where(there[:, None], self.masks(infos["action_mask"]), False)
         own: dict[str, Any] = {}
-        for name, values in self.told(np.arange(self.num)).items():
+        for name, values in self.told(self._all).items():
             own |= {name: values, f"_{name}": there.copy()}
         return {**infos, "action_mask": masks, **own}
