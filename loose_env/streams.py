@@ -37,21 +37,13 @@ def streams(seeds: Sequence[int], keys: NDArray[np.intp]) -> list[np.random.Gene
     >>> ours == theirs
     True
     """
-    words = [_words(seed) for seed in seeds]
-    if len(seeds) < _FEW or max(map(len, words)) > _POOL or keys.max() >= _WORD:
-        sequences = (
-            np.random.SeedSequence(seed, spawn_key=tuple(key))
+    if len(seeds) < _FEW or int(max(seeds)) >> 128 or keys.max() >= _WORD:
+        return [
+            np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
             for seed, key in zip(seeds, keys.tolist(), strict=True)
-        )
-        return [np.random.Generator(np.random.PCG64(each)) for each in sequences]
-    return seeded(np.concatenate([np.array(words, dtype=np.uint32), keys.astype(np.uint32)], 1))
-
-
-@lru_cache(maxsize=4096)
-def _words(seed: int) -> tuple[int, ...]:
-    """Words of a seed, the lowest first, at least as many as the pool has."""
-    count = max(_POOL, -(-int(seed).bit_length() // 32))
-    return tuple(int(seed) >> 32 * k & 0xFFFFFFFF for k in range(count))
+        ]
+    words = np.frombuffer(b"".join(int(s).to_bytes(16, "little") for s in seeds), "<u4")
+    return seeded(np.concatenate([words.reshape(-1, _POOL), keys.astype(np.uint32)], 1))
 
 
 def seeded(entropy: Words) -> list[np.random.Generator]:

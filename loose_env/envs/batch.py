@@ -56,15 +56,12 @@ from loose_env.typing import Array, ComplexArray, IndexArray
 class Episode:
     """Copy of the state of one episode."""
 
-    seed: int
-    number: int
     fault: Fault
     mismatch: MismatchDraw
     pose: Array
     slots: NDArray[np.float32]
     records: int
     seconds: float
-    levels: int
     last: Measurement | None
     """The latest record."""
     ended: bool
@@ -356,15 +353,12 @@ class EnvBatch:
         self._require_begun([slot])
         last = self._last[slot]
         return Episode(
-            seed=self.seeds[slot],
-            number=int(self.numbers[slot]),
             fault=self._faults[slot],
             mismatch=self._mismatches[slot],
             pose=self._poses[slot].copy(),
             slots=self._slots[slot].copy(),
             records=int(self.records[slot]),
             seconds=float(self._seconds[slot]),
-            levels=int(self._spent_levels[slot]),
             last=None if last is None else last[0].measurement(last[1]),
             ended=bool(self.ended[slot]),
             verdict=self._verdicts[slot],
