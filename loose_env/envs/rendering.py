@@ -198,27 +198,20 @@ class ArmDrawing:
         parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() < 1e-6
         self.planar = len(arm.axes) == 2 and bool(parallel)
         """Whether the arm moves in a plane."""
-        self.azimuth, self.elevation = 122.0, -20.0
+        eye = np.array([0.498, -0.797, 0.342])
         if self.planar:
-            normal = axes[0]
-            self.elevation = -float(np.degrees(np.arcsin(np.clip(abs(normal[2]), 0.0, 1.0))))
-            flat = abs(normal[2]) > 0.99
-            self.azimuth = 90.0 if flat else float(np.degrees(np.arctan2(-normal[1], -normal[0])))
+            eye = -axes[0] if axes[0][2] < -1e-6 else axes[0]
+        aside = float(np.hypot(eye[0], eye[1]))
+        right = np.array([-eye[1], eye[0], 0.0]) / aside if aside > 0.14 else np.eye(3)[0]
+        self.camera = np.stack([right, np.cross(eye, right), eye])
+        """Rows: right, up and towards the eye, where gravity points down (3, 3)."""
         self.thickness = min(0.045 * arm.reach, 0.21 * arm.reach / arm.n)
         """Half the width of a link [m]."""
 
     @property
-    def camera(self) -> Array:
-        """Rows: right, up and towards the eye, where gravity points down (3, 3)."""
-        a, e = np.radians([self.azimuth, self.elevation])
-        right = np.array([np.sin(a), -np.cos(a), 0.0])
-        eye = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-        return np.stack([right, np.cross(eye, right), eye])
-
-    @property
     def seen(self) -> str:
         """Whence the arm is seen, or which way gravity pulls, in words."""
-        if self.planar and self.elevation < -45.0:
+        if self.planar and self.camera[2, 2] > 0.7:
             return "seen from above"
         return "gravity ↓" if self.gravity else "no gravity"
 
@@ -277,6 +270,7 @@ class ArmDrawing:
         """Draw marks, those nearer to the eye over those behind them."""
         from matplotlib.colors import to_rgb
         from matplotlib.patches import Polygon
+        from matplotlib.patheffects import withStroke
 
         figure = axes.get_figure(root=True)
         assert figure is not None
@@ -302,7 +296,10 @@ class ArmDrawing:
             over = 3.0 + k / len(seen)
             text: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
             if mark.kind in ("axis", "arrow"):
-                draw_arrow(axes, start, end, color=mark.color, both=mark.kind == "arrow")
+                style: Any = {"arrowstyle": "<|-|>" if mark.kind == "arrow" else "-|>"}
+                style |= {"color": mark.color, "linewidth": 1.7, "shrinkA": 0, "shrinkB": 0}
+                style |= {"path_effects": [withStroke(linewidth=3.9, foreground=PAPER)]}
+                axes.annotate("", tuple(end[:2]), tuple(start[:2]), arrowprops=style, zorder=7)
                 at = 1.25 * end - 0.25 * start
                 axes.text(at[0], at[1], mark.label, color=INK, **text)
             elif mark.kind == "link":
@@ -345,17 +342,6 @@ def _apart(anchors: Array, axes: Array, tool: Array, near: float) -> Array:
             ahead = float((after - points[j]) @ axis)
             points[j] = points[j] + 0.6 * (abs(ahead) > 0.3 * near) * ahead * axis
     return points
-
-
-def draw_arrow(axes: Axes, start: Array, end: Array, *, color: str, both: bool = False) -> None:
-    """Draw a straight arrow with a head at its end, or at both, and with a light rim."""
-    from matplotlib.patheffects import withStroke
-
-    style = {"arrowstyle": "<|-|>" if both else "-|>", "color": color, "linewidth": 1.7}
-    style |= {"shrinkA": 0, "shrinkB": 0}
-    note = axes.annotate("", xy=tuple(end[:2]), xytext=tuple(start[:2]), arrowprops=style, zorder=7)
-    if note.arrow_patch is not None:
-        note.arrow_patch.set_path_effects([withStroke(linewidth=3.9, foreground=PAPER)])
 
 
 class Picture:
