@@ -174,9 +174,6 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     links, the nominal one and their rms, and `raw` has their signals as `"links"`; the agent
     `local` reads them. With `rhythm=True` it holds how loudly the record rang above the excited
     band and how well knocks of each seat would explain when it did (`rhythm`).
-    `loose_env.wrappers.JointSideObservation(env)` keeps what a robot without accelerometers has:
-    pose, excitation, joint motion and apparent inertia. That a fault is there shows in them ([by
-    how much](method.md#torque-and-encoder-alone)), its direction does not.
 
     ## Rewards
     +1 for the right hypothesis, -1 for a wrong one or for running out of records, -0.25 for being
