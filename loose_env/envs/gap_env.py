@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache, partial
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -273,9 +274,10 @@ _FLOOR = 1e-6  # probabilities below count as this in logarithms
 _MOST = 20.0  # bound of every element
 
 
-@dataclass(frozen=True, kw_only=True)
 class GapObservation:
     """Layout of the observation; each slice is an attribute, in the table of `ModelGapEnv`.
+
+    Of N candidate effects, M motions of the library and R sets that a verdict can name.
 
     Examples
     --------
@@ -284,32 +286,16 @@ class GapObservation:
     (34, slice(26, 28, None))
     """
 
-    candidates: int
-    """Candidate effects, kind and location (N)."""
-    motions: int
-    """Motions of the library (M)."""
-    ranks: int
-    """Sets that a verdict can name (R)."""
-
-    probability: slice = field(init=False)
-    evidence: slice = field(init=False)
-    parameter: slice = field(init=False)
-    interval: slice = field(init=False)
-    sets: slice = field(init=False)
-    members: slice = field(init=False)
-    taken: slice = field(init=False)
-    rest: slice = field(init=False)
-    information: slice = field(init=False)
-    gain: slice = field(init=False)
-    spent: slice = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Lay the groups one after the other."""
-        n, m, r = self.candidates, self.motions, self.ranks
-        start = 0
-        for each, count in zip(fields(self)[3:], (n, n, n, n, r, r, m, m, m, m, 4), strict=True):
-            object.__setattr__(self, each.name, slice(start, start + count))
-            start += count
+    def __init__(self, *, candidates: int, motions: int, ranks: int) -> None:
+        self.candidates, self.motions, self.ranks = n, m, r = candidates, motions, ranks
+        ends = accumulate((n, n, n, n, r, r, m, m, m, m, 4), initial=0)
+        groups = iter([slice(*own) for own in pairwise(ends)])
+        self.probability, self.evidence = next(groups), next(groups)
+        self.parameter, self.interval = next(groups), next(groups)
+        self.sets, self.members = next(groups), next(groups)
+        self.taken, self.rest = next(groups), next(groups)
+        self.information, self.gain = next(groups), next(groups)
+        self.spent = next(groups)
 
     @property
     def size(self) -> int:
