@@ -93,16 +93,12 @@ class HiddenMachine:
         """Hidden effects, sorted."""
         return tuple(sorted(effect.name for effect in self.effects))
 
-    @property
-    def hypothesis(self) -> Hypothesis:
-        """The machine as a hypothesis."""
-        return Hypothesis().with_effects([(each.effect, each.values) for each in self.effects])
-
     def run(self, motion: int, rng: np.random.Generator) -> Array:
         """Measure a motion of the library: readings with noise (n, C); NaN if it diverged."""
         arm = self.bank.arm
         commands = self.bank.library[motion].commands(arm.limits)
-        return arm.measured(arm.simulate(self.hypothesis, commands, self.factors), rng)
+        hidden = Hypothesis().with_effects([(each.effect, each.values) for each in self.effects])
+        return arm.measured(arm.simulate(hidden, commands, self.factors), rng)
 
 
 Shares = Annotated[
