@@ -73,16 +73,12 @@ def _states(entropy: Words) -> NDArray[np.uint64]:
     first, later = _constants(0x43B0D7E5, 0x931E8875, _POOL * width)
     pool = _hashed(entropy[:, :_POOL], first[:_POOL], later[:_POOL])
     at = _POOL
-    for source in range(_POOL):
+    for source in range(width):
         others = [k for k in range(_POOL) if k != source]
-        span = slice(at, at + _POOL - 1)
-        drawn = _hashed(pool[:, source, None], first[span], later[span])
-        pool[:, others] = _mixed(pool[:, others], drawn)
-        at += _POOL - 1
-    for source in range(_POOL, width):
-        span = slice(at, at + _POOL)
-        pool = _mixed(pool, _hashed(entropy[:, source, None], first[span], later[span]))
-        at += _POOL
+        word = (pool if source < _POOL else entropy)[:, source, None]
+        span = slice(at, at + len(others))
+        pool[:, others] = _mixed(pool[:, others], _hashed(word, first[span], later[span]))
+        at = span.stop
     first, later = _constants(0x8B51F9DD, 0x58F38DED, 2 * _POOL)
     found = _hashed(np.concatenate([pool, pool], axis=1), first, later)
     return np.ascontiguousarray(found).view(np.uint64)

@@ -209,13 +209,8 @@ class Beginning(Checked):
                 f"unknown fault {fault!r}; give a fault of loose_env.faults or one of {list(names)}"
             )
         if "pose" in given:
-            given["pose"] = checked_pose(arm, given["pose"])
+            given["pose"] = arm.wrap(arm.checked_pose(given["pose"], reachable=True))
         return cls(**given)
-
-
-def checked_pose(arm: Arm, given: Any) -> Array:
-    """Check a pose, and turn its hinges into their ranges."""
-    return arm.wrap(arm.checked_pose(given, reachable=True))
 
 
 _STATE = (
@@ -465,7 +460,8 @@ class EnvBatch:
         """Put the arms of A running episodes into poses (A, n), as no action can."""
         self._require_begun(slots)
         own = np.asarray(slots, dtype=np.intp)
-        self._poses[own] = [checked_pose(self.true_arm, pose) for pose in poses]
+        checked = [self.true_arm.checked_pose(pose, reachable=True) for pose in poses]
+        self._poses[own] = self.true_arm.wrap(np.reshape(checked, (-1, self.arm.n)))
         self._show_globals(own)
 
     def masks(self, slots: Sequence[int] | IndexArray) -> NDArray[np.bool_]:

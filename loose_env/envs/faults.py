@@ -110,7 +110,6 @@ class SeatMasses:
         return np.asarray(np.linalg.inv(masses))
 
 
-Vector = tuple[float, float, float]
 Loose = Backlash | StructuralLooseness
 
 
