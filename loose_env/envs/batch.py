@@ -139,16 +139,14 @@ def raw_signals(
     signals = {name: np.zeros(shape, dtype=np.float32) for name, shape in shapes.items()}
     if last is not None and last[0].failures[last[1]] is None:
         records, k = last
-        channels = {
-            "command": records.command[k],
-            "encoder": 1e3 * (records.encoder[k, :, 1:-1] - records.pose[k, :, None]),
-            "tool": records.tool[k],
-            "links": None if records.links is None else records.links[k],
-        }
-        for name, signal in signals.items():
-            channel = channels[name]
-            if channel is not None:
-                signal[..., : channel.shape[-1]] = np.clip(channel, -_LIMIT, _LIMIT)
+        channels = [
+            records.command[k],
+            1e3 * (records.encoder[k, :, 1:-1] - records.pose[k, :, None]),
+            records.tool[k],
+            *([] if records.links is None else [records.links[k]]),
+        ]
+        for signal, channel in zip(signals.values(), channels, strict=False):
+            signal[..., : channel.shape[-1]] = np.clip(channel, -_LIMIT, _LIMIT)
     return signals
 
 

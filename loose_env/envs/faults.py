@@ -306,8 +306,6 @@ class FaultSampler:
 
 def _softer(fault: Loose, share: float) -> Loose:
     """Multiply stiffness by a share, damping by its root: the damping ratios stay."""
-    if share == 1:
-        return fault
     (low, high), (slow, fast) = fault.stiffness, fault.damping
     root = float(np.sqrt(share))
     return replace(fault, stiffness=(share * low, share * high), damping=(root * slow, root * fast))
