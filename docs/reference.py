@@ -31,6 +31,7 @@ PARTS = (
     "doctor",
     "envs",
     "wrappers",
+    "simulation",
     "registration",
     "evaluation",
     "instrument",

@@ -16,11 +16,11 @@ from loose_env.version import __version__
 
 if TYPE_CHECKING:
     from loose_env.api import diagnose, explain_gap
-    from loose_env.envs import simulator
+    from loose_env.simulation import simulator
 
 __all__ = ["__version__", "diagnose", "explain_gap", "register", "simulator"]
 
-_LATER = {"diagnose": "api", "explain_gap": "api", "simulator": "envs"}
+_LATER = {"diagnose": "api", "explain_gap": "api", "simulator": "simulation"}
 """Names by their module, whose imports take a second."""
 
 register()

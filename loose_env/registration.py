@@ -99,22 +99,17 @@ def _makers(arm: str, *own: str) -> tuple[Callable[..., Any], Callable[..., Any]
     """Entry points of an arm of the library, which has arguments of its own."""
     of_arm = (*own, *_OF_ANY)
 
-    def made(kind: str, others: tuple[str, ...], arguments: dict[str, Any], **how: Any) -> Any:
-        from loose_env import envs
+    def maker(kind: str, *others: str) -> Callable[..., Any]:
+        def make(**arguments: Any) -> Any:
+            """Make the environments of the arm in the name."""
+            from loose_env import envs
 
-        nominal = _nominal(arm, arguments, of_arm)
-        how |= _take(arguments, *others)
-        return getattr(envs, kind)(nominal, _settings(arguments, (*of_arm, *others)), **how)
+            nominal, how = _nominal(arm, arguments, of_arm), _take(arguments, *others)
+            return getattr(envs, kind)(nominal, _settings(arguments, (*of_arm, *others)), **how)
 
-    def make(**arguments: Any) -> gymnasium.Env[Any, Any]:
-        """Make the environment of the arm in the name."""
-        return made("DiagnosisEnv", _SINGLE, arguments)  # type: ignore[no-any-return]
+        return make
 
-    def make_vector(num_envs: int = 1, **arguments: Any) -> Any:
-        """Make the vector environment of the arm in the name."""
-        return made("DiagnosisVectorEnv", _VECTOR, arguments, num_envs=num_envs)
-
-    return make, make_vector
+    return maker("DiagnosisEnv", *_SINGLE), maker("DiagnosisVectorEnv", "num_envs", *_VECTOR)
 
 
 make_vera, make_vera_vector = _makers("vera")
@@ -132,15 +127,12 @@ def _nominal(arm: str, arguments: dict[str, Any], of_arm: tuple[str, ...]) -> An
     if arm != "arm":
         return _varied(getattr(arms, arm), own)
 
-    def made(*, path: Any, **how: Any) -> Any:
-        return arms.arm_from_file(path, **how)
-
     model, true_model = own.pop("model", None), own.pop("true_model", None)
     if true_model is not None:
         if arguments.get("true_arm") is not None:
             raise InvalidSetting("give the true arm as true_model or as true_arm, not as both")
-        arguments["true_arm"] = _varied(made, {"path": true_model, **own})
-    return _varied(made, {"path": arms.DESK_ARM if model is None else model, **own})
+        arguments["true_arm"] = _varied(arms.arm_from_file, {"path": true_model, **own})
+    return _varied(arms.arm_from_file, {"path": arms.DESK_ARM if model is None else model, **own})
 
 
 def _varied(make: Callable[..., Any], own: dict[str, Any]) -> Any:

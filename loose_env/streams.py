@@ -37,21 +37,13 @@ def streams(seeds: Sequence[int], keys: NDArray[np.intp]) -> list[np.random.Gene
     >>> ours == theirs
     True
     """
-    words = [_words(seed) for seed in seeds]
-    if max(map(len, words), default=0) > _POOL or keys.max(initial=0) >= _WORD:
-        sequences = (
-            np.random.SeedSequence(seed, spawn_key=tuple(key))
+    if int(max(seeds, default=0)) >> 128 or keys.max(initial=0) >= _WORD:
+        return [
+            np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
             for seed, key in zip(seeds, keys.tolist(), strict=True)
-        )
-        return [np.random.Generator(np.random.PCG64(each)) for each in sequences]
-    return seeded(np.concatenate([np.array(words, dtype=np.uint32), keys.astype(np.uint32)], 1))
-
-
-@lru_cache(maxsize=4096)
-def _words(seed: int) -> tuple[int, ...]:
-    """Words of a seed, the lowest first, at least as many as the pool has."""
-    count = max(_POOL, -(-int(seed).bit_length() // 32))
-    return tuple(int(seed) >> 32 * k & 0xFFFFFFFF for k in range(count))
+        ]
+    words = np.frombuffer(b"".join(int(s).to_bytes(16, "little") for s in seeds), "<u4")
+    return seeded(np.concatenate([words.reshape(-1, _POOL), keys.astype(np.uint32)], 1))
 
 
 def seeded(entropy: Words) -> list[np.random.Generator]:
@@ -83,16 +75,12 @@ def _states(entropy: Words) -> NDArray[np.uint64]:
     first, later = _constants(0x43B0D7E5, 0x931E8875, _POOL * width)
     pool = _hashed(entropy[:, :_POOL], first[:_POOL], later[:_POOL])
     at = _POOL
-    for source in range(_POOL):
+    for source in range(width):
         others = [k for k in range(_POOL) if k != source]
-        span = slice(at, at + _POOL - 1)
-        drawn = _hashed(pool[:, source, None], first[span], later[span])
-        pool[:, others] = _mixed(pool[:, others], drawn)
-        at += _POOL - 1
-    for source in range(_POOL, width):
-        span = slice(at, at + _POOL)
-        pool = _mixed(pool, _hashed(entropy[:, source, None], first[span], later[span]))
-        at += _POOL
+        word = (pool if source < _POOL else entropy)[:, source, None]
+        span = slice(at, at + len(others))
+        pool[:, others] = _mixed(pool[:, others], _hashed(word, first[span], later[span]))
+        at = span.stop
     first, later = _constants(0x8B51F9DD, 0x58F38DED, 2 * _POOL)
     found = _hashed(np.concatenate([pool, pool], axis=1), first, later)
     return np.ascontiguousarray(found).view(np.uint64)

@@ -40,6 +40,7 @@ ORDER = (
     ("diagnosis", "gap"),
     ("envs",),
     ("wrappers",),
+    ("simulation",),
     ("registration",),
     ("evaluation",),
     ("instrument",),

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,7 +24,7 @@ from loose_env.envs import (
     EnvBatch,
 )
 from loose_env.errors import InvalidSetting, UnknownName
-from loose_env.evaluation import FaultParameters, fault_parameters
+from loose_env.evaluation import fault_parameters
 from loose_env.registration import IDS, TIERS
 
 
@@ -71,25 +70,24 @@ def diagnosis_env(
     3
     """
     drawn = {} if render_mode is None else {"render_mode": render_mode}
-    with refused_in_words(env_id, arguments):
-        env = gymnasium.make(env_id, **drawn, **arguments).unwrapped  # type: ignore[arg-type]
-    if not isinstance(env, DiagnosisEnv):
-        known = ", ".join((*IDS, *TIERS))
-        raise UnknownName(f"{env_id} is no diagnosis environment; those are {known}")
-    return env
+    found: DiagnosisEnv = _made(gymnasium.make, env_id, {**drawn, **arguments})
+    return found
 
 
-@contextmanager
-def refused_in_words(env_id: str, arguments: Mapping[str, Any]) -> Iterator[None]:
-    """Name the arguments that an environment does not accept, in a readable error."""
+def _made(make: Callable[..., Any], env_id: str, arguments: Mapping[str, Any]) -> Any:
+    """A diagnosis environment or a batch; arguments that it does not take are named."""
     try:
-        yield
+        env = make(env_id, **arguments).unwrapped
     except (TypeError, OverflowError) as error:
         # Gymnasium adds the arguments once more.
         reason = " ".join(str(error).split()).partition(" was raised from the environment")[0]
         raise InvalidSetting(
             f"{env_id} does not take {dict(arguments)!s:.300}: {reason}"
         ) from error
+    if not isinstance(env, (DiagnosisEnv, DiagnosisVectorEnv)):
+        known = ", ".join((*IDS, *TIERS))
+        raise UnknownName(f"{env_id} is no diagnosis environment; those are {known}")
+    return env
 
 
 def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
@@ -100,12 +98,7 @@ def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
 
 def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> DiagnosisVectorEnv:
     """Make the environments side by side."""
-    if env_id not in gymnasium.registry:
-        raise UnknownName(f"unknown environment {env_id!r}; environments are {', '.join(IDS)}")
-    with refused_in_words(env_id, arguments):
-        env = gymnasium.make_vec(env_id, num_envs=num_envs, **arguments)
-    if not isinstance(env, DiagnosisVectorEnv):
-        raise UnknownName(f"{env_id} is no diagnosis environment; those are {', '.join(IDS)}")
+    env: DiagnosisVectorEnv = _made(gymnasium.make_vec, env_id, {"num_envs": num_envs, **arguments})
     if env.settings.raw:
         raise InvalidSetting("a policy learns on statistics, not on raw signals: leave raw out")
     return env
@@ -164,8 +157,8 @@ class EpisodeRow:
     truth_probability: float | None
     """Probability that the agent gave to the truth at the end."""
     actions: str = ""
-    """Actions, the last one the verdict, in the form of `loose_env.envs.ActionLayout.code`, with
-    spaces between."""
+    """Actions, the last one the verdict, in the form of `loose_agents.base.code_of`, with spaces
+    between."""
     trail_best: tuple[str, ...] = ()
     """Most probable hypothesis after each record."""
     trail_confidence: tuple[float, ...] = ()
@@ -329,7 +322,8 @@ def _row(
     """Summarise an episode as a row."""
     names = batch.hypotheses
     episode = batch.episode(slot)
-    hidden: FaultParameters = fault_parameters(batch.sampler, episode.fault)
+    trails = {f"trail_{name}": tuple(values) for name, values in run.trails.items()}
+    found: dict[str, Any] = {**vars(fault_parameters(batch.sampler, episode.fault)), **trails}
     truth, verdict, p = info["fault"], info["verdict"], run.probabilities
     level = batch.settings.difficulty
     return EpisodeRow(
@@ -348,15 +342,10 @@ def _row(
         price=run.price,
         reward=run.verdict_reward - run.price,
         truncated="failure" in info,
-        gap=hidden.gap,
-        friction=hidden.friction,
-        friction_ratio=hidden.friction_ratio,
-        opening_ratio=hidden.opening_ratio,
-        direction=hidden.direction,
         confidence=_at(p, names, verdict),
         truth_probability=_at(p, names, truth),
         actions=" ".join(run.actions),
-        **{f"trail_{name}": tuple(values) for name, values in run.trails.items()},
+        **found,
     )
 
 

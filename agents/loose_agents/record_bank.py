@@ -8,7 +8,7 @@ seed is the same wherever and whenever it is made.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -56,10 +56,6 @@ class RecordBank:
     """Index of the true hypothesis (E,)."""
     direction: Array
     """Sliding direction in the frame of the loose link, zero for other faults (E, 3)."""
-    gap: Array
-    """Travel [m or rad], zero on healthy arms (E,)."""
-    friction: Array
-    """Guide friction [N or N·m], zero on healthy arms (E,)."""
     ratio: Array
     """Rms seat drive of the top level over friction [1], infinite on healthy arms (E,)."""
 
@@ -106,8 +102,6 @@ def play_episodes(
         slots=slots,
         truth=np.array([problem.hypotheses.index(f.hypothesis) for f in faults]),
         direction=np.array([_direction(f) for f in faults]),
-        gap=np.array([getattr(f, "gap", 0.0) for f in faults]),
-        friction=np.array([getattr(f, "friction", 0.0) for f in faults]),
         ratio=np.array([_ratio(batch, f) for f in faults]),
     )
 
@@ -309,17 +303,17 @@ def read_bank(plan: BankPlan, folder: Path, shards: list[range] | None = None) -
     """Read a bank, or a subset of its shards."""
     store = Store(folder / "records", plan.configuration, arrays=True)
     chosen = plan.shards if shards is None else shards
-    return RecordBank(**_joined([store.read(span) for span in chosen]))
+    return RecordBank(**_joined(RecordBank, [store.read(span) for span in chosen]))
 
 
 def read_features(store: Store, shards: list[range]) -> RecordFeatures:
     """Read the features of some shards."""
-    return RecordFeatures(**_joined([store.read(span) for span in shards]))
+    return RecordFeatures(**_joined(RecordFeatures, [store.read(span) for span in shards]))
 
 
-def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
+def _joined(kind: type[Any], parts: list[dict[str, Any]]) -> dict[str, Any]:
     """Arrays of several shards, one after the other."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return {f.name: np.concatenate([part[f.name] for part in parts]) for f in fields(kind)}
 
 
 def seat_features(problem: Problem, directions: int) -> SeatFeatures:

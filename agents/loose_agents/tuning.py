@@ -30,7 +30,7 @@ from loose_agents.belief import (
 )
 from loose_agents.jobs import BackendSettings
 from loose_agents.policies.choice import POLICIES, ConstantPolicy, FixedPolicy, Records
-from loose_agents.registry import LEARNED, make_agent
+from loose_agents.registry import LEARNED
 from loose_agents.sharded_play import EvaluationTask, play_task
 from loose_env.envs import Prices
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
@@ -167,16 +167,6 @@ def halved(
         share = min(2 * share, episodes)
 
 
-def best_constant(
-    candidates: Sequence[tuple[int, ...]],
-    play: Callable[[tuple[int, ...], int], Trails],
-    *,
-    episodes: int,
-) -> tuple[int, ...]:
-    """Find the constant excitation with the highest return."""
-    return halved(candidates, play, episodes=episodes, keep=2, least=1)[0][0]
-
-
 def best_sequences(
     candidates: Sequence[Records],
     play: Callable[[Records, int], Trails],
@@ -237,7 +227,16 @@ class Player(EvaluationTask):
                 f"the trained posterior of {setting_name(problem)} has changed since the tuning "
                 "began: begin it again; episodes played with the other one are left alone"
             )
-        agent = agent_of(self, problem)
+        if self.levels is None and self.sequence is None:
+            agent = super().make(problem)
+        else:
+            given: Policy
+            if self.sequence is not None:
+                given = FixedPolicy(problem, self.sequence)
+            else:
+                given = ConstantPolicy(problem, self.levels or ())
+            made = make_estimator(names_of(self.agent)[0], problem)
+            agent = BeliefAgent(problem, made, given, Sure(), seed=self.agent_seed)
         if isinstance(agent, BeliefAgent):
             agent.surprising = 0.0
         return agent
@@ -254,20 +253,6 @@ def names_of(agent: str) -> tuple[str, str]:
             f"{list(POLICIES)}, as in amortised/greedy, or one of {list(LEARNED)}"
         )
     return estimator, policy
-
-
-def agent_of(player: Player, problem: Problem) -> Agent:
-    """Make the agent."""
-    estimator, _ = names_of(player.agent)
-    if player.levels is None and player.sequence is None:
-        return make_agent(player.agent, problem, seed=player.agent_seed)
-    made = make_estimator(estimator, problem)
-    given: Policy
-    if player.sequence is not None:
-        given = FixedPolicy(problem, player.sequence)
-    else:
-        given = ConstantPolicy(problem, player.levels or ())
-    return BeliefAgent(problem, made, given, Sure(), seed=player.agent_seed)
 
 
 def trained(problem: Problem) -> str:

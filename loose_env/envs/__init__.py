@@ -5,7 +5,7 @@ sb3; gap_env.
 """
 
 from loose_env.envs import palette
-from loose_env.envs.batch import BatchRig, EnvBatch, Steps
+from loose_env.envs.batch import BatchRig, Beginning, EnvBatch, Steps
 from loose_env.envs.env import DiagnosisEnv, EnvState
 from loose_env.envs.faults import FaultSampler, fault_words, hypothesis_words
 from loose_env.envs.gap_env import (
@@ -34,7 +34,6 @@ from loose_env.envs.settings import (
     difficulty_named,
     refuse_unknown,
 )
-from loose_env.envs.simulation import FaultPrior, simulator
 from loose_env.envs.spaces import (
     Action,
     ActionLayout,
@@ -59,6 +58,7 @@ __all__ = [
     "ActionLayout",
     "ArmDrawing",
     "BatchRig",
+    "Beginning",
     "CorrelationByDirection",
     "DiagnosisEnv",
     "DiagnosisSettings",
@@ -67,7 +67,6 @@ __all__ = [
     "Element",
     "EnvBatch",
     "EnvState",
-    "FaultPrior",
     "FaultSampler",
     "GapObservation",
     "GapPrices",
@@ -91,5 +90,4 @@ __all__ = [
     "palette",
     "predicted_correlation",
     "refuse_unknown",
-    "simulator",
 ]

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
@@ -46,7 +46,7 @@ from loose_env.faults import (
     place_of,
     preloaded,
 )
-from loose_env.io import is_finite
+from loose_env.io import Checked, NonNegative, Rule, plain
 from loose_env.rig import Measurement, Records, ReducedRig, SimulatedRig, Trials
 from loose_env.streams import streams
 from loose_env.typing import Array, ComplexArray, IndexArray
@@ -56,17 +56,12 @@ from loose_env.typing import Array, ComplexArray, IndexArray
 class Episode:
     """Copy of the state of one episode."""
 
-    seed: int
-    number: int
     fault: Fault
     mismatch: MismatchDraw
     pose: Array
     slots: NDArray[np.float32]
     records: int
     seconds: float
-    levels: int
-    visited: Array
-    """Poses in which a record was taken (records, n)."""
     last: Measurement | None
     """The latest record."""
     ended: bool
@@ -144,16 +139,14 @@ def raw_signals(
     signals = {name: np.zeros(shape, dtype=np.float32) for name, shape in shapes.items()}
     if last is not None and last[0].failures[last[1]] is None:
         records, k = last
-        channels = {
-            "command": records.command[k],
-            "encoder": 1e3 * (records.encoder[k, :, 1:-1] - records.pose[k, :, None]),
-            "tool": records.tool[k],
-            "links": None if records.links is None else records.links[k],
-        }
-        for name, signal in signals.items():
-            channel = channels[name]
-            if channel is not None:
-                signal[..., : channel.shape[-1]] = np.clip(channel, -_LIMIT, _LIMIT)
+        channels = [
+            records.command[k],
+            1e3 * (records.encoder[k, :, 1:-1] - records.pose[k, :, None]),
+            records.tool[k],
+            *([] if records.links is None else [records.links[k]]),
+        ]
+        for signal, channel in zip(signals.values(), channels, strict=False):
+            signal[..., : channel.shape[-1]] = np.clip(channel, -_LIMIT, _LIMIT)
     return signals
 
 
@@ -169,7 +162,7 @@ def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
         raise InvalidSetting(f"true_arm is an Arm, as `arm_from_file` makes it; got {true_arm!r}")
     for name in ("joints", "sliding", "joint_ranges", "axes", "band"):
         own, other = getattr(true_arm, name), getattr(arm, name)
-        if not _alike(own, other):
+        if plain([*own], digits=9) != plain([*other], digits=9):
             raise InvalidSetting(
                 f"the true arm {true_arm.name!r} differs from the nominal arm {arm.name!r} in "
                 f"{name}: {own} and {other}; both are to be moved and read alike"
@@ -182,17 +175,6 @@ def checked_true_arm(true_arm: Arm | None, arm: Arm) -> Arm:
     return true_arm
 
 
-def _alike(own: object, other: object) -> bool:
-    """Return whether values are equal, numbers to rounding."""
-    if isinstance(own, np.ndarray):
-        return bool(np.array_equal(own, np.asarray(other)))
-    if isinstance(own, (tuple, list)) and isinstance(other, (tuple, list)):
-        return len(own) == len(other) and all(map(_alike, own, other))
-    if isinstance(own, float) and isinstance(other, float):
-        return bool(np.isclose(own, other, rtol=1e-9, atol=1e-12))
-    return own == other
-
-
 def mapping_of(options: Any, what: str = "options of reset() are") -> dict[str, Any]:
     """Options of `reset` as a dictionary, empty where there are none."""
     if options is not None and not isinstance(options, Mapping):
@@ -201,16 +183,16 @@ def mapping_of(options: Any, what: str = "options of reset() are") -> dict[str, 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Beginning:
+class Beginning(Checked):
     """How an episode begins: options of `reset`, checked."""
 
     fault: Fault | str | None = None
     """Fault, or the hypothesis under which one is drawn; None draws one."""
-    pose: Array | None = None
+    pose: Any = None
     """First pose [rad or m] (n,); None draws one."""
-    mismatch_scale: float = 1.0
+    mismatch_scale: NonNegative = 1.0
     """Factor on the deviations of the true arm from the nominal one."""
-    preload_g: float = 0.0
+    preload_g: Annotated[float, Rule("a finite number")] = 0.0
     """Weight carried that presses a loose seat towards its upper stop [1]."""
 
     @classmethod
@@ -225,24 +207,13 @@ class Beginning:
             raise UnknownName(
                 f"unknown fault {fault!r}; give a fault of loose_env.faults or one of {list(names)}"
             )
-        for name in ("mismatch_scale", "preload_g"):
-            if name in given and not is_finite(given[name]):
-                raise InvalidSetting(f"{name} must be a finite number, got {given[name]!r}")
-        if given.get("mismatch_scale", 1.0) < 0:
-            scale = given["mismatch_scale"]
-            raise InvalidSetting(f"mismatch_scale is a factor, zero or more; got {scale:g}")
         if "pose" in given:
-            given["pose"] = checked_pose(arm, given["pose"])
+            given["pose"] = arm.wrap(arm.checked_pose(given["pose"], reachable=True))
         return cls(**given)
 
 
-def checked_pose(arm: Arm, given: Any) -> Array:
-    """Check a pose, and turn its hinges into their ranges."""
-    return arm.wrap(arm.checked_pose(given, reachable=True))
-
-
 _STATE = (
-    *("_seeds", "_numbers", "_faults", "_mismatches", "_verdicts", "begun", "_ended"),
+    *("seeds", "numbers", "_faults", "_mismatches", "_verdicts", "begun", "ended"),
     *("records", "_spent_levels", "_seconds", "_poses", "_visited", "_visits", "_flat"),
 )
 """State of the episodes, but for their latest records."""
@@ -276,7 +247,7 @@ class EnvBatch:
     ----------
     arm : Arm
         The nominal arm: what is predicted, commanded and observed rests on it.
-    settings : DiagnosisSettings
+    settings : DiagnosisSettings, optional
         Settings of the environment.
     num : int
         Number of arms.
@@ -297,13 +268,14 @@ class EnvBatch:
     def __init__(
         self,
         arm: Arm,
-        settings: DiagnosisSettings,
+        settings: DiagnosisSettings | None = None,
         *,
         num: int = 1,
         threads: int = 0,
         rig: BatchRig | None = None,
         true_arm: Arm | None = None,
     ) -> None:
+        settings = settings or DiagnosisSettings()
         self.arm, self.settings, self.num, self.threads = arm, settings, num, threads
         self.true_arm = checked_true_arm(true_arm, arm)
         if rig is not None and not (hasattr(rig, "mount_all") and hasattr(rig, "record")):
@@ -339,10 +311,12 @@ class EnvBatch:
         # State of the episodes.
         most, n, layout = settings.max_records, arm.n, self.observations
         objects = np.full((5, num), None)  # seeds may have more bits than a whole number of numpy
-        self._seeds, self._faults, self._mismatches, self._last, self._verdicts = objects
-        self._numbers = np.zeros(num, dtype=np.intp)
-        self.begun, self._ended = np.zeros((2, num), dtype=bool)
-        """Whether an episode was started in each slot (num,)."""
+        self.seeds, self._faults, self._mismatches, self._last, self._verdicts = objects
+        """Root seed of each slot's run of episodes (num,)."""
+        self.numbers = np.full(num, -1, dtype=np.intp)
+        """Number of each slot's episode under it (num,)."""
+        self.begun, self.ended = np.zeros((2, num), dtype=bool)
+        """Whether an episode was started in each slot, and whether it has ended (num,)."""
         self.records, self._spent_levels = np.zeros((2, num), dtype=np.intp)
         """Records taken so far in each slot's episode (num,)."""
         self._seconds, self._poses = np.zeros(num), np.zeros((num, n))
@@ -373,18 +347,14 @@ class EnvBatch:
         self._require_begun([slot])
         last = self._last[slot]
         return Episode(
-            seed=self._seeds[slot],
-            number=int(self._numbers[slot]),
             fault=self._faults[slot],
             mismatch=self._mismatches[slot],
             pose=self._poses[slot].copy(),
             slots=self._slots[slot].copy(),
             records=int(self.records[slot]),
             seconds=float(self._seconds[slot]),
-            levels=int(self._spent_levels[slot]),
-            visited=self._visited[slot, : self._visits[slot]].copy(),
             last=None if last is None else last[0].measurement(last[1]),
-            ended=bool(self._ended[slot]),
+            ended=bool(self.ended[slot]),
             verdict=self._verdicts[slot],
         )
 
@@ -424,12 +394,12 @@ class EnvBatch:
             mismatches[own] = scaled.draw_all(arm, [of_mismatch[k] for k in own])
         self._mount(at, self._hidden(beginnings, of_fault), mismatches)
         for k, slot in enumerate(at):
-            self._seeds[slot] = seeds[k]
+            self.seeds[slot] = seeds[k]
         self._last[at] = self._verdicts[at] = None
-        self._numbers[at], self._poses[at] = numbers, poses
+        self.numbers[at], self._poses[at] = numbers, poses
         self.records[at] = self._spent_levels[at] = self._visits[at] = 0
         self._seconds[at], self._slots[at] = 0.0, 0.0
-        self.begun[at], self._ended[at] = True, False
+        self.begun[at], self.ended[at] = True, False
         self._show_globals(at)
 
     def _hidden(
@@ -489,7 +459,8 @@ class EnvBatch:
         """Put the arms of A running episodes into poses (A, n), as no action can."""
         self._require_begun(slots)
         own = np.asarray(slots, dtype=np.intp)
-        self._poses[own] = [checked_pose(self.true_arm, pose) for pose in poses]
+        checked = [self.true_arm.checked_pose(pose, reachable=True) for pose in poses]
+        self._poses[own] = self.true_arm.wrap(np.reshape(checked, (-1, self.arm.n)))
         self._show_globals(own)
 
     def masks(self, slots: Sequence[int] | IndexArray) -> NDArray[np.bool_]:
@@ -535,7 +506,7 @@ class EnvBatch:
         truncated = np.zeros(len(at), dtype=bool)
         for k, failure in failures.items():
             row = int(rows[k])
-            truncated[row] = self._ended[own[k]] = True
+            truncated[row] = self.ended[own[k]] = True
             self.divergences[self._faults[own[k]].kind] += 1
             end = {"failure": failure} | self._truth(int(own[k]), None)
             ends[row] = _of_row(told, row) | end
@@ -547,7 +518,7 @@ class EnvBatch:
         """Slots whose episodes go on."""
         at = np.asarray(slots, dtype=np.intp)
         self._require_begun(at)
-        if self._ended[at].any():
+        if self.ended[at].any():
             raise ResetNeeded("the episode has ended: call reset() before step()")
         return at
 
@@ -566,7 +537,7 @@ class EnvBatch:
         ends, prices = {}, self.settings.prices
         for k in np.flatnonzero(said | over).tolist():
             slot, named = int(at[k]), self.verdicts[verdicts[k] - 1] if said[k] else None
-            self._ended[slot], self._verdicts[slot] = True, named
+            self.ended[slot], self._verdicts[slot] = True, named
             ends[k] = ({"out_of_records": True} if named is None else {}) | self._truth(slot, named)
             truth = self._faults[slot].hypothesis
             rewards[k] = prices.wrong if named is None else prices.verdict(named, truth)
@@ -716,8 +687,8 @@ class EnvBatch:
 
     def _streams(self, slots: IndexArray, kind: int) -> list[np.random.Generator]:
         """Generators of one kind of draw for the next record of each slot."""
-        key = [self._numbers[slots], np.full(len(slots), kind), self.records[slots]]
-        return streams(self._seeds[slots].tolist(), np.array(key).T)
+        key = [self.numbers[slots], np.full(len(slots), kind), self.records[slots]]
+        return streams(self.seeds[slots].tolist(), np.array(key).T)
 
     def _simulated(
         self, slots: IndexArray, torque: Array, durations: Any, gravity: Array

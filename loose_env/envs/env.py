@@ -24,14 +24,8 @@ from loose_env.typing import IndexArray
 class EnvState:
     """All that the future of an environment or a batch depends on, beside its arguments."""
 
-    seeds: tuple[int | None, ...]
-    """Root seed of each arm's run of episodes."""
-    numbers: tuple[int, ...]
-    """Number of each arm's episode under it."""
     batch: Mapping[str, Any]
-    """Hidden faults, true arms, poses and records, as `EnvBatch.state` gives them."""
-    ended: tuple[bool, ...]
-    """True for each environment of a batch that is to be reset before it goes on."""
+    """Seeds, hidden faults, true arms, poses and records, as `EnvBatch.state` gives them."""
     fingerprint: str
     """Of the arm and the settings that it is a state of."""
 
@@ -44,19 +38,22 @@ class BatchShell:
 
     batch: EnvBatch
     render_mode: str | None
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012
     _kept: tuple[str, ...]
     """Attributes that a copy takes over."""
 
-    def _show(self, batch: EnvBatch, **arguments: Any) -> None:
+    def _show(self, batch: EnvBatch, render_mode: str | None, **arguments: Any) -> None:
         """Show a batch; ``arguments`` are those beside arms, settings, threads and render mode."""
-        self.batch, self._arguments = batch, arguments
+        if render_mode not in (None, "rgb_array"):
+            raise UnknownName(
+                f"unknown render_mode {render_mode!r}; the mode is 'rgb_array', whose pictures of "
+                "one environment gymnasium.wrappers.HumanRendering shows in a window"
+            )
+        self.batch, self.render_mode, self._arguments = batch, render_mode, arguments
         self.arm, self.settings = batch.arm, batch.settings
         self.hypotheses, self.verdicts = batch.hypotheses, batch.verdicts
         self.layout, self.actions = batch.observations, batch.actions
-        self._picture: Any = None
-        self._seeds: list[int | None] = [None] * batch.num
-        self._numbers = [-1] * batch.num
-        self._ended = np.zeros(batch.num, dtype=bool)
+        self._picture: Picture | None = None
 
     def _begin(
         self,
@@ -65,26 +62,19 @@ class BatchShell:
         options: Sequence[Mapping[str, Any] | None],
     ) -> None:
         """Begin the first episodes of root seeds, or the next ones of the arms' own."""
-        if not len(chosen):
-            return
-        numbers = [0 if seeds[i] is not None else self._numbers[i] + 1 for i in chosen]
-        given = [self._seeds[i] if seeds[i] is None else seeds[i] for i in chosen]
-        roots = [new_seed() if root is None else root for root in given]
-        own = [Beginning.of(options[i], self.batch.true_arm) for i in chosen]
-        self.batch.start_all(chosen, seeds=roots, numbers=numbers, beginnings=own)
-        # only now: a refused reset leaves the sequence of episodes as it was
-        for i, root, number in zip(chosen, roots, numbers, strict=True):
-            self._seeds[i], self._numbers[i], self._ended[i] = root, number, False
+        batch = self.batch
+        given = [batch.seeds[i] if seeds[i] is None else seeds[i] for i in chosen]
+        if len(chosen):
+            batch.start_all(
+                chosen,
+                seeds=[new_seed() if root is None else root for root in given],
+                numbers=[0 if seeds[i] is not None else batch.numbers[i] + 1 for i in chosen],
+                beginnings=[Beginning.of(options[i], batch.true_arm) for i in chosen],
+            )
 
     def get_state(self) -> EnvState:
         """Copy of the state: `set_state` goes on from it, here or in an environment like it."""
-        return EnvState(
-            seeds=tuple(self._seeds),
-            numbers=tuple(self._numbers),
-            batch=self.batch.state(),
-            ended=tuple(self._ended.tolist()),
-            fingerprint=self.batch.fingerprint,
-        )
+        return EnvState(batch=self.batch.state(), fingerprint=self.batch.fingerprint)
 
     def set_state(self, state: EnvState) -> None:
         """Go on from a state that `get_state` gave.
@@ -95,7 +85,7 @@ class BatchShell:
             If it is none, or of another arm, other settings or another number of environments.
         """
         num = self.batch.num
-        if not isinstance(state, EnvState) or len(state.seeds) != num:
+        if not isinstance(state, EnvState) or len(state.batch["seeds"]) != num:
             raise InvalidSetting(
                 f"a state of {num} environment{'s' * (num > 1)} is what get_state() of as many "
                 f"gives; got {state!r:.60}"
@@ -106,17 +96,6 @@ class BatchShell:
                 "this environment with the same arguments"
             )
         self.batch.restore(state.batch)
-        self._seeds, self._numbers = list(state.seeds), list(state.numbers)
-        self._ended = np.array(state.ended, dtype=bool)
-
-    def _draws(self, mode: str | None) -> None:
-        """Take a render mode that is offered, or None."""
-        if mode not in (None, "rgb_array"):
-            raise UnknownName(
-                f"unknown render_mode {mode!r}; the mode is 'rgb_array', whose pictures of one "
-                "environment gymnasium.wrappers.HumanRendering shows in a window"
-            )
-        self.render_mode = mode
 
     def _drawn(self) -> list[Any]:
         """Picture of every arm's episode."""
@@ -126,12 +105,6 @@ class BatchShell:
         if self._picture is None:
             self._picture = Picture(self.batch.nominal, sensors=self.settings.sensors)
         return [self._picture.draw(each, verdict=each.verdict) for each in episodes]
-
-    def _let_go(self) -> None:
-        """Close the picture."""
-        if self._picture is not None:
-            self._picture.close()
-            self._picture = None
 
     @property
     def divergences(self) -> dict[str, int]:
@@ -201,9 +174,6 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     links, the nominal one and their rms, and `raw` has their signals as `"links"`; the agent
     `local` reads them. With `rhythm=True` it holds how loudly the record rang above the excited
     band and how well knocks of each seat would explain when it did (`rhythm`).
-    `loose_env.wrappers.JointSideObservation(env)` keeps what a robot without accelerometers has:
-    pose, excitation, joint motion and apparent inertia. That a fault is there shows in them ([by
-    how much](method.md#torque-and-encoder-alone)), its direction does not.
 
     ## Rewards
     +1 for the right hypothesis, -1 for a wrong one or for running out of records, -0.25 for being
@@ -253,10 +223,6 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
     True
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["rgb_array"],
-        "render_fps": 2,
-    }
     _kept = ("spec", "action_space", "_np_random", "_np_random_seed")
 
     def __init__(
@@ -269,10 +235,8 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         threads: int = 0,
         true_arm: Arm | None = None,
     ) -> None:
-        self._draws(render_mode)
-        settings = DiagnosisSettings() if settings is None else settings
         batch = EnvBatch(arm, settings, threads=threads, rig=rig, true_arm=true_arm)
-        self._show(batch, rig=rig)
+        self._show(batch, render_mode, rig=rig)
         self.action_space = self.actions.space
         self.observation_space = self.batch.space
 
@@ -284,18 +248,18 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         if seed is not None:
             self._warn_of_neighbour(seed)
         self._begin([0], [seed], [options])
-        return self._shown(), {"action_mask": self.batch.masks([0])[0]}
+        return row_of(self.batch.shown([0]), 0), {"action_mask": self.batch.masks([0])[0]}
 
     def step(self, action: NDArray[np.int64]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move, excite and measure; or give a verdict."""
         found = self.batch.step([0], [action])
         reward, over, cut = (each[0].item() for each in found.arrays)
-        return self._shown(), reward, over, cut, found.info(0)
+        return row_of(self.batch.shown([0]), 0), reward, over, cut, found.info(0)
 
     def _warn_of_neighbour(self, seed: int) -> None:
         """Warn where seeds count up over environments alike, as other vector environments do."""
         before, _SEEDED[seed] = _SEEDED.get(seed - 1), self
-        if self._seeds != [None] or before is None or before._seeds != [seed - 1]:
+        if self.batch.begun[0] or before is None or before.batch.seeds[0] != seed - 1:
             return  # one after the other is no batch
         if before.batch.fingerprint == self.batch.fingerprint:
             warnings.warn(
@@ -306,10 +270,6 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
                 stacklevel=3,
             )
 
-    def _shown(self) -> Any:
-        shown = self.batch.shown([0])
-        return {key: part[0] for key, part in shown.items()} if self.settings.raw else shown[0]
-
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next action, in the form MaskablePPO takes."""
         return np.asarray(self.batch.masks([0])[0])
@@ -318,13 +278,16 @@ class DiagnosisEnv(BatchShell, gymnasium.Env[Any, NDArray[np.int64]]):
         """Draw the arm in its pose with the latest record."""
         return self._drawn()[0]
 
-    def close(self) -> None:
-        """Close the picture."""
-        self._let_go()
-
 
 _SEEDED: WeakValueDictionary[int, DiagnosisEnv] = WeakValueDictionary()
 """Single environment of this process that each seed was last given to."""
+
+
+def row_of(observations: Any, k: int) -> Any:
+    """One of several observations, flat or raw."""
+    if isinstance(observations, dict):
+        return {key: part[k] for key, part in observations.items()}
+    return observations[k]
 
 
 def new_seed() -> int:

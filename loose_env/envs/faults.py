@@ -110,7 +110,6 @@ class SeatMasses:
         return np.asarray(np.linalg.inv(masses))
 
 
-Vector = tuple[float, float, float]
 Loose = Backlash | StructuralLooseness
 
 
@@ -307,8 +306,6 @@ class FaultSampler:
 
 def _softer(fault: Loose, share: float) -> Loose:
     """Multiply stiffness by a share, damping by its root: the damping ratios stay."""
-    if share == 1:
-        return fault
     (low, high), (slow, fast) = fault.stiffness, fault.damping
     root = float(np.sqrt(share))
     return replace(fault, stiffness=(share * low, share * high), damping=(root * slow, root * fast))
@@ -326,21 +323,17 @@ def hypothesis_words(hypothesis: str | None, *, past: bool = False) -> str:
     >>> hypothesis_words(None), hypothesis_words("unsure")
     ('no verdict', 'unsure')
     """
-    if hypothesis is None:
-        return "no verdict"
-    if hypothesis == UNSURE:
-        return "unsure"
+    if hypothesis is None or hypothesis == UNSURE:
+        return hypothesis or "no verdict"
+    is_, has, rocks = ("was", "had", "rocked") if past else ("is", "has", "rocks")
     if hypothesis == SEVERAL_FAULTS:
         return f"there {'were' if past else 'are'} several faults"
     place = place_of(hypothesis)
     if place is None:
-        return f"nothing {'was' if past else 'is'} loose"
+        return f"nothing {is_} loose"
     if hypothesis.startswith("backlash"):
-        return f"joint {place} {'had' if past else 'has'} play"
-    verb = "was" if past else "is"
-    if hypothesis.startswith("rotational"):
-        return f"link {place} {verb} loose and {'rocked' if past else 'rocks'}"
-    return f"link {place} {verb} loose"
+        return f"joint {place} {has} play"
+    return f"link {place} {is_} loose" + f" and {rocks}" * hypothesis.startswith("rotational")
 
 
 def fault_words(fault: Fault, arm: Arm | None = None) -> str:

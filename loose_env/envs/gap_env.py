@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -92,16 +93,12 @@ class HiddenMachine:
         """Hidden effects, sorted."""
         return tuple(sorted(effect.name for effect in self.effects))
 
-    @property
-    def hypothesis(self) -> Hypothesis:
-        """The machine as a hypothesis."""
-        return Hypothesis().with_effects([(each.effect, each.values) for each in self.effects])
-
     def run(self, motion: int, rng: np.random.Generator) -> Array:
         """Measure a motion of the library: readings with noise (n, C); NaN if it diverged."""
         arm = self.bank.arm
         commands = self.bank.library[motion].commands(arm.limits)
-        return arm.measured(arm.simulate(self.hypothesis, commands, self.factors), rng)
+        hidden = Hypothesis().with_effects([(each.effect, each.values) for each in self.effects])
+        return arm.measured(arm.simulate(hidden, commands, self.factors), rng)
 
 
 Shares = Annotated[
@@ -198,9 +195,6 @@ class MachineDraw(Checked):
         return found
 
 
-_KINDS = Rule("kinds of the catalogue, none for all")
-
-
 @dataclass(frozen=True, kw_only=True)
 class GapPrices(Checked):
     """Rewards of verdicts and prices of machine time.
@@ -231,10 +225,8 @@ class GapPrices(Checked):
         self, named: tuple[str, ...], truth: tuple[str, ...], *, parameter_error: float
     ) -> float:
         """Reward of a verdict."""
-        reward = self.named(named, truth)
-        if set(named) == set(truth):
-            return reward - self.parameter * min(parameter_error, 1.0) * bool(truth)
-        return reward
+        right = bool(truth) and set(named) == set(truth)
+        return self.named(named, truth) - right * self.parameter * min(parameter_error, 1.0)
 
     def named(self, named: tuple[str, ...], truth: tuple[str, ...]) -> float:
         """Reward of the names alone."""
@@ -259,7 +251,7 @@ class ModelGapSettings(Checked):
     """Distribution of the hidden machines."""
     prices: GapPrices = field(default_factory=GapPrices)
     """Rewards and prices."""
-    kinds: Annotated[tuple[str, ...], _KINDS] = ()
+    kinds: Annotated[tuple[str, ...], Rule("kinds of the catalogue, none for all")] = ()
     """Kinds of effect that are hidden and considered; none for the whole catalogue but those that
     the sensors cannot show."""
     library: Library = "battery"
@@ -278,9 +270,10 @@ _FLOOR = 1e-6  # probabilities below count as this in logarithms
 _MOST = 20.0  # bound of every element
 
 
-@dataclass(frozen=True, kw_only=True)
 class GapObservation:
     """Layout of the observation; each slice is an attribute, in the table of `ModelGapEnv`.
+
+    Of N candidate effects, M motions of the library and R sets that a verdict can name.
 
     Examples
     --------
@@ -289,32 +282,16 @@ class GapObservation:
     (34, slice(26, 28, None))
     """
 
-    candidates: int
-    """Candidate effects, kind and location (N)."""
-    motions: int
-    """Motions of the library (M)."""
-    ranks: int
-    """Sets that a verdict can name (R)."""
-
-    probability: slice = field(init=False)
-    evidence: slice = field(init=False)
-    parameter: slice = field(init=False)
-    interval: slice = field(init=False)
-    sets: slice = field(init=False)
-    members: slice = field(init=False)
-    taken: slice = field(init=False)
-    rest: slice = field(init=False)
-    information: slice = field(init=False)
-    gain: slice = field(init=False)
-    spent: slice = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Lay the groups one after the other."""
-        n, m, r = self.candidates, self.motions, self.ranks
-        start = 0
-        for each, count in zip(fields(self)[3:], (n, n, n, n, r, r, m, m, m, m, 4), strict=True):
-            object.__setattr__(self, each.name, slice(start, start + count))
-            start += count
+    def __init__(self, *, candidates: int, motions: int, ranks: int) -> None:
+        self.candidates, self.motions, self.ranks = n, m, r = candidates, motions, ranks
+        ends = accumulate((n, n, n, n, r, r, m, m, m, m, 4), initial=0)
+        groups = iter([slice(*own) for own in pairwise(ends)])
+        self.probability, self.evidence = next(groups), next(groups)
+        self.parameter, self.interval = next(groups), next(groups)
+        self.sets, self.members = next(groups), next(groups)
+        self.taken, self.rest = next(groups), next(groups)
+        self.information, self.gain = next(groups), next(groups)
+        self.spent = next(groups)
 
     @property
     def size(self) -> int:
@@ -588,8 +565,5 @@ def _bank(
 ) -> MotionBank:
     """Evidence of the motions of an arm, shared by the environments of a process."""
     arm = read_servo_arm(path, tolerance=tolerance, max_speed=max_speed)
-    return motion_bank(arm, motion_library(arm, library), kinds, say=_say)
-
-
-def _say(words: str) -> None:
-    print(f"loose_env/Gap-v0: {words}", file=sys.stderr, flush=True)
+    say = partial(print, "loose_env/Gap-v0:", file=sys.stderr, flush=True)
+    return motion_bank(arm, motion_library(arm, library), kinds, say=say)

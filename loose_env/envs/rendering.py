@@ -1,12 +1,9 @@
-"""Pictures of an episode: arm drawn by MuJoCo or as lines, and tool correlation by direction."""
+"""Pictures of an episode: the arm in its pose, and the tool's correlation by direction."""
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
-import os
-import sys
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from textwrap import fill
@@ -16,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
+from scipy.spatial import ConvexHull
 
 from loose_env.arms import Arm, LinearArm, LinearPose
 from loose_env.diagnosis import Prediction, SensorFloor, predict
@@ -45,19 +43,6 @@ _STILL = 1e-12
 """Share of the largest variance below which the tool counts as still along a direction."""
 _FAINT_SECTION = 0.05
 """Correlation below which a section shows no direction of its own."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Section:
-    """Correlation along the directions of one plane of the tool frame."""
-
-    axes: tuple[int, int]
-    """Measured axes that span the plane."""
-    points: Array
-    """r(u) u for directions u in the plane [1] (K, 2)."""
-    lowest: Array | None
-    """Direction in the plane without correlation, unit vector (2,); None where all of it is
-    all but zero."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,12 +92,12 @@ class CorrelationByDirection:
         spread = np.sqrt(np.where(moving, power, 1.0))
         return np.where(moving, directions @ self.peak / spread, 0.0)
 
-    @property
-    def sections(self) -> tuple[Section, ...]:
-        """The planes of two measured axes: one of two axes, x-y, x-z and y-z of three."""
-        return tuple(self._section(i, j) for i, j in combinations(range(len(self.peak)), 2))
+    def section(self, first: int, second: int) -> tuple[Array, Array | None]:
+        """Correlation along the directions of the plane of two measured axes.
 
-    def _section(self, first: int, second: int) -> Section:
+        Points r(u) u for directions u in it [1] (K, 2), and the direction in it without
+        correlation (2,); None where all of it is all but zero.
+        """
         across = np.array([-self.peak[second], self.peak[first]])
         start = float(np.arctan2(across[1], across[0])) if across.any() else 0.0
         near = np.geomspace(1e-5, 0.1, 60)  # dense where the correlation passes zero
@@ -122,9 +107,7 @@ class CorrelationByDirection:
         directions[:, [first, second]] = flat
         radius = self.along(directions)
         clear = np.abs(radius).max() > _FAINT_SECTION
-        return Section(
-            axes=(first, second), points=radius[:, None] * flat, lowest=flat[0] if clear else None
-        )
+        return radius[:, None] * flat, flat[0] if clear else None
 
     def facing(self, other: CorrelationByDirection) -> CorrelationByDirection:
         """Turn it to the same side as another one."""
@@ -151,27 +134,28 @@ def predicted_correlation(prediction: Prediction) -> CorrelationByDirection:
 
 
 def draw_section(
-    axes: Axes, measured: Section | None, healthy: Section | None, names: tuple[str, str]
+    axes: Axes,
+    measured: CorrelationByDirection,
+    healthy: CorrelationByDirection,
+    names: Mapping[int, str],
 ) -> None:
-    """Draw the correlation along the directions of a plane; the circle is a correlation of 1."""
+    """Draw the correlation along the directions of a plane of two named axes, of a circle of 1."""
     from matplotlib.patches import Circle, Polygon
 
     axes.set_axis_off()
     axes.set(aspect="equal", xlim=(-1.35, 1.35), ylim=(-1.35, 1.35))
     axes.add_patch(Circle((0, 0), 1.0, facecolor="none", edgecolor=FAINT, linewidth=1.2))
-    for end, name in zip(((1.08, 0.0), (0.0, 1.08)), names, strict=True):
+    for end, name in zip(((1.08, 0.0), (0.0, 1.08)), names.values(), strict=True):
         axes.plot([-end[0], end[0]], [-end[1], end[1]], color=FAINT, linewidth=0.9, zorder=1)
         look: dict[str, Any] = {"fontsize": 9.5, "fontstyle": "italic", "ha": "center"}
         axes.text(1.12 * end[0], 1.12 * end[1], name, color=INK, va="center", **look)
-    if healthy is not None:
-        axes.plot(*healthy.points.T, color=MUTED, linewidth=1.4, dashes=(4, 2.5), zorder=4)
-    if measured is not None:
-        loop = Polygon(measured.points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2)
-        axes.add_patch(loop)
-        axes.plot(*measured.points.T, color=MEASURED, linewidth=2.0, zorder=3)
-        if measured.lowest is not None:
-            line = np.outer([-1.0, 1.0], measured.lowest)
-            axes.plot(*line.T, color=MEASURED, linewidth=2.4, zorder=3)
+    expected, (points, lowest) = healthy.section(*names)[0], measured.section(*names)
+    axes.plot(*expected.T, color=MUTED, linewidth=1.4, dashes=(4, 2.5), zorder=4)
+    axes.add_patch(Polygon(points, facecolor=MEASURED, alpha=0.22, linewidth=0, zorder=2))
+    axes.plot(*points.T, color=MEASURED, linewidth=2.0, zorder=3)
+    if lowest is not None:
+        line = np.outer([-1.0, 1.0], lowest)
+        axes.plot(*line.T, color=MEASURED, linewidth=2.4, zorder=3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +170,7 @@ class _Mark:
 
 
 class ArmDrawing:
-    """An arm in any pose, seen from one side: lit by MuJoCo, or of lines and dots.
+    """An arm in any pose, seen from one side.
 
     An arm whose joint axes are parallel and whose tool measures two axes is seen along its joint
     axes, any other one from aside and a little above. Gravity points down.
@@ -214,27 +198,20 @@ class ArmDrawing:
         parallel = np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() < 1e-6
         self.planar = len(arm.axes) == 2 and bool(parallel)
         """Whether the arm moves in a plane."""
-        self.azimuth, self.elevation = 122.0, -20.0
+        eye = np.array([0.498, -0.797, 0.342])
         if self.planar:
-            normal = axes[0]
-            self.elevation = -float(np.degrees(np.arcsin(np.clip(abs(normal[2]), 0.0, 1.0))))
-            flat = abs(normal[2]) > 0.99
-            self.azimuth = 90.0 if flat else float(np.degrees(np.arctan2(-normal[1], -normal[0])))
+            eye = -axes[0] if axes[0][2] < -1e-6 else axes[0]
+        aside = float(np.hypot(eye[0], eye[1]))
+        right = np.array([-eye[1], eye[0], 0.0]) / aside if aside > 0.14 else np.eye(3)[0]
+        self.camera = np.stack([right, np.cross(eye, right), eye])
+        """Rows: right, up and towards the eye, where gravity points down (3, 3)."""
         self.thickness = min(0.045 * arm.reach, 0.21 * arm.reach / arm.n)
         """Half the width of a link [m]."""
 
     @property
-    def camera(self) -> Array:
-        """Rows: right, up and towards the eye, where gravity points down (3, 3)."""
-        a, e = np.radians([self.azimuth, self.elevation])
-        right = np.array([np.sin(a), -np.cos(a), 0.0])
-        eye = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-        return np.stack([right, np.cross(eye, right), eye])
-
-    @property
     def seen(self) -> str:
         """Whence the arm is seen, or which way gravity pulls, in words."""
-        if self.planar and self.elevation < -45.0:
+        if self.planar and self.camera[2, 2] > 0.7:
             return "seen from above"
         return "gravity ↓" if self.gravity else "no gravity"
 
@@ -289,71 +266,66 @@ class ArmDrawing:
             found.append(_Mark(kind="arrow", start=middle - half, end=middle + half, color=INK))
         return found
 
-    def draw(
-        self, axes: Axes, marks: Collection[_Mark], renderer: mujoco.Renderer | None = None
-    ) -> None:
-        """Draw marks: links and joints lit by a renderer, or as lines and dots without one."""
+    def draw(self, axes: Axes, marks: Collection[_Mark]) -> None:
+        """Draw marks, those nearer to the eye over those behind them."""
+        from matplotlib.colors import to_rgb
+        from matplotlib.patches import Polygon
+        from matplotlib.patheffects import withStroke
+
         figure = axes.get_figure(root=True)
         assert figure is not None
         inches = axes.get_position().size * figure.get_size_inches()
         wide = float(inches[0] / inches[1])
-        ends = np.array([self.camera @ at for mark in marks for at in (mark.start, mark.end)])
+        seen = [(m, self.camera @ m.start, self.camera @ m.end) for m in marks]
+        ends = np.array([end for _, *both in seen for end in both])[:, :2]
         low, high = ends.min(axis=0), ends.max(axis=0)
-        across, tall = (high - low)[:2] + 6 * self.thickness
-        height = max(tall, across / min(wide, _WIDE), 0.8 * self.arm.reach)
-        middle = 0.5 * (low + high)
-        x, y = middle[:2]
-        half = 0.5 * height
+        across, tall = high - low + 6 * self.thickness
+        half = 0.5 * max(tall, across / wide, 0.8 * self.arm.reach)
+        x, y = 0.5 * (low + high)
         axes.set_axis_off()
-        if renderer is not None:
-            lit = self._lit(renderer, marks, self.camera.T @ middle, height)
-            axes.imshow(lit, extent=(x - _WIDE * half, x + _WIDE * half, y - half, y + half))
         axes.set(xlim=(x - wide * half, x + wide * half), ylim=(y - half, y + half), aspect="auto")
-        r = 72 * self.thickness * inches[1] / height  # points
-        for mark in marks:
-            start, end = (self.camera[:2] @ at for at in (mark.start, mark.end))
+        r = 36 * self.thickness * inches[1] / half  # points
+
+        def depth(own: tuple[_Mark, Array, Array]) -> float:
+            first, last = own[1][2], own[2][2]
+            # A link ends in its joints: it lies behind the farther one of them.
+            far = min(first, last) - self.thickness
+            return float(far if own[0].kind == "link" else 0.5 * (first + last))
+
+        for k, (mark, start, end) in enumerate(sorted(seen, key=depth)):
+            over = 3.0 + k / len(seen)
             text: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 6}
             if mark.kind in ("axis", "arrow"):
-                draw_arrow(axes, start, end, color=mark.color, both=mark.kind == "arrow")
-                beyond = end + 0.25 * (end - start)
-                axes.text(beyond[0], beyond[1], mark.label, color=INK, **text)
-                continue
-            if mark.kind == "link" and renderer is None:
+                style: Any = {"arrowstyle": "<|-|>" if mark.kind == "arrow" else "-|>"}
+                style |= {"color": mark.color, "linewidth": 1.7, "shrinkA": 0, "shrinkB": 0}
+                style |= {"path_effects": [withStroke(linewidth=3.9, foreground=PAPER)]}
+                axes.annotate("", tuple(end[:2]), tuple(start[:2]), arrowprops=style, zorder=7)
+                at = 1.25 * end - 0.25 * start
+                axes.text(at[0], at[1], mark.label, color=INK, **text)
+            elif mark.kind == "link":
                 for color, width in ((EDGE, 1.5 * r + 2.0), (mark.color, 1.5 * r)):
-                    line = axes.plot(*np.array([start, end]).T, color=color, linewidth=width)
-                    line[0].set(solid_capstyle="round", zorder=3)
-            elif mark.kind != "link":
+                    line = axes.plot(*np.array([start, end]).T[:2], color=color, linewidth=width)
+                    line[0].set(solid_capstyle="round", zorder=over)
+            else:
+                dark = mark.color in (EDGE, TRUTH)
+                outline, cap = _cylinder(start, end, 1.3 * self.thickness)
+                rim: Any = {"edgecolor": PAPER if dark else EDGE, "linewidth": 0.8, "zorder": over}
+                side = [0.8 * part for part in to_rgb(mark.color)]
+                axes.add_patch(Polygon(outline, facecolor=side, **rim))
+                axes.add_patch(Polygon(cap, facecolor=mark.color, linewidth=0, zorder=over))
+                text |= {"fontsize": float(np.clip(2 * r, 5.5, 11))}
+                ink = PAPER if dark else INK
                 at = 0.5 * (start + end)
-                if renderer is None:
-                    dot = axes.plot(*at, "s" if mark.kind == "slide" else "o", color=mark.color)
-                    dot[0].set(markersize=2.7 * r, markeredgecolor=EDGE, zorder=5)
-                ink = PAPER if mark.color in (EDGE, TRUTH) else INK
-                text["fontsize"] = float(np.clip(2 * r, 5.5, 11))
                 axes.text(at[0], at[1], mark.label, color=ink, **text)
 
-    def _lit(
-        self, renderer: mujoco.Renderer, marks: Collection[_Mark], middle: Array, height: float
-    ) -> NDArray[np.uint8]:
-        """Render links and joints as solids, in a view ``height`` [m] high."""
-        shapes, r = mujoco.mjtGeom, self.thickness
-        solids = {"link": (shapes.mjGEOM_CAPSULE, 0.8), "hinge": (shapes.mjGEOM_CYLINDER, 1.3)}
-        solids["slide"] = (shapes.mjGEOM_CAPSULE, 1.2)
-        camera = mujoco.MjvCamera()
-        camera.type, camera.orthographic = mujoco.mjtCamera.mjCAMERA_FREE, 1
-        camera.azimuth, camera.elevation, camera.distance = self.azimuth, self.elevation, 10.0
-        camera.lookat, renderer.model.vis.global_.fovy = middle, height
-        renderer.update_scene(mujoco.MjData(renderer.model), camera)
-        scene = renderer.scene
-        for mark in marks:
-            if mark.kind not in solids:
-                continue
-            solid, (shape, width) = scene.geoms[scene.ngeom], solids[mark.kind]
-            rgba = np.array([*(int(mark.color[k : k + 2], 16) / 255 for k in (1, 3, 5)), 1.0])
-            zeros, eye = np.zeros(3), np.eye(3).ravel()
-            mujoco.mjv_initGeom(solid, shape, zeros, zeros, eye, rgba.astype(np.float32))
-            mujoco.mjv_connector(solid, shape, width * r, mark.start, mark.end)
-            scene.ngeom += 1
-        return np.asarray(renderer.render())
+
+def _cylinder(start: Array, end: Array, radius: float) -> tuple[Array, Array]:
+    """Outline (K, 2) of a cylinder seen along the third axis, and of its end near the eye."""
+    across, turn = np.linalg.svd((end - start)[None])[2][1:], np.linspace(0, 2 * np.pi, 60)
+    rim = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) @ across
+    both = np.concatenate([start + rim, end + rim])[:, :2]
+    near = end if end[2] > start[2] else start
+    return both[ConvexHull(both).vertices], (near + rim)[:, :2]
 
 
 def _apart(anchors: Array, axes: Array, tool: Array, near: float) -> Array:
@@ -372,50 +344,12 @@ def _apart(anchors: Array, axes: Array, tool: Array, near: float) -> Array:
     return points
 
 
-def draw_arrow(axes: Axes, start: Array, end: Array, *, color: str, both: bool = False) -> None:
-    """Draw a straight arrow with a head at its end, or at both, and with a light rim."""
-    from matplotlib.patheffects import withStroke
-
-    style = {"arrowstyle": "<|-|>" if both else "-|>", "color": color, "linewidth": 1.7}
-    style |= {"shrinkA": 0, "shrinkB": 0}
-    note = axes.annotate("", xy=tuple(end), xytext=tuple(start), arrowprops=style, zorder=7)
-    if note.arrow_patch is not None:
-        note.arrow_patch.set_path_effects([withStroke(linewidth=3.9, foreground=PAPER)])
-
-
-_PIXELS = (1120, 640)
-"""Width and height of the lit arm [pixels]."""
-_WIDE = _PIXELS[0] / _PIXELS[1]
-_STAGE = """<mujoco>
-  <visual>
-    <global offwidth="2048" offheight="2048" orthographic="true"/>
-    <quality shadowsize="0"/>
-    <headlight ambient=".5 .5 .5" diffuse=".5 .5 .5" specular="0 0 0"/>
-  </visual>
-  <asset>
-    <texture type="skybox" builtin="flat" rgb1="1 1 1" rgb2="1 1 1" width="8" height="8"/>
-  </asset>
-</mujoco>"""
-"""Empty white room in which the strokes of an arm are lit."""
-
-
-def stage() -> mujoco.Renderer | None:
-    """Make MuJoCo's renderer of an empty room; None where there is no OpenGL."""
-    with contextlib.suppress(AttributeError, ImportError, OSError, RuntimeError, mujoco.FatalError):
-        if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL"):
-            # MuJoCo chooses its platform when it is imported, GLFW by default: that needs a screen.
-            context: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
-            context.GLContext = vars(importlib.import_module("mujoco.egl"))["GLContext"]
-        return mujoco.Renderer(mujoco.MjModel.from_xml_string(_STAGE), *_PIXELS[::-1])
-    return None
-
-
 class Picture:
     """Pictures of the episodes of one arm, as arrays of pixels or for saving.
 
     Above, the arm in its pose; below, the correlation of its latest record along the directions
     of each plane of the tool frame, measured and as the healthy arm would show it. The true fault
-    shows once the episode has ended, never before. Without OpenGL the arm is a sketch.
+    shows once the episode has ended, never before.
 
     Parameters
     ----------
@@ -441,7 +375,6 @@ class Picture:
         self.linear = linear
         self._floor = SensorFloor.of(sensors or SensorSuite(), linear.arm.band)
         self._drawing = ArmDrawing(linear.arm)
-        self._stage: mujoco.Renderer | None = None
 
     def draw(self, episode: Episode, *, verdict: str | None = None) -> NDArray[np.uint8]:
         """Draw an episode as it stands; the verdict shows once it has ended.
@@ -453,16 +386,13 @@ class Picture:
         """
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-        if self._stage is None:
-            self._stage = stage()
-        figure = self.figure(episode, verdict=verdict, lit=True)
-        canvas = FigureCanvasAgg(figure)
+        canvas = FigureCanvasAgg(self.figure(episode, verdict=verdict))
         canvas.draw()  # type: ignore[no-untyped-call]
         pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
         return np.array(pixels[..., :3], dtype=np.uint8)
 
-    def figure(self, episode: Episode, *, verdict: str | None = None, lit: bool = False) -> Figure:
-        """Return the picture as a figure of matplotlib, by default of lines alone."""
+    def figure(self, episode: Episode, *, verdict: str | None = None) -> Figure:
+        """Return the picture as a figure of matplotlib."""
         from matplotlib.figure import Figure
 
         figure, drawing, height = Figure(figsize=self.size, dpi=160), self._drawing, self.size[1]
@@ -470,11 +400,15 @@ class Picture:
         record = episode.last if valid else None
         truth = episode.fault if episode.ended else None
         figure.set_facecolor(PAPER)
-        both = None if record is None else self._correlations(record)
+        both = None
+        if record is not None:
+            measured, at = measured_correlation(record), self.linear.at(record.pose)
+            healthy = predicted_correlation(predict(at, record.excitation, self._floor))
+            both = measured, healthy.facing(measured)
         title, lines = self._words(episode, record, verdict)
         if both is not None:
-            measured, healthy = (each.maximum for each in both)
-            lines.append(f"Highest correlation {measured:.3f}, {healthy:.3f} on a healthy arm")
+            own, usual = (each.maximum for each in both)
+            lines.append(f"Highest correlation {own:.3f}, {usual:.3f} on a healthy arm")
         head, body = fill(title, 44), "\n".join(fill(line, 70) for line in lines)
         look: dict[str, Any] = {"ha": "left", "va": "top"}
         color = TRUTH if truth is not None else INK
@@ -486,34 +420,18 @@ class Picture:
         axes = figure.add_axes((0.0, bottom / height, 1.0, 1 - (top + bottom) / height))
         excited = None if record is None else record.excited
         marks = drawing.marks(episode.pose, excited=excited, fault=truth)
-        drawing.draw(axes, marks, self._stage if lit else None)
+        drawing.draw(axes, marks)
         figure.text(
             0.96, bottom / height, drawing.seen, color=MUTED, fontsize=9, ha="right", va="bottom"
         )
         if both is not None and record is not None:
-            names = ["xyz"[a] for a in self.linear.arm.axes]
-            pairs = list(zip(both[0].sections, both[1].sections, strict=True))
+            pairs = list(combinations([*enumerate("xyz"[a] for a in self.linear.arm.axes)], 2))
             left = 0.5 - len(pairs) / 6
-            for k, (found, expected) in enumerate(pairs):
+            for k, pair in enumerate(pairs):
                 panel = figure.add_axes((left + k / 3, 0.36 / height, 1 / 3, 1.86 / height))
-                draw_section(panel, found, expected, (names[found.axes[0]], names[found.axes[1]]))
+                draw_section(panel, *both, dict(pair))
             self._legend(figure, record, truth)
         return figure
-
-    def close(self) -> None:
-        """Close the renderer, if there is one."""
-        if self._stage is not None:
-            self._stage.close()
-            self._stage = None
-
-    def _correlations(
-        self, record: Measurement
-    ) -> tuple[CorrelationByDirection, CorrelationByDirection]:
-        """Correlation by direction, as measured and as the healthy arm would show it."""
-        measured = measured_correlation(record)
-        at = self.linear.at(record.pose)
-        healthy = predicted_correlation(predict(at, record.excitation, self._floor))
-        return measured, healthy.facing(measured)
 
     def _words(
         self, episode: Episode, record: Measurement | None, verdict: str | None

@@ -24,20 +24,24 @@ _SHARED = {
 """Attributes that are the same object for every environment of a batch, by their name there."""
 
 
-class KeyedDummyVecEnv(DummyVecEnv):
+class _Keyed(VecEnv):
+    """Environments whose seeds are those of `loose_env.envs.batch_seeds`."""
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Seed the next reset; return each environment's seed."""
+        self._seeds = [*batch_seeds(new_seed() if seed is None else int(seed), self.num_envs)]
+        return list(self._seeds)
+
+
+class KeyedDummyVecEnv(_Keyed, DummyVecEnv):
     """Single environments whose seeds are those of `loose_env.envs.batch_seeds`.
 
     For the ``vec_env_cls`` of stable-baselines3's ``make_vec_env``, whose own seeds count up: of 16
     environments each, those of seeds 0 and 1 would play 15 runs of episodes in common.
     """
 
-    def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seed the next reset."""
-        self._seeds = [*batch_seeds(new_seed() if seed is None else int(seed), self.num_envs)]
-        return list(self._seeds)
 
-
-class Sb3VecEnv(VecEnv):
+class Sb3VecEnv(_Keyed):
     """The native vector environment as stable-baselines3 wants it.
 
     Every environment keeps its own info dictionary; ended episodes carry
@@ -74,11 +78,6 @@ class Sb3VecEnv(VecEnv):
         self._actions: NDArray[np.int64] | None = None
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=int)
-
-    def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seed the next reset by `loose_env.envs.batch_seeds`; return each environment's seed."""
-        self._seeds = [*batch_seeds(new_seed() if seed is None else int(seed), self.num_envs)]
-        return list(self._seeds)
 
     def reset(self) -> Any:
         """Begin an episode in every environment, with the options of each."""

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import MinLen, Predicate
 
-from loose_env.arms import Arm, Drift, Mismatch
+from loose_env.arms import Drift, Mismatch
 from loose_env.errors import InvalidSetting, UnknownName
 from loose_env.excitation import SeatReference
 from loose_env.faults import KINDS, UNSURE, FaultKind, checked_kinds
@@ -257,7 +257,3 @@ class DiagnosisSettings(Checked):
     def stay(self) -> int:
         """Index of the move that leaves a joint where it is."""
         return self.moves.index(0.0)
-
-    def level_names(self, arm: Arm) -> tuple[str, ...]:
-        """Levels of an arm in words."""
-        return ("off", *(f"{level:g} m/s² rms at the tool" for level in arm.levels))

@@ -36,11 +36,9 @@ def checked_indices(name: str, given: Any, choices: NDArray[np.intp]) -> NDArray
     inside = found.shape == choices.shape and whole and np.all((found >= 0) & (found < choices))
     if not inside:
         most = (choices - 1).tolist()
-        if len(set(most)) == 1:
-            most = most[:1]
         raise InvalidAction(
-            f"{name}: {len(choices)} whole numbers from 0 to {most if len(most) > 1 else most[0]}, "
-            f"got {found.tolist()!r:.80}"
+            f"{name}: {len(choices)} whole numbers from 0 to "
+            f"{most if len(set(most)) > 1 else most[0]}, got {found.tolist()!r:.80}"
         )
     return found.astype(np.intp)
 
@@ -184,6 +182,7 @@ class ActionLayout:
             + [level_choices] * self.most_excited
             + [len(settings.durations), 2 + hypotheses]
         )
+        self._last_at_top = np.where(np.arange(n) == n - 1, len(arm.levels), 0)
         self._options = int(self.nvec.sum())
         self._move_options = int(self.nvec[: self.most_moved].sum())
 
@@ -218,62 +217,39 @@ class ActionLayout:
         >>> layout.decode([2, 2, 2, 5, 0, 0]).levels.tolist()
         [0, 2, 0]
         """
-        found: Any = self.decode_all([action])
-        return Action(
-            moves=found.moves[0],
-            levels=found.levels[0],
-            duration=float(found.duration[0]),
-            verdict=int(found.verdict[0]),
-        )
+        return self.decode_all([action]).some(0)
 
     def decode_all(self, actions: Any) -> Action:
         """Check A actions and take them apart; as `decode`."""
-        given = np.asarray(actions) if isinstance(actions, np.ndarray) else None
-        if given is None or given.dtype.kind not in "iu" or given.shape[1:] != self.nvec.shape:
+        given, n = np.asarray(actions) if isinstance(actions, np.ndarray) else None, self.arm.n
+        if (
+            given is None
+            or given.dtype.kind not in "iu"
+            or given.shape[1:] != self.nvec.shape
+            or ((given < 0) | (given >= self.nvec)).any()
+        ):
             form = (
                 f"an action ({self.most_moved} for moves, {self.most_excited} for levels of "
-                f"{self.arm.n} joints, a record length, a verdict)"
+                f"{n} joints, a record length, a verdict)"
             )
             rows = [checked_indices(form, action, self.nvec) for action in actions]
             given = np.reshape(rows, (-1, len(self.nvec)))
-        elif ((given < 0) | (given >= self.nvec)).any():
-            return self.decode_all(list(given))  # says which entry is wrong
         whole_numbers = given.astype(np.intp, copy=False)
-        levels = self._levels_of(whole_numbers[:, self.excitation])
-        levels[~levels.any(axis=1), -1] = len(self.arm.levels)
+        moves, levels = whole_numbers[:, : self.most_moved], whole_numbers[:, self.excitation]
+        if self._few_moved:
+            own = _by_joint(moves, len(self._others), n)
+            first = np.take_along_axis(own, (own > 0).argmax(axis=1)[:, None], axis=1)[:, 0]
+            moves = np.where(first > 0, self._others[first - 1], self.stay)
+        levels = _by_joint(levels, len(self.arm.levels), n).max(1) if self._few_excited else levels
+        levels = np.where(levels.any(axis=1, keepdims=True), levels, self._last_at_top)
         durations: Any = np.array(self.settings.durations)[whole_numbers[:, -2]]
         verdicts: Any = whole_numbers[:, -1]
-        moves = self._moves_of(whole_numbers[:, : self.most_moved])
         return Action(moves=moves, levels=levels, duration=durations, verdict=verdicts)
 
     @property
     def excitation(self) -> slice:
         """Entries of the excitation."""
         return slice(self.most_moved, self.most_moved + self.most_excited)
-
-    def _moves_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Move of each joint (A, n)."""
-        if not self._few_moved:
-            return entries
-        moves = np.full((len(entries), self.arm.n), self.stay, dtype=np.intp)
-        for entry in entries.T:
-            joint, k = np.divmod(entry - 1, len(self._others))
-            rows = np.flatnonzero(entry > 0)
-            rows = rows[moves[rows, joint[rows]] == self.stay]
-            moves[rows, joint[rows]] = self._others[k[rows]]
-        return moves
-
-    def _levels_of(self, entries: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Level of each joint (A, n)."""
-        if not self._few_excited:
-            return entries.copy()
-        levels = np.zeros((len(entries), self.arm.n), dtype=np.intp)
-        for entry in entries.T:
-            joint, k = np.divmod(entry - 1, len(self.arm.levels))
-            rows = np.flatnonzero(entry > 0)
-            at = joint[rows]
-            levels[rows, at] = np.maximum(levels[rows, at], k[rows] + 1)
-        return levels
 
     def encode(
         self,
@@ -382,6 +358,12 @@ class ActionLayout:
         mask[:, -verdicts:-1] = (last | (measured > 0))[:, None]
         mask[:, -1] = self.allows_unsure(records, measured)
         return mask
+
+
+def _by_joint(entries: NDArray[np.intp], choices: int, n: int) -> NDArray[np.intp]:
+    """Choice of each joint, from 1, by each of E entries for a few of the joints (A, E, n)."""
+    joint, k = np.divmod(entries[..., None] - 1, choices)
+    return np.where((entries[..., None] > 0) & (joint == np.arange(n)), k + 1, 0)
 
 
 Scaling = Literal["linear", "log10", "asinh"]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from loose_env.arms import Arm
 from loose_env.envs.batch import EnvBatch, mapping_of, spread
-from loose_env.envs.env import BatchShell
+from loose_env.envs.env import BatchShell, row_of
 from loose_env.envs.settings import DiagnosisSettings
 from loose_env.errors import InvalidAction, InvalidSetting
 from loose_env.io import is_whole
@@ -144,11 +144,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
     3
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["rgb_array"],
-        "render_fps": 2,
-        "autoreset_mode": AutoresetMode.SAME_STEP,
-    }
+    metadata = BatchShell.metadata | {"autoreset_mode": AutoresetMode.SAME_STEP}
     _kept = ("spec", "action_space", "closed")
 
     def __init__(
@@ -171,11 +167,10 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         self.autoreset_mode = mode_named(autoreset_mode)
         # The class's own dictionary says what the default is.
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self._draws(render_mode)
         self.num_envs = int(num_envs)
-        settings = DiagnosisSettings() if settings is None else settings
         self._show(
             EnvBatch(arm, settings, num=self.num_envs, threads=threads, true_arm=true_arm),
+            render_mode,
             num_envs=self.num_envs,
             autoreset_mode=self.autoreset_mode,
             max_episode_steps=max_episode_steps,
@@ -224,7 +219,7 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
                 f"actions of {self.num_envs} environments have shape "
                 f"({self.num_envs}, {len(self.actions.nvec)}), got {rows.shape}"
             )
-        over, same_step = self._ended.copy(), self.autoreset_mode is AutoresetMode.SAME_STEP
+        over, same_step = self.batch.ended.copy(), self.autoreset_mode is AutoresetMode.SAME_STEP
         if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
             raise ResetNeeded(
                 f"the episodes of environments {np.flatnonzero(over).tolist()} have ended and "
@@ -247,9 +242,9 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
         finals = self.batch.shown(list(ended)) if ended and same_step else None
         for k, (i, info) in enumerate(ended.items()):
             if finals is None:
-                self._ended[i] = True
+                self.batch.ended[i] = True
             else:
-                info = {"final_obs": _row(finals, k), "final_info": info}
+                info = {"final_obs": row_of(finals, k), "final_info": info}
             infos = self._add_info(infos, info, i)
         fresh = np.array(list(ended), dtype=np.intp) if same_step else np.flatnonzero(over)
         self._begin(fresh, [None] * n, [{}] * n)
@@ -269,14 +264,3 @@ class DiagnosisVectorEnv(BatchShell, VectorEnv[Any, Any, Any]):
     def render(self) -> tuple[Any, ...]:
         """Picture of every environment, each (height, width, 3) of uint8."""
         return tuple(self._drawn())
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Let go of the picture."""
-        self._let_go()
-
-
-def _row(observations: Any, k: int) -> Any:
-    """One of several observations, flat or raw."""
-    if isinstance(observations, dict):
-        return {key: part[k] for key, part in observations.items()}
-    return observations[k]

@@ -4,7 +4,13 @@ Those of a batch are in `loose_env.wrappers.vector`.
 """
 
 from loose_env.envs import RecordLayout
-from loose_env.wrappers.changes import default_macros
+from loose_env.wrappers.changes import (
+    JointSideObservation,
+    MacroActions,
+    MeasuredMinusNominal,
+    PosteriorObservation,
+    default_macros,
+)
 from loose_env.wrappers.posteriors import (
     PROBABILITY_FLOOR,
     Posterior,
@@ -17,12 +23,6 @@ from loose_env.wrappers.posteriors import (
     taken_in,
 )
 from loose_env.wrappers.shells import DiagnosisVectorWrapper, DiagnosisWrapper
-from loose_env.wrappers.single import (
-    JointSideObservation,
-    MacroActions,
-    MeasuredMinusNominal,
-    PosteriorObservation,
-)
 
 __all__ = [
     "PROBABILITY_FLOOR",

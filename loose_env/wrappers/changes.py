@@ -1,4 +1,4 @@
-"""Changes of observation and action, each written once for B arms."""
+"""Changes of observation and action, written once for B arms; wrappers of one environment."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from loose_env.wrappers.posteriors import (
     posterior_features,
     taken_in,
 )
-from loose_env.wrappers.shells import Change
+from loose_env.wrappers.shells import Change, DiagnosisWrapper
 
 _NOMINAL = "nominal_"
 _JOINT_SIDE = ("level", "torque", "level_share", "duration", "joint_rms", "inertia", "valid")
@@ -38,14 +38,12 @@ class _Records(Change):
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)
-        found: RecordLayout = self.of_inner("layout")
-        elements = found.slot_elements
-        self.inner = RecordLayout(
-            global_elements=found.global_elements, slot_elements=elements, slots=found.slots
-        )
+        self.inner = inner = self.of_inner("layout")
+        elements = inner.slot_elements
         self._kept = [k for k, each in enumerate(elements) if self._keeps(each.name)]
-        shown = self._changed([elements[k] for k in self._kept])
-        self.layout = replace(self.inner, slot_elements=tuple(shown))
+        shown = tuple(self._changed([elements[k] for k in self._kept]))
+        start = inner.global_elements
+        self.layout = RecordLayout(global_elements=start, slot_elements=shown, slots=inner.slots)
         self.set_space("observation", self.layout.space)
 
     def _keeps(self, name: str) -> bool:
@@ -66,8 +64,8 @@ class _Records(Change):
         return np.concatenate([start, self._shown(records).reshape(len(start), -1)], axis=1)
 
 
-class MeasuredMinusNominal(_Records):
-    """Shows statistics less what the nominal, healthy arm would show."""
+class Differences(_Records):
+    """See `MeasuredMinusNominal`."""
 
     def _keeps(self, name: str) -> bool:
         return not name.startswith(_NOMINAL)
@@ -89,16 +87,16 @@ class MeasuredMinusNominal(_Records):
         return shown
 
 
-class JointSideObservation(_Records):
-    """Shows what torque and encoders give."""
+class JointSide(_Records):
+    """See `JointSideObservation`."""
 
     def _keeps(self, name: str) -> bool:
         group = name.partition(".")[0].removeprefix(_NOMINAL)
         return group in _JOINT_SIDE or group.endswith("pose")
 
 
-class PosteriorObservation(Change):
-    """Shows the posterior over the hypotheses in place of the records."""
+class OfPosterior(Change):
+    """See `PosteriorObservation`."""
 
     def __init__(self, env: Any, posterior: Posterior | None = None) -> None:
         super().__init__(env, posterior=posterior)
@@ -127,16 +125,13 @@ class PosteriorObservation(Change):
         inner = self.diagnosis
         return self._given or analytic_posterior(inner.batch.nominal, inner.settings)
 
-    def begun(self, at: IndexArray) -> None:
-        """Begin from the prior."""
-        for i in at:
-            self._beliefs[i] = self.posterior.start()
-        self._records[at] = 0
-
     def shown(self, observations: NDArray[np.float32], at: IndexArray) -> NDArray[np.float32]:
         """Update the posteriors of some arms and show them."""
-        layout, before = self.diagnosis.layout, [self._beliefs[i] for i in at]
-        after, taken = taken_in(self.posterior, layout, observations, before, self._records[at])
+        layout = self.diagnosis.layout
+        for i in at[layout.records_of(observations) == 0]:  # an episode begins
+            self._beliefs[i], self._records[i] = self.posterior.start(), 0
+        before, known = [self._beliefs[i] for i in at], self._records[at]
+        after, taken = taken_in(self.posterior, layout, observations, before, known)
         self._records[at] = taken
         for i, belief in zip(at, after, strict=True):
             self._beliefs[i] = belief
@@ -187,8 +182,8 @@ def default_macros(layout: ActionLayout) -> list[NDArray[np.int64]]:
     return [np.array(each) for each in dict.fromkeys(tuple(each.tolist()) for each in built)]
 
 
-class MacroActions(Change):
-    """A `Discrete` choice among whole records, then among the verdicts."""
+class Macros(Change):
+    """See `MacroActions`."""
 
     def __init__(self, env: Any, macros: Sequence[NDArray[np.int64]] | None = None) -> None:
         super().__init__(env, macros=macros)
@@ -230,3 +225,100 @@ class MacroActions(Change):
         verdicts = inner[:, -self._verdicts :]
         records = inner[:, self._moves].all(axis=2) & verdicts[:, :1]
         return np.concatenate([records, verdicts[:, 1:]], axis=1)
+
+
+class MeasuredMinusNominal(Differences, DiagnosisWrapper):
+    """Shows statistics less what the nominal, healthy arm would show.
+
+    Every element with a nominal twin becomes the difference of the two, each scaled as the
+    observation has it; the twin is left out. What has none, pose and excitation, stays.
+
+    Examples
+    --------
+    >>> import gymnasium, loose_env
+    >>> env = MeasuredMinusNominal(gymnasium.make("loose_env/Vera-v0"))
+    >>> env.observation_space.shape, env.layout.slot_elements[-1].name
+    ((464,), 'lowest_kurtosis')
+    """
+
+
+class JointSideObservation(JointSide, DiagnosisWrapper):
+    """Shows what torque and encoders give: a robot without accelerometers (thesis, 2.2.2).
+
+    Left are the pose, what has been spent, and of every record its pose, excitation, joint
+    motion and apparent inertia, measured and nominal. That a seat is loose shows there nearly as
+    well as at the tool; its direction does not.
+
+    Examples
+    --------
+    >>> import gymnasium, loose_env
+    >>> env = gymnasium.make("loose_env/Planar-v0", n_links=2)
+    >>> whole, alone = env.observation_space.shape[0], JointSideObservation(env)
+    >>> alone.observation_space.shape[0] < whole / 2
+    True
+    """
+
+
+class PosteriorObservation(OfPosterior, DiagnosisWrapper):
+    """Shows the posterior over the hypotheses in place of the records.
+
+    A plain Gymnasium wrapper: any library can train on it. The observation is that of
+    `posterior_features`; `info["probabilities"]` has the posterior itself, in the order of the
+    environment's `hypotheses`.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        The environment; records are read from its full observation, so put this wrapper first.
+    posterior : Posterior, optional
+        What weighs the records: by default the analytic posterior, from the nominal arm alone.
+
+    Raises
+    ------
+    InvalidSetting
+        If the observation is another one already, or the posterior lacks a hypothesis.
+
+    Examples
+    --------
+    >>> import gymnasium, loose_env
+    >>> env = PosteriorObservation(gymnasium.make("loose_env/Vera-v0"))
+    >>> observation, info = env.reset(seed=0)
+    >>> observation.shape, info["probabilities"].round(2).tolist()
+    ((21,), [0.33, 0.17, 0.17, 0.17, 0.17])
+    """
+
+    @property
+    def probabilities(self) -> NDArray[np.float64]:
+        """Posterior of the environment's hypotheses (hypotheses,)."""
+        return np.array(self._shares[0])
+
+
+class MacroActions(Macros, DiagnosisWrapper):
+    """A `Discrete` choice among whole records, then among the verdicts.
+
+    Choice k below ``len(macros)`` takes that record, the next ones give the environment's
+    `verdicts` in their order. `action_masks` says which records stay within the joints' ranges
+    and which verdicts count; a record without excitation is not among the choices.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        The environment.
+    macros : sequence of ndarray, optional
+        Records as actions of the environment, such as its ``actions.encode`` gives;
+        `default_macros` by default.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is none, or one gives a verdict or excites nothing.
+    InvalidAction
+        If one is no action of the environment.
+
+    Examples
+    --------
+    >>> import gymnasium, loose_env
+    >>> env = MacroActions(gymnasium.make("loose_env/Vera-v0"))
+    >>> env.action_space
+    Discrete(21)
+    """

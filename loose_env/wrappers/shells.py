@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorWrapper
+from gymnasium.vector import VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
@@ -28,20 +28,13 @@ class Change:
     """The environment within all wrappers."""
     num: int
     """Number of arms, B."""
+    of_inner: Callable[[str], Any]
+    """Attribute of what is wrapped."""
+    set_space: Callable[[str, spaces.Space[Any]], None]
+    """Says what one arm shows or takes: "observation" or "action"."""
 
     def __init__(self, env: Any, **arguments: Any) -> None:
         super().__init__(env, **arguments)  # type: ignore[call-arg]
-
-    def of_inner(self, name: str) -> Any:
-        """Attribute of what is wrapped."""
-        raise NotImplementedError
-
-    def set_space(self, name: str, space: spaces.Space[Any]) -> None:
-        """Say what one arm shows or takes: "observation" or "action"."""
-        raise NotImplementedError
-
-    def begun(self, at: IndexArray) -> None:
-        """Some arms begin an episode."""
 
     def shown(self, observations: NDArray[np.float32], at: IndexArray) -> NDArray[np.float32]:
         """Observations of some arms as they are shown (A, ...)."""
@@ -115,7 +108,6 @@ class DiagnosisWrapper(
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self.begun(_ONE)
         return self.shown(observation[None], _ONE)[0], self._informed(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -154,7 +146,7 @@ class DiagnosisVectorWrapper(Change, VectorWrapper[Any, Any, Any, Any, Any]):
         _checked(self, inner, DiagnosisVectorEnv, "For one environment take loose_env.wrappers")
         VectorWrapper.__init__(self, env)
         self.diagnosis, self.num = inner, inner.num_envs
-        self._over = np.zeros(self.num, dtype=bool)
+        self._all = np.arange(self.num)
 
     def of_inner(self, name: str) -> Any:
         """Attribute of what is wrapped."""
@@ -176,43 +168,35 @@ class DiagnosisVectorWrapper(Change, VectorWrapper[Any, Any, Any, Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode in every environment, or in those of `options["reset_mask"]`."""
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
-        fresh = infos["_action_mask"].copy()
-        self._over &= ~fresh
-        self.begun(np.flatnonzero(fresh))
-        return self._all_shown(observations), self._informed(infos)
+        return self.shown(observations, self._all), self._informed(infos)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment; those that end begin anew as the batch's mode says."""
-        observations, rewards, terminated, truncated, infos = self.env.step(
-            self.inner_actions(actions)
+        found = self.env.step(self.inner_actions(actions))
+        observations, rewards, terminated, truncated, infos = found
+        if "final_obs" in infos:
+            at, shown = np.flatnonzero(infos["_final_obs"]), np.full(self.num, None, dtype=object)
+            finals = self.shown(np.stack(infos["final_obs"][at]), at)
+            for i, own in zip(at, finals, strict=True):
+                shown[i] = own
+            infos |= {"final_obs": shown, "final_info": self._informed(infos["final_info"])}
+        return (
+            self.shown(observations, self._all),
+            rewards,
+            terminated,
+            truncated,
+            self._informed(infos),
         )
-        ended = terminated | truncated
-        at = np.flatnonzero(ended)
-        if self.diagnosis.autoreset_mode is AutoresetMode.SAME_STEP:  # type: ignore[union-attr]
-            if len(at):
-                finals = self.shown(np.stack(infos["final_obs"][at]), at)
-                shown = np.full(self.num, None, dtype=object)
-                for i, own in zip(at, finals, strict=True):
-                    shown[i] = own
-                infos |= {"final_obs": shown, "final_info": self._informed(infos["final_info"])}
-            self.begun(at)
-        else:
-            self.begun(np.flatnonzero(self._over))
-            self._over = ended
-        return self._all_shown(observations), rewards, terminated, truncated, self._informed(infos)
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Allowed choices of the next actions (num_envs, choices)."""
         return self.masks(self.of_inner("action_masks")())
-
-    def _all_shown(self, observations: Any) -> Any:
-        return self.shown(observations, np.arange(self.num))
 
     def _informed(self, infos: dict[str, Any]) -> dict[str, Any]:
         """Infos with this wrapper's masks, and its entries where there are masks."""
         there = infos["_action_mask"]
         masks = np.where(there[:, None], self.masks(infos["action_mask"]), False)
         own: dict[str, Any] = {}
-        for name, values in self.told(np.arange(self.num)).items():
+        for name, values in self.told(self._all).items():
             own |= {name: values, f"_{name}": there.copy()}
         return {**infos, "action_mask": masks, **own}

@@ -30,15 +30,15 @@ __all__ = [
 ]
 
 
-class MeasuredMinusNominal(changes.MeasuredMinusNominal, DiagnosisVectorWrapper):
+class MeasuredMinusNominal(changes.Differences, DiagnosisVectorWrapper):
     """As `loose_env.wrappers.MeasuredMinusNominal`."""
 
 
-class JointSideObservation(changes.JointSideObservation, DiagnosisVectorWrapper):
+class JointSideObservation(changes.JointSide, DiagnosisVectorWrapper):
     """As `loose_env.wrappers.JointSideObservation`."""
 
 
-class PosteriorObservation(changes.PosteriorObservation, DiagnosisVectorWrapper):
+class PosteriorObservation(changes.OfPosterior, DiagnosisVectorWrapper):
     """As `loose_env.wrappers.PosteriorObservation`."""
 
     @property
@@ -47,5 +47,5 @@ class PosteriorObservation(changes.PosteriorObservation, DiagnosisVectorWrapper)
         return self._shares.copy()
 
 
-class MacroActions(changes.MacroActions, DiagnosisVectorWrapper):
+class MacroActions(changes.Macros, DiagnosisVectorWrapper):
     """As `loose_env.wrappers.MacroActions`."""

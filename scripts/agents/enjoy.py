@@ -80,9 +80,8 @@ def run_folder(options: Options) -> Path:
 
 def shaken(env: DiagnosisEnv, action: Action) -> str:
     """Joints that an action excites, and how."""
-    names = env.settings.level_names(env.arm)
     levels = zip(env.arm.joints, action.levels, strict=True)
-    on = [f"{joint} {names[level].split(' ')[0]}" for joint, level in levels if level]
+    on = [f"{joint} {env.arm.levels[level - 1]:g}" for joint, level in levels if level]
     return ", ".join(on) or "none"
 
 

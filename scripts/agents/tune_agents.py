@@ -45,9 +45,9 @@ from loose_agents.policies.choice import (
 from loose_agents.tuning import (
     Player,
     Trails,
-    best_constant,
     best_sequences,
     best_threshold,
+    halved,
     names_of,
     play_player,
     single_joints,
@@ -157,11 +157,11 @@ def tune(options: Options) -> None:
         own: dict[str, Any] = {}
         if policy == "constant":
             # The first estimator's best serves the others too.
-            constant = constant or best_constant(
+            constant = constant or halved(
                 single_joints(problem),
                 lambda levels, count, name=agent: play(name, count, levels=levels),  # type: ignore[misc]
-                episodes=options.episodes,
-            )
+                episodes=options.episodes, keep=2, least=1,
+            )[0][0]  # fmt: skip
             own = {"levels": constant}
         if policy == "fixed":
             fixed = fixed or best_sequences(

@@ -20,8 +20,8 @@ from loose_agents.tuning import (
     THRESHOLDS,
     Player,
     Trails,
-    best_constant,
     best_threshold,
+    halved,
     names_of,
     play_player,
     trained,
@@ -112,10 +112,10 @@ def test_the_best_constant_is_found_by_halving() -> None:
         flat = np.full((episodes, 1), worth[candidate])
         return Trails(confidence=flat, reward=flat, right=flat > 0)
 
-    assert best_constant(list(worth), play, episodes=8) == (0, 2)
+    assert halved(list(worth), play, episodes=8, keep=2, least=1)[0][0] == (0, 2)
     assert [n for _, n in asked] == [2] * 5 + [4] * 3 + [8] * 2
     assert asked[-2:] == [((0, 2), 8), ((2, 0), 8)]
-    assert best_constant([(1, 0)], play, episodes=8) == (1, 0)
+    assert halved([(1, 0)], play, episodes=8, keep=2, least=1)[0][0] == (1, 0)
 
 
 def test_settings_of_others_are_kept(tmp_path: Path) -> None:

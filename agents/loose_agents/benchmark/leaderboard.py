@@ -197,17 +197,9 @@ def _bound_words(task: str, own: ByEntry) -> str:
 
 def _calibration(results: Results) -> str:
     """Expected calibration error of what was named."""
-    claims = [
-        (p, truth == verdict)
-        for p, truth, verdict in zip(
-            results.confidence, results.truth, results.verdict, strict=True
-        )
-        if p is not None
-    ]
-    if not claims:
-        return "-"
-    confidence, right = zip(*claims, strict=True)
-    return f"{expected_calibration_error(confidence, right):.3f}"
+    confidence = np.array(results.confidence, dtype=float)  # NaN of an agent that keeps none
+    told, right = np.isfinite(confidence), np.equal(results.truth, results.verdict)
+    return f"{expected_calibration_error(confidence[told], right[told]):.3f}" if told.any() else "-"
 
 
 def _entries(results: Sequence[Results], task: str, set_name: str) -> dict[str, Results]:

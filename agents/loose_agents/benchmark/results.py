@@ -134,7 +134,7 @@ class Results:
     confidence: tuple[_Share | None, ...]
     """Probability of the verdict as the agent saw it; None of an agent that keeps none."""
     actions: tuple[str, ...]
-    """Actions with spaces between, the verdict last: `loose_env.envs.ActionLayout.code`."""
+    """Actions with spaces between, the verdict last: `loose_agents.base.code_of`."""
     information: tuple[float, ...] = ()
     """Upper 95 % limits of the mean information of the 1st, 2nd, ... record [nat]."""
     guesses: tuple[float, ...] = ()

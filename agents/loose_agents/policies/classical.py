@@ -8,7 +8,7 @@ motion against the nominal arm (3.34), and every judgement uses all poses so far
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ from loose_env.diagnosis import (
 from loose_env.envs import difficulty_named
 from loose_env.errors import InvalidSetting
 from loose_env.faults import UNSURE
-from loose_env.io import Checked, NonNegative, Positive
+from loose_env.io import Checked, NonNegative, Positive, Probability
 from loose_env.typing import Array
 from loose_env.wrappers import record_from
 
@@ -128,7 +128,7 @@ class ClassicalSettings(Checked):
     shows, so that seats that only hit their stops are seen."""
     duration: int = 2
     """Index of the records' length; the longest by default."""
-    significance: Positive = 0.01
+    significance: Probability = 0.01
     """Probability that errors alone make the change seen, below which something is loose [1]."""
     clear: Positive = 5.0
     """Scatter above the best place's from which a place is ruled out, chi-square [1]."""
@@ -139,17 +139,6 @@ class ClassicalSettings(Checked):
     driven: NonNegative = 3.0
     """Scatter between play in a joint and the best slide up to which a further record, with that
     joint alone driven, tells the two apart by the shape of its motion (3.4); 0 for none [1]."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.significance >= 1:
-            raise InvalidSetting(
-                f"significance is a probability between 0 and 1, got {self.significance}"
-            )
-        if self.order not in get_args(Order):
-            raise InvalidSetting(f"order is one of {list(get_args(Order))}, got {self.order!r}")
-        if self.level not in get_args(Level):
-            raise InvalidSetting(f"level is one of {list(get_args(Level))}, got {self.level!r}")
 
 
 def arm_class(problem: Problem) -> Literal["planar", "spatial", "bending"]:

@@ -81,16 +81,13 @@ class LinkFindingAgent(EpisodeAgent):
             if memory.tries <= self.settings.retries:
                 return
             # Out of retries: the nearer of the two thresholds decides.
-            finding = self._nearer(memory.sightings[-1], seen, joint)  # type: ignore[assignment]
+            wide = LinkFindingSettings(still=0.5, turned=np.finfo(float).max)
+            finding = judge_turn(memory.sightings[-1], seen, joint, wide)
         memory.tries = 0
         if finding == "turned":
             memory.high = joint - 1
         else:
             memory.low = joint
-
-    def _nearer(self, before: Sighting, after: Sighting, joint: int) -> str:
-        wide = LinkFindingSettings(still=0.5, turned=np.finfo(float).max)
-        return judge_turn(before, after, joint, wide)
 
     def _decide(self, memory: _Search) -> NDArray[np.int64]:
         problem = self.problem
@@ -109,8 +106,13 @@ class LinkFindingAgent(EpisodeAgent):
         problem = self.problem
         moves = problem.stay
         if joint is not None:
-            reach = _reach(problem, observation, problem.actions.moves)[joint - 1]
-            moves[joint - 1] = _farthest(reach, memory.tries, moves[joint - 1])
+            pose = problem.layout.pose_of(observation)
+            allowed = problem.actions.allowed_moves(pose)[joint - 1]
+            turn = np.abs(np.sin(problem.actions.moves)) * allowed
+            best = np.argsort(-turn, kind="stable")
+            best = best[turn[best] > 1e-6]
+            if len(best):  # a retry takes the next best one, not to repeat the first
+                moves[joint - 1] = best[memory.tries % len(best)]
         levels = np.zeros(problem.arm.n, dtype=np.intp)
         levels[self.settings.joint - 1] = self.settings.level
         memory.moved = joint
@@ -130,19 +132,6 @@ class LinkFindingAgent(EpisodeAgent):
             nominal_direction=_axial(at("nominal_lowest_direction")),
             nominal_correlation=float(at("nominal_correlation")[0]),
         )
-
-
-def _reach(problem: Problem, observation: NDArray[np.float32], steps: Any) -> Any:
-    """Turn of a direction that each move of each joint allows, 0 where it is out of range."""
-    allowed = problem.actions.allowed_moves(problem.layout.pose_of(observation))
-    return np.abs(np.sin(steps)) * allowed
-
-
-def _farthest(reach: NDArray[np.float64], tries: int, stay: int) -> int:
-    """Move of the largest reach; a retry takes the next best one, not to repeat the first."""
-    best = np.argsort(-reach, kind="stable")
-    best = best[reach[best] > 1e-6]
-    return int(best[tries % len(best)]) if len(best) else stay
 
 
 def _axial(products: NDArray[np.float64]) -> float:

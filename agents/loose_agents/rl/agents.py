@@ -267,7 +267,8 @@ def model_agent(path: str | Path, problem: Problem, *, seed: int = 0) -> Episode
     of a model that has neither only the sizes are checked. No code of the file is run.
     """
     stored = read_model(path)
-    beside = _beside(stored)
+    folder = stored.path.parent
+    beside = described_run(folder) if (folder / CONFIGURATION).is_file() else {}
     _require_same_problem(stored, beside, problem)
     tensors = stored.parameters["policy"]
     try:
@@ -324,12 +325,6 @@ def _require_same_problem(stored: StoredModel, beside: dict[str, Any], problem: 
             f"{problem.arm.name!r} under these rules, fingerprint {problem.fingerprint!r}; play it "
             "with the environment and the arguments of its training"
         )
-
-
-def _beside(stored: StoredModel) -> dict[str, Any]:
-    """Configuration of the run that a model file lies in; empty where there is none."""
-    folder = stored.path.parent
-    return described_run(folder) if (folder / CONFIGURATION).is_file() else {}
 
 
 def described_run(folder: Path) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 A model's ``.zip`` holds tensors, and settings of which some are pickled objects: unpickling runs
 whatever the file says. So only the tensors and plain JSON are read here. The rest of a model, its
 algorithm and its hyperparameters, is made anew from the run's own options. What a run needs
-besides, its counters, evaluations and generators, is a member of tensors and plain values.
+besides, its counters and evaluations, is a member of tensors and plain values.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,11 +31,6 @@ _ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 _HIDDEN, _EXTRACTOR, _HEAD = "mlp_extractor.policy_net.", "features_extractor.", "action_net."
 _NOMINAL = "nominal_"
 _SMALLEST_SPREAD = 1e-3
-
-
-class _Form(Protocol):
-    nvec: NDArray[np.int64]
-    observation_space: Any
 
 
 class PolicyNetwork:
@@ -140,7 +135,7 @@ def save_network(network: PolicyNetwork, folder: str | Path) -> None:
     write_bytes(Path(folder) / WEIGHTS, save(tensors, metadata=described))
 
 
-def load_network(folder: str | Path, form: _Form) -> PolicyNetwork:
+def load_network(folder: str | Path, form: Any) -> PolicyNetwork:
     """Read the weights that `save_network` wrote, for what a policy sees and chooses."""
     from safetensors import SafetensorError, safe_open
 

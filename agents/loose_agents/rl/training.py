@@ -1,8 +1,7 @@
 """Resumable training by PPO, on a posterior or on the raw observation, with its learning curve.
 
 Everything is written beside its name and renamed. The checkpoint alone decides where a run goes
-on: it holds the model with its optimiser, the step count, the states of the random generators and
-the evaluations so far, in one file.
+on: it holds the model with its optimiser, the step count and the evaluations so far, in one file.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import csv
 import importlib
 import json
 import os
-import random
 import shutil
 import subprocess
 import sys
@@ -25,6 +23,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.utils import set_random_seed
 
 from loose_agents.base import CURVE_SEED, Problem
 from loose_agents.belief import Tracker, make_estimator
@@ -240,8 +239,6 @@ def read_curve(path: Path) -> list[CurvePoint]:
 class RunState:
     """State of a run stored in its checkpoint beside the model."""
 
-    generators: dict[str, Any] = field(default_factory=dict)
-    """States of the generators of Python, numpy and torch: tensors and plain values."""
     points: list[dict[str, Any]] = field(default_factory=list)
     """Points of the learning curve."""
     best: float = -np.inf
@@ -250,28 +247,6 @@ class RunState:
     """Records taken."""
     seconds: float = 0.0
     """Time spent [s]."""
-
-    def remember_generators(self) -> None:
-        """Store the states of the global random generators."""
-        kind, keys, *rest = np.random.get_state()
-        self.generators = {
-            "python": random.getstate(),
-            "numpy": (kind, torch.from_numpy(np.asarray(keys, dtype=np.int64)), *rest),
-            "torch": torch.get_rng_state(),
-        }
-
-    def restore_generators(self) -> None:
-        """Restore the states of the global random generators."""
-        if self.generators:
-            try:
-                random.setstate(self.generators["python"])
-                kind, keys, *rest = self.generators["numpy"]
-                np.random.set_state((kind, keys.numpy().astype(np.uint32), *rest))
-                torch.set_rng_state(self.generators["torch"])
-            except (KeyError, TypeError, ValueError, RuntimeError) as error:
-                raise InvalidData(
-                    f"the generators of the run cannot be restored ({error}); --restart begins anew"
-                ) from error
 
 
 @dataclass
@@ -385,7 +360,6 @@ class RunCallback(BaseCallback):
         steps = self.model.num_timesteps
         self._write_policy(self.folder.root, {"steps": steps})
         self.state.seconds = self.budget.elapsed
-        self.state.remember_generators()
         write_bytes(self.folder.checkpoint, zipped(self.model, self.state))
         self._saved = steps
 
@@ -519,7 +493,8 @@ def train(
         if run.network == "set" and not resumed:
             state.records += standardise(model, vec)
         show = show or (lambda steps, words: None)
-        state.restore_generators()
+        if resumed:  # anew from here, as the episodes are
+            set_random_seed(training_seed(run.seed, model.num_timesteps) % 2**32)
         if not run.tensorboard:
             model.set_logger(Logger(None, []))  # its own would leave an empty folder in /tmp
         callback = RunCallback(
@@ -565,8 +540,8 @@ def _checkpointed(
             print(f"train: note: {name} differs from that of the run's start", file=sys.stderr)
     try:
         stored = read_model(folder.checkpoint, given["device"])
-        # Made with the options of the run, which are those of its start: only tensors, counts and
-        # the states of generators come from the file.
+        # Made with the options of the run, which are those of its start: only tensors and counts
+        # come from the file.
         model = _new_model(run, model_class, vec, given, problem)
         model.run_state = restore(stored, model, RunState)
     except InvalidData as error:

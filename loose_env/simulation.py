@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium
 import numpy as np
 
-from loose_env.envs.batch import Beginning, EnvBatch
-from loose_env.envs.faults import log_uniform, uniform
-from loose_env.envs.spaces import checked_indices
+from loose_env.envs import Beginning, EnvBatch
 from loose_env.errors import InvalidSetting
 from loose_env.faults import Fault
 from loose_env.io import is_whole
@@ -51,10 +50,10 @@ class FaultPrior:
             raise InvalidSetting(f"count is a whole number, zero or more; got {count!r:.60}")
         drawn = np.empty((count, len(NAMES)))
         drawn[:, 0] = rng.choice(len(self.hypotheses), size=count, p=self.probabilities)
-        u = rng.random((count, len(self.low)))
-        for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)):
-            turn = log_uniform if k < _LOG else uniform
-            drawn[:, 1 + k] = turn((low, high), u[:, k])
+        low, high = self.low.copy(), self.high.copy()
+        low[:_LOG], high[:_LOG] = np.log(low[:_LOG]), np.log(high[:_LOG])
+        drawn[:, 1:] = low + (high - low) * rng.random((count, len(low)))
+        drawn[:, 1 : 1 + _LOG] = np.exp(drawn[:, 1 : 1 + _LOG])
         return drawn
 
     def log_prob(self, theta: Array) -> Array:
@@ -73,12 +72,8 @@ _LOG = 2
 """Log-uniform parameters, the first ones after the hypothesis."""
 
 
-class Simulate(Protocol):
-    """Simulator of records, as `simulator` makes it."""
-
-    def __call__(self, theta: Array, design: Array, rng: np.random.Generator) -> Array:
-        """Records of arms with given faults, in given poses and excitations."""
-        ...
+Simulate = Callable[[Array, Array, np.random.Generator], Array]
+"""Simulator of records, as `simulator` makes it."""
 
 
 def simulator(
@@ -188,7 +183,11 @@ def _check(batch: EnvBatch, prior: FaultPrior, theta: Array, designs: Array) -> 
         raise InvalidSetting(
             f"an arm takes {most} records at most, got {designs.shape[1]}: give max_records"
         )
-    checked_indices("hypotheses of theta", theta[:, 0], np.full(len(theta), len(prior.hypotheses)))
+    if not np.isin(theta[:, 0], np.arange(len(prior.hypotheses))).all():
+        raise InvalidSetting(
+            f"hypotheses of theta are whole numbers from 0 to {len(prior.hypotheses) - 1}, got "
+            f"{theta[:, 0].tolist()!r:.80}"
+        )
 
 
 def _records(
