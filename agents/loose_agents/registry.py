@@ -26,12 +26,8 @@ from loose_agents.belief import (
     BeliefAgent,
     Sure,
     make_estimator,
-    setting_name,
-    tuned,
     tuned_stopping,
     usual_estimator,
-    weights_digest,
-    weights_path,
 )
 from loose_agents.policies.choice import (
     FIXED_RECORDS,
@@ -49,6 +45,7 @@ from loose_agents.policies.classical import (
 )
 from loose_agents.policies.link_finding import LinkFindingAgent
 from loose_agents.policies.rhythm import RhythmAgent
+from loose_agents.stored import setting_name, tuned, weights_digest, weights_path
 from loose_env.diagnosis import LinkFindingSettings, Order
 from loose_env.errors import UnknownName
 from loose_env.faults import UNSURE

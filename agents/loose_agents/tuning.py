@@ -18,20 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.base import Agent, Problem
-from loose_agents.belief import (
-    ESTIMATORS,
-    BeliefAgent,
-    Policy,
-    Sure,
-    make_estimator,
-    setting_name,
-    tuning_name,
-    weights_path,
-)
+from loose_agents.belief import ESTIMATORS, BeliefAgent, Policy, Sure, make_estimator
 from loose_agents.jobs import BackendSettings
 from loose_agents.policies.choice import POLICIES, ConstantPolicy, FixedPolicy, Records
 from loose_agents.registry import LEARNED
 from loose_agents.sharded_play import EvaluationTask, play_task
+from loose_agents.stored import setting_name, tuning_name, weights_path
 from loose_env.envs import Prices
 from loose_env.errors import InvalidData, InvalidSetting, UnknownName
 from loose_env.io import write_text

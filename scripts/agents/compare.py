@@ -27,12 +27,13 @@ os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
 from loose_agents.base import EVALUATION_SEED, Problem, action_of
-from loose_agents.belief import ESTIMATORS, OWN_WEIGHTS, setting_name, weights_digest, weights_path
+from loose_agents.belief import ESTIMATORS
 from loose_agents.evaluation import arguments_of, diagnosis_env, problem_of
 from loose_agents.jobs import BackendSettings, canonical
 from loose_agents.policies.choice import POLICIES
 from loose_agents.registry import AGENTS, describe, make_agent
 from loose_agents.sharded_play import EvaluationTask, bound_line, play_task
+from loose_agents.stored import OWN_WEIGHTS, setting_name, weights_digest, weights_path
 
 import loose_env
 from loose_env.arms import unfelt_words

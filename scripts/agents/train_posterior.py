@@ -23,7 +23,6 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from loose_agents.belief import WEIGHTS, setting_name
 from loose_agents.jobs import BackendSettings
 from loose_agents.posterior_training import (
     PosteriorTraining,
@@ -41,6 +40,7 @@ from loose_agents.record_bank import (
     read_features,
     seat_features,
 )
+from loose_agents.stored import WEIGHTS, setting_name
 from numpy.typing import NDArray
 
 from loose_env.cli.command import command

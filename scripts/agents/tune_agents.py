@@ -31,7 +31,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from loose_agents.base import BANK_SEED, TUNING_SEED, check_training_seed
-from loose_agents.belief import WEIGHTS, make_estimator, tuning_name
+from loose_agents.belief import make_estimator
 from loose_agents.evaluation import arguments_of, problem_of
 from loose_agents.jobs import BackendSettings
 from loose_agents.policies.choice import (
@@ -42,6 +42,7 @@ from loose_agents.policies.choice import (
     drawn_sequences,
     make_policy,
 )
+from loose_agents.stored import WEIGHTS, tuning_name
 from loose_agents.tuning import (
     Player,
     Trails,

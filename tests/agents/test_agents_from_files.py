@@ -14,20 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.base import EpisodeAgent, Problem
-from loose_agents.belief import (
-    OWN_WEIGHTS,
-    WEIGHTS,
-    Tracker,
-    tuned,
-    weights_digest,
-    weights_path,
-)
+from loose_agents.belief import Tracker
 from loose_agents.evaluation import EpisodeRow, diagnosis_env, evaluate
 from loose_agents.registry import content_of, describe, is_outside, make_agent
 from loose_agents.rl.agents import CONFIGURATION, LearnedAgent, PolicyForm
 from loose_agents.rl.model_files import TRAINED_ON
 from loose_agents.rl.networks import FORMAT, load_network, network_of, save_network
 from loose_agents.sharded_play import EvaluationTask, evaluate_shard
+from loose_agents.stored import OWN_WEIGHTS, WEIGHTS, tuned, weights_digest, weights_path
 
 from loose_env.arms import planar, vera
 from loose_env.envs import DiagnosisEnv, DiagnosisSettings, DiagnosisVectorEnv

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import torch
 from loose_agents.base import Problem
-from loose_agents.belief import BeliefAgent, Sure, Tracker
+from loose_agents.belief import BeliefAgent, Calibrated, Sure, Tracker
 from loose_agents.evaluation import evaluate, make_environments
 from loose_agents.jobs import Store
+from loose_agents.policies.choice import ForesightPolicy
 from loose_agents.registry import make_agent
-from loose_agents.rl.foresight import FILE, Calibrated, Foresight, ForesightPolicy
+from loose_agents.rl.foresight import FILE, Foresight
 from loose_agents.rl.foresight_training import ForesightTraining, fit, play, train
 
 from loose_env.arms import planar

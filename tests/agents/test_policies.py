@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loose_agents.base import Problem
-from loose_agents.belief import (
-    Situation,
-    Tracker,
-    make_estimator,
-    tuning_name,
-    usual_estimator,
-)
+from loose_agents.belief import Situation, Tracker, make_estimator, usual_estimator
 from loose_agents.policies.choice import (
     POLICIES,
     ConstantPolicy,
@@ -25,6 +19,7 @@ from loose_agents.policies.choice import (
     make_policy,
 )
 from loose_agents.registry import make_agent
+from loose_agents.stored import tuning_name
 
 from loose_env.arms import planar
 from loose_env.envs import DiagnosisSettings, EnvBatch

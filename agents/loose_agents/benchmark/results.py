@@ -17,7 +17,7 @@ from pydantic import ConfigDict, TypeAdapter
 
 import loose_env
 from loose_agents.base import Agent, EpisodeAgent, Problem, action_of
-from loose_agents.belief import setting_name, tuning_name, usual_estimator, weights_path
+from loose_agents.belief import usual_estimator
 from loose_agents.benchmark.episodes import (
     HIDDEN,
     ROUNDS,
@@ -32,6 +32,7 @@ from loose_agents.benchmark.episodes import (
 from loose_agents.jobs import Store, spans
 from loose_agents.registry import AGENTS, LEARNED, content_of, is_outside, make_agent
 from loose_agents.sharded_play import information_limits, success_limits
+from loose_agents.stored import setting_name, tuning_name, weights_path
 from loose_env.errors import InvalidAction, InvalidData, InvalidSetting
 from loose_env.io import NonNegativeCount, read_result_file, restored, whole_of
 from loose_env.typing import Array

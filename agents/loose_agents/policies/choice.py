@@ -10,16 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loose_agents.base import Problem, action_of
-from loose_agents.belief import (
-    AfterRecords,
-    BeliefAgent,
-    Estimator,
-    Policy,
-    Situation,
-    belief_of,
-    tuned,
-)
+from loose_agents.belief import AfterRecords, BeliefAgent, Estimator, Policy, Situation, belief_of
 from loose_agents.evaluation import evaluate
+from loose_agents.stored import tuned
 from loose_env.diagnosis import (
     AmortisedPosterior,
     Belief,
@@ -117,12 +110,6 @@ def _constant(problem: Problem, estimator: Estimator) -> Policy:
     return ConstantPolicy(problem, tuple(min(level, top) for level in levels))
 
 
-def _foresight(problem: Problem, estimator: Estimator) -> Policy:
-    from loose_agents.rl.foresight import ForesightPolicy
-
-    return ForesightPolicy(problem, estimator)
-
-
 POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
     "random": (lambda problem, _: RandomPolicy(problem), "random poses, joint, level and length"),
     "constant": (_constant, "the best single joint and level, random poses"),
@@ -146,7 +133,10 @@ POLICIES: dict[str, tuple[Callable[[Problem, Estimator], Policy], str]] = {
         lambda problem, made: LookAheadPolicy(problem, information_of(problem, made)),
         "the record that is worth most with the next one in view",
     ),
-    "foresight": (_foresight, "the record after which a network foretells the least doubt"),
+    "foresight": (
+        lambda problem, made: ForesightPolicy(problem, made),
+        "the record after which a network foretells the least doubt",
+    ),
 }
 """Constructor and short description of each policy."""
 
@@ -356,6 +346,36 @@ def _joined(*parts: Candidates) -> Candidates:
     """Candidates of several parts, one after the other."""
     columns = zip(*(vars(part).values() for part in parts), strict=True)
     return Candidates(**dict(zip(vars(parts[0]), map(np.concatenate, columns), strict=True)))
+
+
+FORESEEN_POSES = 64
+"""Poses in which every joint's record is foretold, where there are more."""
+
+
+class ForesightPolicy(BatchPolicy):
+    """Takes the record after which the least doubt is foretold: one joint at its top level."""
+
+    def __init__(self, problem: Problem, estimator: Any, foresight: Any = None) -> None:
+        self.problem, self.estimator = problem, estimator
+        from loose_agents.rl.foresight import Foresight
+
+        own = getattr(estimator, "foresight", None) if foresight is None else foresight
+        self.foresight = Foresight.load(problem) if own is None else own
+
+    def choose_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
+        """Choose the next record of each episode."""
+        problem = self.problem
+        where = [poses(problem, situation, FORESEEN_POSES) for situation in situations]
+        owner = np.repeat(np.arange(len(where)), [len(moves) for moves, _ in where])
+        moves, there = (np.concatenate(part) for part in zip(*where, strict=True))
+        p, shown = self.estimator.seen([situation.memory for situation in situations])
+        entropies = self.foresight.entropies(p[owner], shown[owner], problem.linear.geometry(there))
+        top, chosen = len(problem.arm.levels) * np.eye(problem.arm.n, dtype=np.intp), []
+        for k in range(len(situations)):
+            rows = np.flatnonzero(owner == k)
+            pose, joint = np.unravel_index(entropies[rows].argmin(), (len(rows), problem.arm.n))
+            chosen.append(problem.actions.encode(moves=moves[rows[pose]], levels=top[joint]))
+        return chosen
 
 
 FIRST_RECORDS, SECOND_RECORDS = 4, 4

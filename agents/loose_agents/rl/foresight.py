@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from loose_agents.base import Problem
-from loose_agents.belief import Situation, Tracker, tuning_name, weights_path
-from loose_agents.policies.choice import BatchPolicy, poses
 from loose_agents.rl.model_files import one_line
+from loose_agents.stored import tuning_name, weights_path
 from loose_env.arms import ArmGeometry
 from loose_env.errors import InvalidData
 from loose_env.io import write_bytes, write_text
@@ -32,8 +31,6 @@ WIDTH, DROPOUT = 128, 0.1
 """Units of the two hidden layers; share of them that is left out while it learns."""
 CUT = 5.0
 """Standardised numbers are cut off here."""
-POSES = 64
-"""Poses that are weighed, where there are more."""
 _LEAST, _SMALL = 1e-6, 1e-3
 """Least probability in logarithms; added to lengths that divide."""
 
@@ -223,46 +220,3 @@ class Foresight(nn.Module):
 def folder_of(problem: Problem) -> Path:
     """Folder of the weights of a task."""
     return weights_path(f"foresight-{tuning_name(problem)}")
-
-
-class Calibrated(Tracker):
-    """The analytic posterior with its probabilities corrected by a network."""
-
-    def __init__(self, problem: Problem, foresight: Foresight | None = None) -> None:
-        super().__init__(problem)
-        self.foresight = Foresight.load(problem) if foresight is None else foresight
-
-    def follow(self, observations: Numbers, memories: Sequence[Any]) -> NDArray[np.float64]:
-        """Update with the new records of A episodes; return the probabilities (A, hypotheses)."""
-        found = np.array(super().follow(observations, memories))
-        rows = [k for k, memory in enumerate(memories) if memory.records > 0]
-        if rows:
-            at = self.problem.linear.geometry(self.problem.layout.pose_of(observations[rows]))
-            found[rows] = self.foresight.corrected(*self.seen([memories[k] for k in rows]), at)
-        return found
-
-
-class ForesightPolicy(BatchPolicy):
-    """Takes the record after which the least doubt is foretold: one joint at its top level."""
-
-    def __init__(
-        self, problem: Problem, estimator: Any, foresight: Foresight | None = None
-    ) -> None:
-        self.problem, self.estimator = problem, estimator
-        own = getattr(estimator, "foresight", None) if foresight is None else foresight
-        self.foresight: Foresight = Foresight.load(problem) if own is None else own
-
-    def choose_all(self, situations: Sequence[Situation]) -> list[NDArray[np.int64]]:
-        """Choose the next record of each episode."""
-        problem = self.problem
-        where = [poses(problem, situation, POSES) for situation in situations]
-        owner = np.repeat(np.arange(len(where)), [len(moves) for moves, _ in where])
-        moves, there = (np.concatenate(part) for part in zip(*where, strict=True))
-        p, shown = self.estimator.seen([situation.memory for situation in situations])
-        entropies = self.foresight.entropies(p[owner], shown[owner], problem.linear.geometry(there))
-        top, chosen = len(problem.arm.levels) * np.eye(problem.arm.n, dtype=np.intp), []
-        for k in range(len(situations)):
-            rows = np.flatnonzero(owner == k)
-            pose, joint = np.unravel_index(entropies[rows].argmin(), (len(rows), problem.arm.n))
-            chosen.append(problem.actions.encode(moves=moves[rows[pose]], levels=top[joint]))
-        return chosen

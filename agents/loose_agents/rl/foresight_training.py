@@ -13,11 +13,9 @@ from torch import Tensor, nn
 from loose_agents.base import Problem
 from loose_agents.belief import BeliefAgent, Tracker
 from loose_agents.jobs import Store, spans
-from loose_agents.policies.choice import BatchPolicy, poses
+from loose_agents.policies.choice import FORESEEN_POSES, BatchPolicy, ForesightPolicy, poses
 from loose_agents.rl.foresight import (
-    POSES,
     Foresight,
-    ForesightPolicy,
     Numbers,
     Standardised,
     entropy_of,
@@ -147,7 +145,7 @@ class _Wandering(BatchPolicy):
     def choose_all(self, situations: Sequence[Any]) -> list[Any]:
         chosen, n, top = [], self.problem.arm.n, len(self.problem.arm.levels)
         for situation in situations:
-            moves, _ = poses(self.problem, situation, POSES)
+            moves, _ = poses(self.problem, situation, FORESEEN_POSES)
             levels = top * np.eye(n, dtype=np.intp)[situation.rng.integers(n)]
             own = moves[situation.rng.integers(len(moves))]
             chosen.append(self.problem.actions.encode(moves=own, levels=levels))
