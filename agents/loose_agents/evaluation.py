@@ -98,6 +98,8 @@ def problem_of(env_id: str, arguments: Mapping[str, Any]) -> Problem:
 
 def make_environments(env_id: str, num_envs: int, arguments: dict[str, Any]) -> DiagnosisVectorEnv:
     """Make the environments side by side."""
+    if env_id not in gymnasium.registry:
+        raise UnknownName(f"unknown environment {env_id!r}; environments are {', '.join(IDS)}")
     env: DiagnosisVectorEnv = _made(gymnasium.make_vec, env_id, {"num_envs": num_envs, **arguments})
     if env.settings.raw:
         raise InvalidSetting("a policy learns on statistics, not on raw signals: leave raw out")
