@@ -21,7 +21,7 @@ from loose_agents.rl.foresight import (
     entropy_of,
 )
 from loose_env.arms import ArmGeometry
-from loose_env.io import Count
+from loose_env.io import Count, NonNegative, Positive, Probability
 from loose_env.typing import Array, IndexArray
 
 
@@ -35,15 +35,15 @@ class ForesightTraining:
     """Parts of them; each but the first is played by networks fitted to those before it."""
     episode: Count = 6
     """Records of an arm."""
-    random: float = 0.5
+    random: Probability = 0.5
     """Share of the records at random [1]: what is never tried is never known."""
     steps: Count = 6000
     """Steps of the last fit, of `batch` records; earlier ones take their share."""
     batch: Count = 512
     """Records of a step."""
-    rate: float = 1e-3
+    rate: Positive = 1e-3
     """Rate of learning, falling to none."""
-    decay: float = 0.05
+    decay: NonNegative = 0.05
     """Decay of weights."""
     seed: int = 0
     """Seed of arms, choices and steps."""
