@@ -39,7 +39,7 @@ import loose_env
 from loose_env.arms import unfelt_words
 from loose_env.cli.command import command
 from loose_env.evaluation import by_agent, configuration_hash, need_format, standings, write_rows
-from loose_env.io import Count, written_beside
+from loose_env.io import Count, NonNegativeCount, written_beside
 from loose_env.report import comparison_text
 
 EPISODES = 4000
@@ -83,7 +83,7 @@ class Options(BackendSettings):
     """Play again, K records each: success after 1 to K."""
     episodes: Count = EPISODES
     """Episodes for each agent."""
-    seed: int = EVALUATION_SEED
+    seed: NonNegativeCount = EVALUATION_SEED
     """Seed of the episodes."""
     shard: Count = 200
     """Episodes that a worker plays at a time."""

@@ -60,7 +60,7 @@ from loose_agents.tuning import (
 from loose_env.cli.command import command
 from loose_env.errors import InvalidSetting
 from loose_env.evaluation import bootstrap_mean
-from loose_env.io import Count
+from loose_env.io import Count, NonNegativeCount
 
 BOOTSTRAP_SEED = 0
 """Seed of all resamples."""
@@ -82,7 +82,7 @@ class Options(BackendSettings):
     """Training episodes for each agent."""
     records: Count = 12
     """Records an episode, at most the rules' own."""
-    seed: int = TUNING_SEED
+    seed: NonNegativeCount = TUNING_SEED
     """Seed of the training episodes."""
     folder: str = "runs/tuning"
     """Folder of the shards."""

@@ -20,6 +20,7 @@ OPTIONS = {
     "enjoy": ["-f", "OUT"],
     "compare": ["--agents", "classical", "--out", "OUT"],
     "submit": [],
+    "tune_agents": [*PLANAR, "--agents", "random"],
     "tune_link_finding": [*TUNE, "--out", "OUT"],
 }
 MAKE = ["make", "--tasks", TASK, "--out", "OUT", "--shards", "OUT/shards"]
@@ -49,6 +50,7 @@ REFUSED = [
     ("enjoy", ["--weights", "nowhere"], "nowhere"),
     ("compare", ["--agents", "nobody"], "unknown agent 'nobody'"),
     ("compare", ["--episodes", "0"], "--episodes must be a whole number, 1 or more; got 0"),
+    ("compare", ["--seed", "-1"], "--seed must be a whole number, 0 or more; got -1"),
     ("compare", ["--reference", "random"], "does not play"),
     ("compare", ["--estimators", "posterior"], "give both or neither"),
     ("compare", ["--arguments", "["], "must be JSON"),
@@ -63,6 +65,7 @@ REFUSED = [
     ("tune_link_finding", ["--arguments", '{"colour": 1}'], "unknown arguments"),
     ("tune_link_finding", ["--env", "CartPole-v1"], "no diagnosis environment"),
     ("tune_link_finding", [*PLANAR, "loose_env/Vera-v0"], "belong to one arm: tune"),
+    ("tune_agents", ["--seed", "-1"], "--seed must be a whole number, 0 or more; got -1"),
     ("tune_link_finding", ["--candidates", "0"], "--candidates must be a whole number, 1 or more"),
 ]
 
